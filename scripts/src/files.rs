@@ -13,6 +13,14 @@ pub trait Files {
     /// # Errors
     /// A finding when it cannot be read.
     fn read(&self, name: &str) -> Result<Source, Finding>;
+
+    /// Reads a file that need not be text.
+    ///
+    /// # Errors
+    /// A finding when it cannot be read.
+    fn read_bytes(&self, name: &str) -> Result<Vec<u8>, Finding> {
+        self.read(name).map(|source| source.text.into_bytes())
+    }
 }
 
 /// Files of a folder: names count from there, and lead to files of one project.
@@ -40,6 +48,10 @@ impl Folder {
 impl Files for Folder {
     fn read(&self, name: &str) -> Result<Source, Finding> {
         self.project.read(&self.path.join(name))
+    }
+
+    fn read_bytes(&self, name: &str) -> Result<Vec<u8>, Finding> {
+        self.project.read_bytes(&self.path.join(name))
     }
 }
 

@@ -77,6 +77,8 @@ pub use fleet::{
     latency_file_of, latency_text, read_fleet, read_fleet_named, read_fleet_to_measure, read_fleet_within,
     read_latency_file,
 };
+#[doc(hidden)]
+pub use formation::tried as try_formation;
 pub use init::{init_of, init_text, read_init};
 pub use open::open;
 pub use plan::{

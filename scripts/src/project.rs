@@ -75,9 +75,14 @@ impl Project {
     /// # Errors
     /// A finding when it lies outside or leads there by links, and when it cannot be read.
     pub(crate) fn read(&self, path: &Path) -> Result<Source, Finding> {
+        Source::of_bytes(&path.display().to_string(), self.read_bytes(path)?)
+    }
+
+    /// The same for a file that need not be text.
+    pub(crate) fn read_bytes(&self, path: &Path) -> Result<Vec<u8>, Finding> {
         let real = self.real(path)?;
         let file = open_regular(&real).map_err(|error| refused(path, &error))?;
-        Source::of_bytes(&path.display().to_string(), bytes_of(path, file)?)
+        bytes_of(path, file)
     }
 
     /// Where a path leads without links, if that is in this folder.

@@ -2,9 +2,15 @@
 //!
 //! What a scenario says of them is read by `scenario::formations`; which body takes which place is decided elsewhere.
 
+pub(crate) mod cloud;
 mod crowd;
 mod placing;
 mod shapes;
+mod spread;
+mod strokes;
+pub(crate) mod svg;
+pub(crate) mod text;
+mod tried;
 
 #[cfg(test)]
 mod tests;
@@ -14,6 +20,9 @@ use std::sync::Arc;
 pub(crate) use crowd::{distance as metres_between, nearest_pair};
 pub(crate) use placing::{Placing, middle_of};
 pub(crate) use shapes::{Ball, Grid, Line, Ring, Vee};
+pub(crate) use spread::Triangle;
+pub(crate) use strokes::Strokes;
+pub use tried::tried;
 
 /// Most places of a formation.
 pub(crate) const PLACES_MAX: usize = 10_000;
@@ -38,6 +47,18 @@ pub(crate) enum Shape {
     Grid(Grid),
     Vee(Vee),
     Sphere(Ball),
+    /// Along these lines.
+    Strokes(Arc<Strokes>),
+    /// Some of these points, as far from each other as possible.
+    Cloud(Arc<[Point]>),
+    Surface(Arc<[Triangle]>),
+}
+
+/// A file that is not what it should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Unfit {
+    pub(crate) message: String,
+    pub(crate) expected: &'static str,
 }
 
 /// More places than a formation may have.
@@ -48,7 +69,7 @@ pub(crate) struct TooManyPlaces {
 
 impl Formation {
     /// The places for this many bodies, in metres, in the order of the shape. A shape with places of its own has all of these
-    /// ([`Self::own_count`]), whatever the count: it is for the caller to compare the two.
+    /// ([`Self::own_count`]), whatever the count, and a cloud has no more than its points: it is for the caller to compare.
     ///
     /// # Errors
     /// There are more than [`PLACES_MAX`].
@@ -64,6 +85,9 @@ impl Formation {
             Shape::Grid(grid) => grid.places(count),
             Shape::Vee(vee) => vee.places(count),
             Shape::Sphere(ball) => ball.places(count),
+            Shape::Strokes(strokes) => strokes.places(count),
+            Shape::Cloud(points) => spread::thinned(points, count),
+            Shape::Surface(surface) => spread::over(surface, count),
         };
         Ok(places.into_iter().map(|place| self.placing.of(place)).collect())
     }
@@ -72,7 +96,7 @@ impl Formation {
     pub(crate) fn own_count(&self) -> Option<usize> {
         match &self.shape {
             Shape::Points(points) => Some(points.len()),
-            Shape::Line(_) | Shape::Circle(_) | Shape::Grid(_) | Shape::Vee(_) | Shape::Sphere(_) => None,
+            _ => None,
         }
     }
 }

@@ -1,5 +1,8 @@
 //! Known coordinates, and even spacing for any number of bodies.
 
+mod files;
+mod lines;
+
 use super::*;
 
 fn of(shape: Shape) -> Formation {

@@ -1,12 +1,17 @@
 //! The key `formations`: names with places in space.
 
+#[cfg(test)]
+mod tests;
+
 use std::sync::Arc;
 
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Place};
+use crate::formation::cloud::{self, Cloud};
 use crate::formation::{
-    Ball, Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, Vee, middle_of,
+    Ball, Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, Strokes, Unfit, Vee, middle_of,
+    svg, text,
 };
 use crate::keys::keys;
 use crate::node::{Node, shortened};
@@ -16,6 +21,8 @@ const METRES_MAX: f64 = 1e6;
 /// Most columns and rows of a grid.
 const SIDE_MAX: u32 = 10_000;
 
+/// Most characters of a text.
+const TEXT_MAX: usize = 200;
 /// Degrees between the arms of a V, if nothing is said: neighbours on the two arms are as far apart as those on one.
 const VEE_ANGLE: f64 = 60.0;
 
@@ -25,7 +32,7 @@ const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in deg
 
 keys! {
     /// What is said of a formation.
-    FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, at, rotate, scale }
+    FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, text, svg, cloud, at, rotate, scale, size }
 }
 
 /// A formation as written.
@@ -41,12 +48,16 @@ pub(crate) struct WrittenFormation {
 struct Shaped {
     shape: Shape,
     placing: Placing,
+    /// The longest side of the box around it, if it does not depend on the number of robots.
+    longest: Option<f64>,
+    /// Metres of one unit of the shape; none if the scenario has to say it.
+    unit: Option<f64>,
 }
 
 impl Shaped {
     /// One with its middle at 0.
     fn around_0(shape: Shape) -> Self {
-        Self { shape, placing: Placing::default() }
+        Self { shape, placing: Placing::default(), longest: None, unit: Some(1.0) }
     }
 }
 
@@ -64,8 +75,13 @@ fn formation(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) ->
     let factor = keys.scale.map_or(Some(1.0), |at| factor(reader, &at));
     let rpy = keys.rotate.map_or(Some([0.0; 3]), |at| rotation(reader, &at));
     let to = keys.at.map(|at| point(reader, &at));
-    let Shaped { shape, placing } = shaped?;
-    let placing = placing.turned(rpy?, factor?);
+    let shaped = shaped?;
+    let factor = match keys.size {
+        Some(at) => sized(reader, &shaped, &at, keys.scale)?,
+        None => unsized_factor(reader, at, &what, &shaped, factor?, keys.scale.is_some())?,
+    };
+    let Shaped { shape, placing, .. } = shaped;
+    let placing = placing.turned(rpy?, factor);
     let placing = match to {
         Some(to) => placing.moved(to?),
         None => placing,
@@ -76,12 +92,22 @@ fn formation(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) ->
 /// The one shape of a formation.
 fn shape(
     reader: &mut Reader,
-    _files: &dyn Files,
+    files: &dyn Files,
     at: &At<'_>,
     what: &str,
     keys: &FormationKeys<'_>,
 ) -> Option<Shaped> {
-    let shapes = [keys.points, keys.line, keys.circle, keys.grid, keys.v, keys.sphere];
+    let shapes = [
+        keys.points,
+        keys.line,
+        keys.circle,
+        keys.grid,
+        keys.v,
+        keys.sphere,
+        keys.text,
+        keys.svg,
+        keys.cloud,
+    ];
     let count = shapes.iter().flatten().count();
     if count != 1 {
         let names = &FORMATION_KEYS[..shapes.len()];
@@ -93,13 +119,16 @@ fn shape(
         }
         return None;
     }
-    let [points, line, circle, grid, vee, sphere] = shapes;
+    let [points, line, circle, grid, vee, sphere, text, svg, cloud] = shapes;
     None.or_else(|| points.map(|at| read_points(reader, &at)))
         .or_else(|| line.map(|at| read_line(reader, &at)))
         .or_else(|| circle.map(|at| read_circle(reader, &at)))
         .or_else(|| grid.map(|at| read_grid(reader, &at)))
         .or_else(|| vee.map(|at| read_vee(reader, &at)))
-        .or_else(|| sphere.map(|at| read_sphere(reader, &at)))?
+        .or_else(|| sphere.map(|at| read_sphere(reader, &at)))
+        .or_else(|| text.map(|at| read_text(reader, &at)))
+        .or_else(|| svg.map(|at| read_svg(reader, files, &at)))
+        .or_else(|| cloud.map(|at| read_cloud(reader, files, &at)))?
 }
 
 fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
@@ -112,8 +141,9 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     }
     let points: Option<Vec<Point>> = all.iter().map(|at| point(reader, at)).collect();
     let points: Arc<[Point]> = points.filter(|points| !points.is_empty())?.into();
-    let placing = Placing::about(middle_of(&points).0);
-    Some(Shaped { shape: Shape::Points(points), placing })
+    let (middle, sides) = middle_of(&points);
+    let longest = Some(sides.into_iter().fold(0.0, f64::max));
+    Some(Shaped { shape: Shape::Points(points), placing: Placing::about(middle), longest, unit: Some(1.0) })
 }
 
 /// `{spacing: 1}` or `{length: 6}`
@@ -176,6 +206,156 @@ fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let [radius] = reader.map(at, "`sphere`", ["radius"], &["radius"])?;
     let radius = radius.and_then(|at| length(reader, &at))?;
     Some(Shaped::around_0(Shape::Sphere(Ball { radius })))
+}
+
+/// `GO`, upright
+fn read_text(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
+    let expected = "a text of 1 to 200 characters";
+    let written = reader.name(at, expected)?;
+    if written.trim().is_empty() || written.chars().count() > TEXT_MAX {
+        let message = format!("the text `{}` of {} characters", shortened(&written), written.chars().count());
+        reader.add(Code::WrongType, at.place(), message, expected, None);
+        return None;
+    }
+    match text::strokes_of(&written) {
+        Ok(strokes) => Some(upright(&strokes, Some(1.0 / text::LETTER_HEIGHT))),
+        Err(c) => {
+            let message = format!("there are no strokes for the character `{c}`");
+            let hint = Some("draw it as an SVG path, and use `svg`".to_owned());
+            let expected = format!("letters, spaces, and these characters: {}", text::letters());
+            reader.add(Code::UnknownWord, at.place(), message, expected, hint);
+            None
+        }
+    }
+}
+
+/// `logo.svg`, upright
+fn read_svg(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Shaped> {
+    let (name, bytes) = bytes_of(reader, files, at, "the path of an SVG file")?;
+    match svg::read(&bytes) {
+        Ok(strokes) => Some(upright(&strokes, None)),
+        Err(unfit) => unfit_file(reader, at, &name, unfit),
+    }
+}
+
+/// `statue.stl`
+fn read_cloud(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Shaped> {
+    let (name, bytes) = bytes_of(reader, files, at, "the path of a PLY, STL or CSV file")?;
+    let cloud = match cloud::read(&name, &bytes) {
+        Ok(cloud) => cloud,
+        Err(unfit) => return unfit_file(reader, at, &name, unfit),
+    };
+    let (shape, (middle, sides)) = match cloud {
+        Cloud::Points(points) => {
+            let sides = middle_of(&points);
+            (Shape::Cloud(points.into()), sides)
+        }
+        Cloud::Surface(surface) => {
+            let sides = middle_of(&surface.concat());
+            (Shape::Surface(surface.into()), sides)
+        }
+    };
+    let longest = Some(sides.into_iter().fold(0.0, f64::max));
+    Some(Shaped { shape, placing: Placing::about(middle), longest, unit: Some(1.0) })
+}
+
+/// Strokes that stand upright, with their middle at 0.
+fn upright(strokes: &[text::FlatStroke], unit: Option<f64>) -> Shaped {
+    let lines: Vec<Vec<Point>> =
+        strokes.iter().map(|line| line.iter().map(|[x, y]| [*x, 0.0, *y]).collect()).collect();
+    let (middle, sides) = middle_of(&lines.concat());
+    let shape = Shape::Strokes(Arc::new(Strokes::of(&lines)));
+    let longest = Some(sides.into_iter().fold(0.0, f64::max));
+    Shaped { shape, placing: Placing::about(middle).moved([0.0; 3]), longest, unit }
+}
+
+/// The bytes of a file that the scenario names.
+fn bytes_of(
+    reader: &mut Reader,
+    files: &dyn Files,
+    at: &At<'_>,
+    expected: &str,
+) -> Option<(String, Vec<u8>)> {
+    let name = reader.text(at, expected)?.into_owned();
+    match files.read_bytes(&name) {
+        Ok(bytes) => Some((name, bytes)),
+        Err(finding) if finding.code == Code::OutsideProject => {
+            reader.add_named(at.place(), finding);
+            None
+        }
+        Err(finding) => {
+            let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
+            let hint = Some("the path counts from the folder of the scenario".to_owned());
+            reader.add(Code::Unreadable, at.place(), message, "a readable file", hint);
+            None
+        }
+    }
+}
+
+fn unfit_file(reader: &mut Reader, at: &At<'_>, name: &str, unfit: Unfit) -> Option<Shaped> {
+    let message = format!("`{}`: {}", shortened(name), unfit.message);
+    reader.add(Code::BadData, at.place(), message, unfit.expected, None);
+    None
+}
+
+/// The factor by which the longest side becomes this long.
+fn sized(reader: &mut Reader, shaped: &Shaped, at: &At<'_>, scale: Option<At<'_>>) -> Option<f64> {
+    let size = length(reader, at)?;
+    if scale.is_some() {
+        let message = "`size` and `scale` are two sizes";
+        reader.add(Code::UnknownKey, at.key_place(), message, "one of them", None);
+        return None;
+    }
+    match shaped.longest {
+        Some(longest) if longest > 0.0 => Some(size / longest),
+        Some(_) => {
+            reader.add(
+                Code::WrongType,
+                at.place(),
+                "all places are one point",
+                "`size` for a shape that has one",
+                None,
+            );
+            None
+        }
+        None => {
+            let message = "the size of this shape is part of it";
+            let hint = Some("write its `radius`, `length` or `spacing`, or `scale` it".to_owned());
+            reader.add(
+                Code::UnknownKey,
+                at.key_place(),
+                message,
+                "`size` for points, a text or a file",
+                hint,
+            );
+            None
+        }
+    }
+}
+
+fn unsized_factor(
+    reader: &mut Reader,
+    at: &At<'_>,
+    what: &str,
+    shaped: &Shaped,
+    factor: f64,
+    scaled: bool,
+) -> Option<f64> {
+    match shaped.unit {
+        Some(unit) => Some(unit * factor),
+        None if scaled => Some(factor),
+        None => {
+            let hint = Some("add `size: 3` for a longest side of 3 m".to_owned());
+            reader.add(
+                Code::MissingKey,
+                at.place(),
+                format!("{what} has no `size`"),
+                "a key `size` or `scale`",
+                hint,
+            );
+            None
+        }
+    }
 }
 
 fn one_of_two(reader: &mut Reader, at: &At<'_>, what: &str, keys: [&str; 2]) -> Option<Shaped> {

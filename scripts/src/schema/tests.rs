@@ -25,6 +25,9 @@ formations:
   block: {grid: {spacing: 1, columns: 1, rows: 1}}
   geese: {v: {spacing: 1, angle: 60}}
   ball: {sphere: {radius: 1}}
+  word: {text: GO, size: 2}
+  logo: {svg: logo.svg, size: 2}
+  statue: {cloud: statue.ply, size: 2}
 tempo: [{at: bar 1, bpm: 120, signature: 4/4}]
 signature: 4/4
 zones: {table: auto}

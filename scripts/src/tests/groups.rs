@@ -169,13 +169,13 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
 fn a_hundred_drones_move_from_a_circle_to_a_text_to_a_grid_and_keep_apart() {
     let text = "scenario: hundred
 formations:
-  ring: {circle: {spacing: 0.6}, at: [0, 0, 5], rotate: [90, 0, 0]}
-  geese: {v: {spacing: 0.8}, at: [0, 0, 5]}
+  ring: {circle: {spacing: 0.6}, at: [0, 0, 12], rotate: [90, 0, 0]}
+  word: {text: DOWN, scale: 8, at: [0, 0, 6]}
   block: {grid: {spacing: 0.7}, at: [0, 0, 3]}
 cues:
   - {cue: up, at: 0s, robots: all, form: ring, over: 12s}
-  - {cue: vee, after: up, robots: all, form: geese, over: 20s}
-  - {cue: block, after: vee, robots: all, form: {to: block, least: longest}, over: 20s}
+  - {cue: word, after: up, robots: all, form: word, over: 20s}
+  - {cue: block, after: word, robots: all, form: {to: block, least: longest}, over: 20s}
 ";
     let act = sound(100, text);
     let stated = act.in_space.closest.as_ref().unwrap().distance;

@@ -1,0 +1,10 @@
+//! A byte that picks a format, and bytes as a file of a formation: PLY, STL, CSV or SVG.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| {
+    if let Some((which, bytes)) = data.split_first() {
+        downbeat_scripts::try_formation(*which, bytes);
+    }
+});

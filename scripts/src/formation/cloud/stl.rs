@@ -1,0 +1,45 @@
+//! The triangles of an STL file, as text or binary.
+
+use std::borrow::Cow;
+use std::io::Cursor;
+
+use super::{Format, ITEMS_MAX};
+use crate::formation::Unfit;
+use crate::formation::spread::{Triangle, area};
+
+/// A header, and how many triangles there are.
+const HEADER: usize = 84;
+const TRIANGLE: usize = 50;
+
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
+    let unfit = |message: String| Format::Stl.unfit(message);
+    let failed = |error: std::io::Error| unfit(crate::node::shortened(&error.to_string()));
+    let mut bytes = Cow::Borrowed(bytes);
+    match is_binary(&bytes) {
+        // Some binary files begin with the word that begins those of text.
+        true => bytes.to_mut()[0] = 0,
+        false if bytes.starts_with(b"solid") => {}
+        false => return Err(unfit("this is no STL file, or it is not complete".to_owned())),
+    }
+    let mut cursor = Cursor::new(&*bytes);
+    let triangles = stl_io::create_stl_reader(&mut cursor).map_err(failed)?;
+    let mut surface: Vec<Triangle> = Vec::new();
+    for triangle in triangles {
+        let corners = triangle.map_err(failed)?.vertices.map(|corner| corner.0.map(f64::from));
+        surface.push(corners);
+        if surface.len() > ITEMS_MAX {
+            return Err(unfit(format!("the file has more than {ITEMS_MAX} triangles")));
+        }
+    }
+    match surface.iter().any(|triangle| area(triangle) > 0.0) {
+        true => Ok(surface),
+        false => Err(unfit("the file has no triangle with an area".to_owned())),
+    }
+}
+
+/// The length of a binary file follows from the number of triangles in it.
+fn is_binary(bytes: &[u8]) -> bool {
+    let count = bytes.get(80..HEADER).and_then(|count| count.try_into().ok()).map(u32::from_le_bytes);
+    let length = |count: u32| HEADER + TRIANGLE * usize::try_from(count).unwrap_or(usize::MAX / 100);
+    count.is_some_and(|count| bytes.len() == length(count))
+}

@@ -1,0 +1,143 @@
+//! The paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms; texts and pictures are left out,
+//! and nothing that the drawing names is read.
+
+use usvg::tiny_skia_path::{PathSegment, Point as Flat};
+use usvg::{Group, ImageHrefResolver, Node, Options, Tree};
+
+use super::Unfit;
+use super::text::FlatStroke;
+
+/// Largest drawing.
+const BYTES_MAX: usize = 16 * 1024 * 1024;
+/// Most points of all polylines.
+const POINTS_MAX: usize = 200_000;
+/// Lines that replace a curve: the error is below a thousandth of its length.
+const CHORDS: u8 = 32;
+/// The stack of the thread that reads a drawing: groups within groups are read by recursion, 1024 of them at most.
+const STACK_BYTES: usize = 64 * 1024 * 1024;
+
+const EXPECTED: &str = "an SVG drawing with at least one path that is seen";
+
+/// The paths that are seen, with the y axis up, in the unit of the drawing.
+///
+/// # Errors
+/// It is no SVG, has no paths, or too many.
+pub(crate) fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
+    if bytes.len() > BYTES_MAX {
+        let message = format!("the drawing has {} bytes", bytes.len());
+        return Err(Unfit { message, expected: "an SVG drawing of at most 16 MiB" });
+    }
+    let read = || {
+        std::thread::scope(|scope| {
+            let thread = std::thread::Builder::new().stack_size(STACK_BYTES);
+            thread.spawn_scoped(scope, || lines_of(bytes)).map(std::thread::ScopedJoinHandle::join)
+        })
+    };
+    // What the library cannot read shall not end this program.
+    match read() {
+        Ok(Ok(lines)) => lines,
+        _ => Err(Unfit { message: "the drawing cannot be read".to_owned(), expected: EXPECTED }),
+    }
+}
+
+fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
+    let nothing = || ImageHrefResolver {
+        resolve_data: Box::new(|_, _, _| None),
+        resolve_string: Box::new(|_, _| None),
+    };
+    let options = Options { image_href_resolver: nothing(), ..Options::default() };
+    let tree = Tree::from_data(bytes, &options)
+        .map_err(|error| Unfit { message: format!("this is no SVG drawing: {error}"), expected: EXPECTED })?;
+    let mut pen = Pen::default();
+    pen.group(tree.root());
+    if pen.points > POINTS_MAX {
+        let message = format!("the paths of the drawing have more than {POINTS_MAX} points");
+        return Err(Unfit { message, expected: "a simpler drawing" });
+    }
+    if pen.lines.is_empty() {
+        let message = match tree.has_text_nodes() {
+            true => "the drawing has no paths, only texts, which are not read: convert them to paths",
+            false => "the drawing has no paths",
+        };
+        return Err(Unfit { message: message.to_owned(), expected: EXPECTED });
+    }
+    Ok(pen.lines)
+}
+
+/// Draws polylines.
+#[derive(Default)]
+struct Pen {
+    lines: Vec<FlatStroke>,
+    points: usize,
+}
+
+impl Pen {
+    fn group(&mut self, group: &Group) {
+        for node in group.children() {
+            match node {
+                Node::Group(group) => self.group(group),
+                Node::Path(path) if path.is_visible() => {
+                    if let Some(data) = path.data().clone().transform(path.abs_transform()) {
+                        self.path(data.segments());
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn path(&mut self, segments: impl Iterator<Item = PathSegment>) {
+        let (mut begin, mut last) = (Flat::zero(), Flat::zero());
+        for segment in segments {
+            match segment {
+                PathSegment::MoveTo(to) => {
+                    self.lines.push(vec![flat(to)]);
+                    (begin, last) = (to, to);
+                }
+                PathSegment::LineTo(to) => {
+                    self.to(flat(to));
+                    last = to;
+                }
+                PathSegment::QuadTo(control, to) => {
+                    self.curve(&[last, control, to]);
+                    last = to;
+                }
+                PathSegment::CubicTo(first, second, to) => {
+                    self.curve(&[last, first, second, to]);
+                    last = to;
+                }
+                PathSegment::Close => {
+                    self.to(flat(begin));
+                    last = begin;
+                }
+            }
+        }
+    }
+
+    fn to(&mut self, point: [f64; 2]) {
+        self.points += 1;
+        if let Some(line) = self.lines.last_mut().filter(|_| self.points <= POINTS_MAX) {
+            line.push(point);
+        }
+    }
+
+    /// A Bézier curve, by de Casteljau's algorithm.
+    fn curve(&mut self, controls: &[Flat]) {
+        for chord in 1..=CHORDS {
+            let share = f64::from(chord) / f64::from(CHORDS);
+            let mut points: Vec<[f64; 2]> = controls.iter().map(|point| flat(*point)).collect();
+            while points.len() > 1 {
+                let between = |pair: &[[f64; 2]]| {
+                    std::array::from_fn(|axis| pair[0][axis] + share * (pair[1][axis] - pair[0][axis]))
+                };
+                points = points.windows(2).map(between).collect();
+            }
+            self.to(points[0]);
+        }
+    }
+}
+
+/// With the y axis up.
+fn flat(point: Flat) -> [f64; 2] {
+    [f64::from(point.x), -f64::from(point.y)]
+}

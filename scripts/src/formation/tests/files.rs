@@ -1,0 +1,152 @@
+//! Clouds of points and surfaces.
+
+use proptest::prelude::*;
+
+use super::super::cloud::{Cloud, read};
+use super::super::crowd::nearest_pair;
+use super::super::{Formation, Placing, Point, Shape};
+
+const TRIANGLES: [[Point; 3]; 2] = [
+    [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 4.0, 0.0]],
+    [[0.0, 0.0, 0.0], [4.0, 4.0, 0.0], [0.0, 4.0, 0.0]],
+];
+
+#[track_caller]
+fn points(name: &str, bytes: &[u8], expected: &[Point]) {
+    assert_eq!(read(name, bytes), Ok(Cloud::Points(expected.to_vec())));
+}
+
+#[track_caller]
+fn refused(name: &str, bytes: &[u8], message: &str) {
+    let found = read(name, bytes).map_err(|unfit| unfit.message).expect_err("it was read");
+    assert!(found.contains(message), "{found}");
+}
+
+/// The square as a binary file whose header begins like one of text.
+fn binary_stl() -> Vec<u8> {
+    let mut bytes = b"solid but binary".to_vec();
+    bytes.resize(80, 0);
+    bytes.extend(2u32.to_le_bytes());
+    for triangle in TRIANGLES {
+        let corners = [[0.0; 3]].into_iter().chain(triangle).flatten();
+        #[expect(clippy::cast_possible_truncation, reason = "small whole numbers")]
+        bytes.extend(corners.flat_map(|part: f64| (part as f32).to_le_bytes()));
+        bytes.extend([0, 0]);
+    }
+    bytes
+}
+
+fn binary_ply() -> Vec<u8> {
+    let mut bytes = b"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\nproperty double y\n\
+        property short z\nproperty uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        .to_vec();
+    for (x, y, z) in [(1f32, 2f64, 3i16), (-1.5, 0.25, -7)] {
+        bytes.extend(x.to_le_bytes());
+        bytes.extend(y.to_le_bytes());
+        bytes.extend(z.to_le_bytes());
+        bytes.push(255);
+    }
+    bytes
+}
+
+const TEXT_PLY: &str = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float x\nproperty float y\n\
+    property float z\nproperty uchar red\nend_header\n1 2 3 255\n-1.5 0.25 -7 0\n";
+
+#[test]
+fn tables_are_read_with_and_without_a_header() {
+    let expected = [[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]];
+    points("a.csv", b"1,2,3\n-1,0.5,0\n", &expected);
+    points("a.csv", b"\xef\xbb\xbf# by hand\nx [m],y [m],z [m]\n1,2,3\n-1,0.5,0", &expected);
+    points("A.CSV", b"name;Z;Y;X\nd1;3;2;1\nd2;0;0.5;-1", &expected);
+    refused("a.csv", b"x,y,z\n1,2,3\n4,5\n", "line 3 has no three numbers");
+    refused("a.csv", b"1,2,nan\n", "not a finite number");
+    refused("a.csv", b"x,y,z\n", "no rows");
+    refused("a.csv", b"", "no rows");
+    refused("a.csv", b"\xff,2,3", "UTF-8");
+}
+
+#[test]
+fn vertices_are_read_from_text_and_binary() {
+    let expected = [[1.0, 2.0, 3.0], [-1.5, 0.25, -7.0]];
+    points("a.ply", TEXT_PLY.as_bytes(), &expected);
+    points("a.ply", &binary_ply(), &expected);
+    refused("a.ply", &binary_ply()[..200], "");
+    refused(
+        "a.ply",
+        b"ply\nformat ascii 1.0\nelement vertex 999999999\nproperty float x\nend_header\n",
+        "shorter",
+    );
+    let endless = "ply\nformat binary_little_endian 1.0\nelement a 99\nend_header\n";
+    refused("a.ply", endless.as_bytes(), "");
+    let flat = TEXT_PLY.replace("property float z", "property float w");
+    refused("a.ply", flat.as_bytes(), "not a finite number");
+    refused("a.ply", b"ply\nformat ascii 1.0\n", "does not end");
+}
+
+#[test]
+fn triangles_are_read_from_text_and_binary() {
+    let mut text = "solid square\n".to_owned();
+    for triangle in TRIANGLES {
+        let corners = triangle.map(|[x, y, z]| format!("vertex {x} {y} {z}\n")).concat();
+        text.push_str(&format!("facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"));
+    }
+    text.push_str("endsolid square\n");
+    let square = Ok(Cloud::Surface(TRIANGLES.to_vec()));
+    assert_eq!(read("a.stl", text.as_bytes()), square);
+    assert_eq!(read("a.stl", &binary_stl()), square);
+    let short = binary_stl().len() - 1;
+    refused("a.stl", &binary_stl()[..short], "");
+    refused("a.stl", b"solid nothing\nendsolid nothing\n", "no triangle");
+}
+
+#[test]
+fn a_file_that_is_not_what_its_name_says_is_refused() {
+    refused("a.ply", b"\x89PNG\r\n", "a picture");
+    refused("a.ply", &binary_stl(), "no PLY");
+    refused("a.stl", TEXT_PLY.as_bytes(), "no STL");
+    refused("a.obj", b"v 1 2 3", "does not say");
+}
+
+#[test]
+fn a_surface_and_many_points_are_thinned_evenly() {
+    let surface = Shape::Surface(TRIANGLES.into());
+    let grid = (0..50).flat_map(|x| (0..50).map(move |y| [f64::from(x) * 0.08, f64::from(y) * 0.08, 0.0]));
+    let cloud = Shape::Cloud(grid.collect::<Vec<Point>>().into());
+    for shape in [surface, cloud] {
+        let formation = Formation { shape, placing: Placing::default() };
+        assert!(formation.places(0).unwrap().is_empty());
+        assert_eq!(formation.places(1).unwrap().len(), 1);
+        for count in [4, 9, 100] {
+            let places = formation.places(count).unwrap();
+            assert_eq!(places.len(), count);
+            let nearest = nearest_pair(&places).unwrap().distance;
+            // So far apart are the points of a square grid.
+            let even = 4.0 / (f64::from(u32::try_from(count).unwrap()).sqrt() - 1.0);
+            assert!(nearest > 0.6 * even, "{count}: {nearest} of {even}");
+        }
+        assert_eq!(formation.places(9).unwrap(), formation.places(9).unwrap(), "always the same");
+    }
+    let few = Formation { shape: Shape::Cloud([[1.0; 3]].into()), placing: Placing::default() };
+    assert_eq!(few.places(7).unwrap(), [[1.0; 3]]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+
+    #[test]
+    fn any_bytes_are_a_cloud_or_are_refused(
+        format in 0u8..3,
+        from in 0usize..3,
+        at in 0usize..400,
+        change in any::<[u8; 4]>(),
+        keep in 0usize..400,
+    ) {
+        let mut bytes = [binary_stl(), binary_ply(), TEXT_PLY.into()][from].clone();
+        for (index, byte) in change.into_iter().enumerate() {
+            let length = bytes.len();
+            bytes[(at + index) % length] = byte;
+        }
+        bytes.truncate(keep.max(4));
+        super::super::tried::tried(format, &bytes);
+    }
+}

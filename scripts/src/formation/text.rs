@@ -1,0 +1,74 @@
+//! Texts as strokes. The letters are Downbeat's own: `letters.txt` has the middle line of each stroke, not an outline, so that a
+//! letter is one row of robots wide.
+
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// Height of a capital letter, in the unit of the letters.
+pub(crate) const LETTER_HEIGHT: f64 = 6.0;
+/// Between two letters.
+const GAP: f64 = 2.0;
+/// Of a space.
+const SPACE: f64 = 3.0;
+/// From line to line.
+const LINE_HEIGHT: f64 = 10.0;
+
+/// A stroke on the plane: the points of a polyline.
+pub(crate) type FlatStroke = Vec<[f64; 2]>;
+
+struct Letter {
+    width: f64,
+    strokes: Vec<FlatStroke>,
+}
+
+static LETTERS: LazyLock<HashMap<char, Letter>> = LazyLock::new(|| {
+    let lines = include_str!("letters.txt").lines().filter(|line| !line.starts_with('#'));
+    lines.filter_map(letter).collect()
+});
+
+fn letter(line: &str) -> Option<(char, Letter)> {
+    let (name, rest) = line.split_once(' ')?;
+    let (width, strokes) = rest.split_once(' ')?;
+    let point = |text: &str| {
+        let (x, y) = text.split_once(',')?;
+        Some([x.parse().ok()?, y.parse().ok()?])
+    };
+    let stroke = |text: &str| text.split_whitespace().map(point).collect::<Option<FlatStroke>>();
+    let strokes = strokes.split('|').map(stroke).collect::<Option<Vec<_>>>()?;
+    Some((name.chars().next()?, Letter { width: width.parse().ok()?, strokes }))
+}
+
+/// Every character that has strokes, in order.
+pub(crate) fn letters() -> String {
+    let mut all: Vec<char> = LETTERS.keys().copied().collect();
+    all.sort_unstable();
+    all.into_iter().collect()
+}
+
+/// The strokes of a text, small letters as capital ones, lines below each other with a common middle.
+///
+/// # Errors
+/// The first character that has no strokes.
+pub(crate) fn strokes_of(text: &str) -> Result<Vec<FlatStroke>, char> {
+    let mut strokes = Vec::new();
+    let mut top = 0.0;
+    for line in text.lines() {
+        let mut along: f64 = 0.0;
+        let mut of_line: Vec<FlatStroke> = Vec::new();
+        for c in line.chars().flat_map(char::to_uppercase) {
+            if c.is_whitespace() {
+                along += SPACE;
+                continue;
+            }
+            let letter = LETTERS.get(&c).ok_or(c)?;
+            let moved = |stroke: &FlatStroke| stroke.iter().map(|[x, y]| [x + along, y + top]).collect();
+            of_line.extend(letter.strokes.iter().map(moved));
+            along += letter.width + GAP;
+        }
+        let half = (along - GAP).max(0.0) / 2.0;
+        of_line.iter_mut().flatten().for_each(|[x, _]| *x -= half);
+        strokes.extend(of_line);
+        top -= LINE_HEIGHT;
+    }
+    Ok(strokes)
+}
