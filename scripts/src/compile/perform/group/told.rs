@@ -110,8 +110,7 @@ impl Performer<'_, '_> {
             told(at),
             shortened(&cue.name)
         );
-        let expected =
-            format!("at least {:.3} m; delays and arcs were tried", blocked.required);
+        let expected = format!("at least {:.3} m; delays and arcs were tried", blocked.required);
         let hint = match form.to {
             Target::Home => {
                 "give it more time, let them begin one after another with `canon`, or form a row first"
