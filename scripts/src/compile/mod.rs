@@ -114,7 +114,9 @@ impl Compiler {
                 performer.cue(cue, members, time);
             }
             let ground = perform::Ground { formations: &scenario.formations, positions: &positions };
-            performer.groups(act, &times.members, &times.times, &ground);
+            if times.consistent {
+                performer.groups(act, &times.members, &times.times, &ground);
+            }
             let (segments, readings) = (performer.segments, performer.readings);
             // Where times contradict each other, cues would seem to overlap.
             if !times.consistent {

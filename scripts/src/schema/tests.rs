@@ -82,12 +82,9 @@ acts:
         tolerance: 1
         read: {s: 0s}
         form: {to: ring, least: longest, spare: stay, thin: evenly}
-        turn: {by: 90, about: [0, 0]}
-        grow: 2
-        shift: [0, 0, 1]
         over: 2s
       - {cue: played, sequence: greet, parameters: {to: 2}}
-  - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last}]}
+  - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last, robots: arm, turn: {by: 90, about: [0, 0]}, grow: 2, shift: [0, 0, 1], over: 2s}]}
   - {act: three, wait: {sensor: arm/s, above: 1, below: 2, within: [0, 1]}, cues: [{cue: last}]}
   - {act: four, wait: done, cues: [{cue: last}]}
 ",

@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use proptest::prelude::*;
+
 use super::robot;
 use crate::space::{Body, Coordinate, Shape, Space};
 use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
@@ -164,22 +166,19 @@ fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
 }
 
 #[test]
-fn a_hundred_drones_move_from_a_circle_through_a_v_to_a_grid_and_keep_apart() {
+fn a_hundred_drones_move_from_a_circle_to_a_text_to_a_grid_and_keep_apart() {
     let text = "scenario: hundred
 formations:
-  ring: {circle: {spacing: 0.6}, at: [0, 0, 5], rotate: [90, 0, 0]}
-  geese: {v: {spacing: 0.8}, at: [0, 0, 5]}
+  ring: {circle: {spacing: 0.6}, at: [0, 0, 12], rotate: [90, 0, 0]}
+  word: {text: DOWN, scale: 8, at: [0, 0, 6]}
   block: {grid: {spacing: 0.7}, at: [0, 0, 3]}
 cues:
   - {cue: up, at: 0s, robots: all, form: ring, over: 12s}
-  - {cue: vee, after: up, robots: all, form: geese, over: 20s}
-  - {cue: block, after: vee, robots: all, form: {to: block, least: longest}, over: 20s}
+  - {cue: word, after: up, robots: all, form: word, over: 20s}
+  - {cue: block, after: word, robots: all, form: {to: block, least: longest}, over: 20s}
 ";
-    let began = std::time::Instant::now();
     let act = sound(100, text);
-    let took = began.elapsed();
     let stated = act.in_space.closest.as_ref().unwrap().distance;
-    eprintln!("compiled in {took:?}, closest {stated}");
     let sampled = closest(&act, &steps(&act, 100));
     assert!(stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6, "{sampled} {stated}");
 }
@@ -262,4 +261,55 @@ fn what_a_group_cannot_do_is_found() {
     let source = Source { name: "s.yaml".into(), text: text.to_owned() };
     let findings = compile(&source, &fleet, &NoFiles).findings;
     assert_eq!(findings.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NotInGroup]);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #[test]
+    fn bodies_of_random_groups_are_where_they_should_be_and_as_far_apart_as_stated(
+        points in prop::collection::vec(prop::array::uniform3(1..40i32), 2..8),
+        canon in 0..900u32,
+        turn in -400..400i32,
+        longest: bool,
+    ) {
+        let count = points.len();
+        let place = |point: &[i32; 3]| point.map(|metres| f64::from(metres) / 10.0);
+        let goals: Vec<[f64; 3]> = points.iter().map(place).collect();
+        let least = if longest { "longest" } else { "total" };
+        let text = format!(
+            "scenario: random
+formations: {{f: {{points: {goals:?}}}}}
+cues:
+  - {{cue: form, at: 0s, robots: all, form: {{to: f, least: {least}}}, over: 9s, canon: {canon}ms}}
+  - {{cue: turn, after: form, robots: all, turn: {turn}, grow: 1.5, shift: [1, 0, 0.5], over: 15s}}
+"
+        );
+        let compiled = compiled(count, &text);
+        // Places may be too near to each other.
+        let Some(choreography) = compiled.choreography else {
+            let told = compiled.findings.iter().any(|found| matches!(found.code, Code::TooClose | Code::NoWayPast | Code::BodyTooFast));
+            prop_assert!(told, "{:#?}", compiled.findings);
+            return Ok(());
+        };
+        let act = &choreography.acts[0];
+        let steps = steps(act, count);
+        let stated = act.in_space.closest.as_ref().unwrap().distance;
+        let sampled = closest(act, &steps);
+        prop_assert!(stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6, "{sampled} {stated}");
+        let formed = places(&steps, act.cues[0].end.as_millis_f64());
+        let mut free = goals.clone();
+        for place in &formed {
+            let nearest = (0..free.len()).min_by(|a, b| apart(place, &free[*a]).total_cmp(&apart(place, &free[*b]))).unwrap();
+            prop_assert!(apart(place, &free.swap_remove(nearest)) < 1e-3, "{formed:?} {goals:?}");
+        }
+        let middle: [f64; 3] = std::array::from_fn(|axis| formed.iter().map(|place| place[axis]).sum::<f64>() / count as f64);
+        let (sine, cosine) = f64::from(turn).to_radians().sin_cos();
+        for (before, after) in formed.iter().zip(places(&steps, act.cues[1].end.as_millis_f64())) {
+            let [x, y, z] = std::array::from_fn(|axis| 1.5 * (before[axis] - middle[axis]));
+            let turned = [
+                middle[0] + x * cosine - y * sine + 1.0, middle[1] + x * sine + y * cosine, middle[2] + z + 0.5,
+            ];
+            prop_assert!(apart(&turned, &after) < 2e-3, "{turned:?} {after:?}");
+        }
+    }
 }

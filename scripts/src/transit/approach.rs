@@ -30,6 +30,19 @@ pub(crate) fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     }
 }
 
+/// Whether [`closest`] finds an approach; sooner than that if it does.
+pub(crate) fn meet(a: &Way, b: &Way, enough: f64) -> bool {
+    if a.is_even_with(b) || apart(&a.bounds(), &b.bounds()) >= enough {
+        return closest(a, b, enough).is_some();
+    }
+    let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
+    let early = (0..=8).any(|i| {
+        let at = from + (to - from) * f64::from(i) / 8.0;
+        metres_between(a.at(at), b.at(at)) < enough
+    });
+    early || closest(a, b, enough).is_some()
+}
+
 /// The distance of two boxes.
 fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
     let gap = |axis: usize| (a[0][axis] - b[1][axis]).max(b[0][axis] - a[1][axis]).max(0.0);

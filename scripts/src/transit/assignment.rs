@@ -44,8 +44,8 @@ pub(crate) fn cheapest(starts: &[Point], places: &[Point], price: Price) -> Assi
     let ways = rows.iter().flat_map(|row| columns.iter().map(|column| metres_between(*row, *column)));
     let ways: Vec<f64> = ways.collect();
     let longest = ways.iter().copied().filter(|way| *way <= price.longest).fold(f64::MIN_POSITIVE, f64::max);
-    let costs = ways.iter().map(|way| cost(*way, longest, price));
-    let costs = Matrix::from_vec(rows.len(), columns.len(), costs.collect()).expect("a cost for each pair");
+    let price_of = |(row, column)| cost(ways[row * columns.len() + column], longest, price);
+    let costs = Matrix::from_fn(rows.len(), columns.len(), price_of);
     let (_, column_of) = kuhn_munkres_min(&costs);
     match swapped {
         false => column_of.into_iter().map(Some).collect(),

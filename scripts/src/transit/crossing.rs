@@ -1,13 +1,16 @@
 //! Ways for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
 
-use super::approach::{Approach, SLACK, closest};
+use super::approach::{Approach, SLACK, closest, meet};
 use super::assignment::{Assignment, Least, Price, cheapest, shortest_longest};
 use super::way::{CURVATURE, SLOPE, Way};
+use crate::budget::Budget;
 use crate::formation::{Point, metres_between};
 
 /// Prices that are tried one after another, as powers of the ways. The least sum of squares keeps straight ways apart if
 /// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
 const EXPONENTS: [f64; 5] = [1.0, 1.05, 1.15, 1.4, 2.0];
+/// Of larger groups only the first and the last price are tried: an assignment takes time with the cube of their number.
+const LARGE: usize = 300;
 /// How much longer than the least the sum of all ways may be.
 const TOTAL_MAX: f64 = 1.01;
 /// A delay is so many of these parts of the time.
@@ -18,6 +21,8 @@ const WAITS_MAX: u8 = 5;
 const LAYERS_MAX: u8 = 4;
 /// How often all ways that come too close are looked at.
 const ROUNDS_MAX: usize = 8;
+/// Most pairs that are looked at in the search for detours.
+const PAIRS_MAX: usize = 5_000_000;
 /// What rounding may take from a distance, in metres.
 const DUST: f64 = 1e-9;
 
@@ -167,7 +172,9 @@ impl Crossing<'_> {
             }
         };
         let mut optimum = None;
-        let candidates = EXPONENTS.into_iter().filter_map(move |exponent| {
+        let [first, .., last] = EXPONENTS;
+        let prices = if starts.len() > LARGE { vec![first, last] } else { EXPONENTS.to_vec() };
+        let candidates = prices.into_iter().filter_map(move |exponent| {
             let assignment = cheapest(&starts, places, Price { exponent, longest });
             let total = total(&assignment);
             let optimum = *optimum.get_or_insert(total);
@@ -212,11 +219,12 @@ impl Crossing<'_> {
 
     fn is_clear(&self, ways: &[Way], body: usize) -> bool {
         let mut others = (0..ways.len()).filter(|other| *other != body);
-        others.all(|other| closest(&ways[body], &ways[other], self.required(ways, body, other)).is_none())
+        others.all(|other| !meet(&ways[body], &ways[other], self.required(ways, body, other)))
     }
 
     /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest.
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
+        let mut room = Budget::new(PAIRS_MAX);
         for _ in 0..ROUNDS_MAX {
             let mut crowded = vec![0usize; ways.len()];
             near.iter().flat_map(|near| near.pair).for_each(|body| crowded[body] += 1);
@@ -231,7 +239,7 @@ impl Crossing<'_> {
                 let straight = Way::straight(kept.from, kept.to, self.bodies[body].begin, self.over);
                 let found = self.alternatives(&straight, body).into_iter().find(|way| {
                     ways[body] = *way;
-                    self.is_clear(ways, body)
+                    room.take(ways.len()) && self.is_clear(ways, body)
                 });
                 ways[body] = found.unwrap_or(kept);
                 moved |= found.is_some();
@@ -240,7 +248,7 @@ impl Crossing<'_> {
             if near.is_empty() {
                 return None;
             }
-            if !moved {
+            if !moved || room.is_overdrawn() {
                 break;
             }
         }

@@ -144,23 +144,15 @@ fn the_shortest_time_that_is_named_is_enough_and_less_is_not() {
 }
 
 #[test]
-fn a_thousand_bodies_get_their_places() {
+fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways() {
     let turn = |index: usize| {
-        let angle = std::f64::consts::TAU * index as f64 / 1_000.0;
+        let angle = std::f64::consts::TAU * index as f64 / 300.0;
         [100.0 * angle.cos(), 100.0 * angle.sin(), 50.0]
     };
-    let bodies: Vec<Body> = (0..1_000).map(|index| body(turn(index), 0.2)).collect();
+    let starts: Vec<Point> = (0..300).map(turn).collect();
     let places: Vec<Point> =
-        (0..1_000).map(|index| [(index % 40) as f64 - 20.0, (index / 40) as f64 - 12.0, 50.0]).collect();
-    let starts: Vec<Point> = bodies.iter().map(|body| body.from).collect();
-    let began = std::time::Instant::now();
+        (0..300).map(|index| [(index % 20) as f64 - 10.0, (index / 20) as f64 - 8.0, 50.0]).collect();
     assert!(is_least(&starts, &places, &order_of(&cheapest(&starts, &places, WAYS))));
-    eprintln!("assigned in {:?}", began.elapsed());
-    let crossing =
-        Crossing { bodies: &bodies, goals: Goals::Any(&places, &starts), least: Least::Longest, over: 60.0 };
-    let crossed = cross(&crossing);
-    eprintln!("crossed in {:?}: {:?}", began.elapsed(), crossed.as_ref().map(Vec::len));
-    assert!(crossed.is_ok());
 }
 
 proptest! {

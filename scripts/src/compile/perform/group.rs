@@ -1,7 +1,8 @@
 //! What the robots of a cue do as a group: into a formation, or turning, growing and shifting as one. It becomes a movement of
 //! each device that is a coordinate of a body.
 
-use std::collections::HashMap;
+use std::cmp::Ordering;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Limits, Span};
@@ -26,7 +27,9 @@ mod sweep;
 mod told;
 
 /// Most robots of a group: an assignment takes time with the cube of their number.
-const GROUP_MAX: usize = 2_000;
+const GROUP_MAX: usize = 1_000;
+/// Places that differ less in height, in metres, have one height.
+const LEVEL: f64 = 1e-9;
 const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
 /// What groups need to know beyond their cues.
@@ -98,6 +101,13 @@ struct Dancer<'a> {
     from: Point,
 }
 
+impl Dancer<'_> {
+    /// Whether it cannot change its height.
+    const fn is_flat(&self) -> bool {
+        matches!(self.axes[2], Axis::Fixed(_))
+    }
+}
+
 impl<'a> Performer<'_, 'a> {
     /// The groups of an act, in the order of time: each begins where the movements before it end.
     pub(in crate::compile) fn groups(
@@ -110,9 +120,20 @@ impl<'a> Performer<'_, 'a> {
         let cues = act.cues.iter().zip(members).zip(times);
         let mut groups: Vec<_> = cues.filter(|((cue, _), _)| cue.group.is_some()).collect();
         groups.sort_by_key(|(_, time)| time.start);
+        // Robots of a group that could not move: where later groups find them is not known.
+        let mut lost: HashSet<usize> = HashSet::new();
         for ((cue, members), time) in groups {
-            if let Some(group) = &cue.group {
-                self.group(cue, group, members, time, ground);
+            let Some(group) = &cue.group else { continue };
+            let is_lost = members.all.iter().any(|member| lost.contains(&member.robot));
+            let danced = match is_lost {
+                true => None,
+                false => self.group(cue, group, members, time, ground),
+            };
+            if let (true, Action::Form(Form { to: Target::Formation(name), .. })) = (is_lost, &group.action) {
+                self.places(group, name, members.all.len(), ground);
+            }
+            if danced.is_none() {
+                lost.extend(members.all.iter().map(|member| member.robot));
             }
         }
     }
@@ -204,7 +225,13 @@ impl<'a> Performer<'_, 'a> {
     ) -> Option<Vec<Moved>> {
         let (goals, own) = match &form.to {
             Target::Home => (self.homes(group, dancers)?, true),
-            Target::Formation(name) => (self.places(group, form, name, dancers, ground)?, false),
+            Target::Formation(name) => {
+                let places = self.places(group, name, dancers.len(), ground)?;
+                if !self.reaches(group, name, dancers, &places) {
+                    return None;
+                }
+                (level(places, dancers), false)
+            }
         };
         let spare = match form.spare {
             Some(Spare::Home) if !own && goals.len() < dancers.len() => self.homes(group, dancers)?,
@@ -229,42 +256,45 @@ impl<'a> Performer<'_, 'a> {
     fn places(
         &mut self,
         group: &Together,
-        form: &Form,
         name: &str,
-        dancers: &[Dancer<'_>],
+        robots: usize,
         ground: &Ground<'_>,
     ) -> Option<Vec<Point>> {
+        let Action::Form(form) = &group.action else { return None };
         let Some(written) = ground.formations.get(name) else {
             let mut known: Vec<&str> = ground.formations.keys().map(String::as_str).collect();
-            known.sort_unstable();
             known.push("home");
+            known.sort_unstable();
             let hint = self.findings.did_you_mean(name, known.iter().copied());
             let message = format!("no formation `{}`", shortened(name));
             self.findings.add(Code::UnknownFormation, group.place.clone(), message, one_of(known), hint);
             return None;
         };
         // What is wrong with a formation or makes it too large is told where it stands.
-        let mut places = written.formation.as_ref()?.places(dancers.len()).ok()?;
-        let robots = dancers.len();
+        let mut places = written.formation.as_ref()?.places(robots).ok()?;
         match (places.len().cmp(&robots), form.spare, form.thin) {
-            (std::cmp::Ordering::Less, None, _) | (std::cmp::Ordering::Greater, _, None) => {
+            (Ordering::Less, None, _) | (Ordering::Greater, _, None) => {
                 self.tell_count(group, name, robots, places.len());
                 return None;
             }
-            (std::cmp::Ordering::Greater, _, Some(Thin::Evenly)) => {
+            (Ordering::Greater, _, Some(Thin::Evenly)) => {
                 let all = places.len();
                 places = (0..robots).map(|index| places[index * all / robots]).collect();
             }
             _ => {}
         }
-        let flat = dancers.iter().find(|dancer| matches!(dancer.axes[2], Axis::Fixed(_)));
-        if let Some(dancer) = flat
-            && places.iter().any(|place| (place[2] - places[0][2]).abs() > 1e-9)
-        {
-            self.tell_flat(group, name, dancer.member.robot);
-            return None;
-        }
         Some(places)
+    }
+
+    /// Whether all robots can be at the heights of the places.
+    fn reaches(&mut self, group: &Together, name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> bool {
+        let flat = dancers.iter().find(|dancer| dancer.is_flat());
+        let flat = flat.filter(|_| places.iter().any(|place| (place[2] - places[0][2]).abs() > LEVEL));
+        if let Some(dancer) = flat {
+            let what = format!("the places of `{}` differ in height", shortened(name));
+            self.tell_flat(group, &what, dancer.member.robot);
+        }
+        flat.is_none()
     }
 
     /// Where the devices of each robot are in its default state.
@@ -349,6 +379,16 @@ impl<'a> Performer<'_, 'a> {
             self.segments.entry((dancer.member.robot, index)).or_default().push(segment);
         }
     }
+}
+
+/// The places at the height of the robots, if none of these can change it.
+fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
+    if let Some(first) = dancers.first()
+        && dancers.iter().all(|dancer| dancer.is_flat())
+    {
+        places.iter_mut().for_each(|place| place[2] = first.from[2]);
+    }
+    places
 }
 
 /// How one robot moves.

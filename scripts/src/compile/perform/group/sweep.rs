@@ -14,6 +14,11 @@ impl Performer<'_, '_> {
         sweep: Sweep,
         dancers: &[Dancer<'_>],
     ) -> Option<Vec<Moved>> {
+        let flat = dancers.iter().find(|dancer| dancer.is_flat()).filter(|_| sweep.shift[2] != 0.0);
+        if let Some(dancer) = flat {
+            self.tell_flat(group, "the group is shifted in height", dancer.member.robot);
+            return None;
+        }
         let mut center = middle(dancers)?;
         if let Some([x, y]) = sweep.about {
             (center[0], center[1]) = (x, y);

@@ -3,7 +3,7 @@
 use super::{COORDINATES, Dancer, Performer};
 use crate::compile::conflict::told;
 use crate::duration;
-use crate::finding::Code;
+use crate::finding::{Code, Severity};
 use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{Cue, Form, Target, Together};
@@ -25,7 +25,10 @@ impl Performer<'_, '_> {
                 "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
             self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, None);
         }
-        if !unknown.is_empty() {
+        // Where something is wrong already, a movement may be missing.
+        let is_other = |code: Code| code != Code::NotInGroup && code.severity() == Severity::Error;
+        let errors = self.findings.found.iter().any(|found| is_other(found.code));
+        if !unknown.is_empty() && !errors {
             let are = if unknown.len() == 1 { "is" } else { "are" };
             let message = format!(
                 "nothing says where {} {are} when `{}` begins",
@@ -46,11 +49,9 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    pub(super) fn tell_flat(&mut self, group: &Together, name: &str, robot: usize) {
-        let id = self.cast.id(robot);
-        let message =
-            format!("the places of `{}` differ in height, and `{id}` cannot change its own", shortened(name));
-        let expected = "places of one height, or bodies whose z is a device";
+    pub(super) fn tell_flat(&mut self, group: &Together, what: &str, robot: usize) {
+        let message = format!("{what}, and `{}` cannot change its own", self.cast.id(robot));
+        let expected = "one height for all, or bodies whose z is a device";
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
     }
 
@@ -115,8 +116,7 @@ impl Performer<'_, '_> {
             told(at),
             shortened(&cue.name)
         );
-        let expected =
-            format!("at least {:.3} m, on straight ways, with delays or in arcs", blocked.required);
+        let expected = format!("at least {:.3} m; delays and arcs were tried", blocked.required);
         let hint = match form.to {
             Target::Home => {
                 "give it more time, let them begin one after another with `canon`, or form a row first"
