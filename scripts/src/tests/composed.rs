@@ -410,6 +410,25 @@ fn positions_in_the_music_have_no_place_in_a_sequence() {
     check_found(&compiled(text), &[(Code::Music, "s.yaml", 3, message)]);
 }
 
+#[test]
+fn times_that_contradict_each_other_within_a_sequence_are_fixed_in_its_own_words() {
+    let text = format!(
+        "scenario: s\nmoves:\n{MOVES}sequences:
+  greet:
+    cues:
+      - {{cue: bow, robots: left, move: up}}
+      - {{cue: back, after: bow + 1s, at: 500ms, robots: left, move: nod}}
+cues: [{{cue: hello, at: 1s, sequence: greet}}]\n"
+    );
+    let found = compiled(&text);
+    let [finding] = found.findings.as_slice() else { panic!("{:#?}", found.findings) };
+    assert_eq!(finding.code, Code::Conflict);
+    let hint = finding.hint.as_ref().unwrap();
+    assert!(hint.contains("`after: bow + -500ms`") && hint.contains("`at: 2s`"), "{finding:#?}");
+    let lines: Vec<_> = finding.related.iter().map(|related| related.line).collect();
+    assert_eq!(lines, [13, 11, 12, 12]);
+}
+
 const ARM: &str = "parameters: {side: ~, reach: 40, time: 1s}
 variables: {far: $side * $reach}
 roles: {mine: left}
