@@ -256,10 +256,8 @@ fn moves_that_double_again_and_again_are_bounded() {
             text.push_str(&format!("  m{level}: {{play: [{{move: m{below}}}, {{move: m{below}}}]}}\n"));
         }
         text.push_str(&format!("cues: [{{at: 0s, robots: left, move: m{depth}}}]\n"));
-        let started = std::time::Instant::now();
         let codes: Vec<_> = compiled(&text).findings.iter().map(|finding| finding.code).collect();
         assert_eq!(codes, [Code::TooMuch], "{depth}");
-        assert!(started.elapsed().as_secs() < 20);
     }
 }
 
@@ -396,10 +394,8 @@ cues: [{cue: all, sequence: a}]\n";
         ));
     }
     text.push_str("cues: [{cue: all, sequence: s30}]\n");
-    let started = std::time::Instant::now();
     let codes: Vec<_> = compiled(&text).findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, [Code::TooMuch]);
-    assert!(started.elapsed().as_secs() < 20, "{:?}", started.elapsed());
 }
 
 #[test]
