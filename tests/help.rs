@@ -6,7 +6,7 @@ use crate::robots::play::SOON;
 use crate::session::PROGRAM;
 use crate::terminal::Terminal;
 
-const COMMANDS: [&str; 28] = [
+const COMMANDS: [&str; 29] = [
     "",
     "check",
     "completions",
@@ -26,6 +26,7 @@ const COMMANDS: [&str; 28] = [
     "init",
     "man",
     "missions",
+    "moves",
     "plan",
     "preflight",
     "resume",

@@ -137,7 +137,6 @@ fn uses(node: &Node) -> Vec<String> {
 }
 
 /// The entries of `play`, those of its inner lists too, or the cues of a sequence.
-#[expect(clippy::needless_lifetimes, reason = "the closure names it")]
 fn entries_of<'n>(node: &'n Node) -> Vec<&'n Node> {
     let lists = [entry(node, "play"), entry(node, "cues")].into_iter().flatten();
     let inner = |item: &'n Node| if matches!(item, Node::List(_)) { items(item) } else { vec![item] };

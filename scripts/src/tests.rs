@@ -118,7 +118,7 @@ proptest! {
 }
 
 /// Values that may stand somewhere, right and wrong ones.
-const VALUES: [&str; 48] = [
+const VALUES: [&str; 50] = [
     "$v * 2",
     "$index * 500ms",
     "2 * $w / 3",
@@ -160,6 +160,8 @@ const VALUES: [&str; 48] = [
     "{for: 8s}",
     "{until: 20s}",
     "z",
+    "n",
+    "o",
     "$v",
     "-$v",
     "$w",
@@ -211,6 +213,9 @@ proptest! {
     ) {
         let mut text = "scenario: s\nvariables: {v: 3, w: 2s}\n".to_owned();
         text.push_str("moves: {m: {parameters: {p: 1}, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: $p}]}}}\n");
+        text.push_str("  n: {play: [{move: m, repeat: 2}, [{move: m, at: $w}, {move: n, parameters: {p: $v}}], {move: o, duration: $w}]}\n");
+        text.push_str("  o: {parameters: {p: 1s}, play: [{move: m, reverse: true, delay: $p}, {tracks: {d: [{at: 1s, to: 3}]}}]}\n");
+        text.push_str("sequences: {x: {parameters: {p: o}, cues: [{cue: x, robots: arm, move: $p}, {cue: y, sequence: z}]}, z: {cues: [{after: x, sequence: y}, {at: 1s, robots: arm, move: n}]}}\n");
         text.push_str(if auto { "zones: {z: auto}\n" } else { "zones: [z]\n" });
         if let Some(tempo) = tempo {
             text.push_str(&format!("tempo: {tempo}\n"));

@@ -106,7 +106,7 @@ fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>,
 
 impl ProjectArgs {
     /// The project of a file that the operator has named.
-    fn of(&self, file: &Path) -> Project {
+    pub(super) fn of(&self, file: &Path) -> Project {
         self.project.clone().unwrap_or_else(|| Project::of(file))
     }
 

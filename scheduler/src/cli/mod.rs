@@ -31,6 +31,7 @@ mod keys;
 mod live;
 mod load;
 mod missions;
+mod moves;
 mod outlet;
 mod plan;
 mod realtime;
@@ -111,6 +112,8 @@ enum Command {
     Check(check::CheckArgs),
     /// Explain the code of a finding in detail.
     Explain(explain::ExplainArgs),
+    /// List the moves and sequences of a scenario with their parameters, devices and documentation.
+    Moves(moves::MovesArgs),
     /// Show when each cue takes place and what each robot is sent.
     Plan(plan::PlanArgs),
     /// Write acts, cues and their relations as a graph, for Graphviz or Mermaid.
@@ -252,6 +255,7 @@ pub fn main() -> ExitCode {
         Command::Init(args) => init::init(&args, format),
         Command::Check(args) => check::check(&args, format),
         Command::Explain(args) => explain::explain(&args, format),
+        Command::Moves(args) => moves::moves(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
         Command::Graph(args) => graph::graph(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),

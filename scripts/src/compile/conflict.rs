@@ -159,6 +159,8 @@ impl Teller<'_> {
                     None => format!("let {first} and {second} overlap by {by}"),
                 }
             }
+            // That the cues of a sequence lie within it is no line of its own.
+            Origin::Relation { relation, .. } if !is_written(relation) => return None,
             Origin::Relation { cue, relation } => self.fixes_relation(*cue, relation, link, by),
         })
     }
@@ -181,6 +183,22 @@ impl Teller<'_> {
         (length > Span::ZERO).then(|| format!("{verb} {name} by {}: `duration: {duration}`", written(by)))
     }
 
+    /// With the names that a sequence itself has for its cues.
+    fn in_its_file(&self, cue: usize, relation: &Relation) -> Relation {
+        let mut relation = relation.clone();
+        if relation.place.used.is_some() {
+            let own = &self.act.cues[cue].name;
+            for anchor in [&mut relation.from, &mut relation.to] {
+                if let Anchor::StartOf(name) | Anchor::EndOf(name) = anchor {
+                    let same = own.bytes().zip(name.bytes()).take_while(|(own, other)| own == other).count();
+                    let prefix = name.get(..same).and_then(|same| same.rfind('.')).map_or(0, |dot| dot + 1);
+                    *name = name.split_off(prefix);
+                }
+            }
+        }
+        relation
+    }
+
     fn fixes_relation(&self, cue: usize, relation: &Relation, link: &Link, by: Span) -> String {
         let fixed = relation.min == relation.max;
         let name = match &relation.to {
@@ -194,7 +212,7 @@ impl Teller<'_> {
             Bound::Min => (Some(new), relation.max),
             Bound::Max => (relation.min, Some(new)),
         };
-        let edit = edit(relation, (min, max));
+        let edit = edit(&self.in_its_file(cue, relation), (min, max));
         let by = written(by);
         if relation.from == Anchor::Origin {
             return match (link.bound, fixed) {
@@ -211,6 +229,13 @@ impl Teller<'_> {
         };
         format!("let {name} {verb} {lag} {from}: `{edit}`")
     }
+}
+
+/// Whether a relation stands under a key of its own.
+fn is_written(relation: &Relation) -> bool {
+    let keys = ["at", "after", "with", "before", "end_by"];
+    let is_key = |part: &Part| matches!(part, Part::Key(key, _) if keys.contains(&key.as_str()));
+    relation.place.path.iter().rev().take(2).any(is_key)
 }
 
 /// The key of a relation with other bounds, as written.

@@ -122,13 +122,13 @@ fn cue() -> impl Strategy<Value = Cue> {
     (
         (0..NAMES.len(), moving, changes(), tolerance),
         (canon, late, stretch, when),
-        (relations(), zone, apart, prop::bool::weighted(0.2), reads),
+        (relations(), zone, apart, (prop::bool::weighted(0.4), any::<bool>()), reads),
     )
         .prop_map(
             |(
                 (who, (device, (movement, beats, colours)), change, tolerance),
                 (canon, late, stretch, when),
-                (relations, zone, apart, by_move, reads),
+                (relations, zone, apart, (by_move, composed), reads),
             )| {
                 let mut change = change;
                 // The length is the cue's here.
@@ -158,6 +158,7 @@ fn cue() -> impl Strategy<Value = Cue> {
                     zone,
                     apart,
                     by_move,
+                    composed,
                 }
             },
         )
@@ -184,21 +185,23 @@ fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
 }
 
 pub(super) fn shows() -> impl Strategy<Value = Show> {
-    (tempos(), any::<bool>(), acts()).prop_map(|(tempos, auto, mut acts)| {
-        let probe = Show { tempos, auto, acts: Vec::new() };
-        for (index, cue) in acts.iter_mut().flatten().enumerate() {
-            if probe.tempos.len() > 1 {
-                with_fixed_start(cue, 1 + index as i64 % 6);
+    (tempos(), any::<bool>(), prop::bool::weighted(0.3), acts()).prop_map(
+        |(tempos, auto, by_sequence, mut acts)| {
+            let probe = Show { tempos, auto, acts: Vec::new(), by_sequence };
+            for (index, cue) in acts.iter_mut().flatten().enumerate() {
+                if probe.tempos.len() > 1 {
+                    with_fixed_start(cue, 1 + index as i64 % 6);
+                }
+                let start = cue.start(&probe);
+                if let Some(keyframes) = &cue.beats {
+                    let millis = |quarters: i64| {
+                        let exact = probe.beats(start, quarters);
+                        *exact.numer() as f64 / *exact.denom() as f64 / 1e6
+                    };
+                    cue.movement.at_times(&keyframes.iter().map(|(at, _)| millis(*at)).collect::<Vec<_>>());
+                }
             }
-            let start = cue.start(&probe);
-            if let Some(keyframes) = &cue.beats {
-                let millis = |quarters: i64| {
-                    let exact = probe.beats(start, quarters);
-                    *exact.numer() as f64 / *exact.denom() as f64 / 1e6
-                };
-                cue.movement.at_times(&keyframes.iter().map(|(at, _)| millis(*at)).collect::<Vec<_>>());
-            }
-        }
-        Show { acts, ..probe }
-    })
+            Show { acts, ..probe }
+        },
+    )
 }

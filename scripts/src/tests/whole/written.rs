@@ -4,6 +4,9 @@ use std::collections::HashMap;
 
 use super::{Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, Word};
 
+/// The cue that plays a sequence.
+pub(super) const SEQUENCE: &str = "q";
+
 fn name(cue: usize) -> String {
     format!("c{cue}")
 }
@@ -75,12 +78,35 @@ impl Cue {
         let tracks = format!("{{{}: {{{wish}{written}}}}}", DEVICES[self.device].0);
         if self.by_move {
             let own = format!("m{}", csvs.len());
-            moves.push_str(&format!("  {own}: {{tracks: {tracks}}}\n"));
+            moves.push_str(&match self.halves() {
+                _ if !self.composed => format!("  {own}: {{tracks: {tracks}}}\n"),
+                None => format!("  {own}: {{play: [{{move: {own} inner}}]}}\n  {own} inner: {{tracks: {tracks}}}\n"),
+                Some(halves) => {
+                    let [one, other] = halves.map(|half| format!("{{{}: {{{wish}{half}}}}}", DEVICES[self.device].0));
+                    format!(
+                        "  {own}: {{play: [{{move: {own} one}}, {{move: {own} other}}]}}\n  {own} one: {{tracks: {one}}}\n  {own} other: {{tracks: {other}}}\n"
+                    )
+                }
+            });
             yaml.push_str(&format!(", move: {own}"));
         } else {
             yaml.push_str(&format!(", tracks: {tracks}"));
         }
         yaml
+    }
+
+    /// The keyframes of a movement in beats as those of two, which meet at one of them. Without a fixed start each of the two
+    /// would be laid on the clock by itself.
+    fn halves(&self) -> Option<[String; 2]> {
+        let keyframes = self.beats.as_ref().filter(|_| matches!(self.when, When::At(_) | When::Bar(_)))?;
+        let middle = keyframes.len() / 2;
+        let half = |keyframes: &[(i64, f64)]| {
+            let from = keyframes[0].0;
+            let text =
+                |(at, to): &(i64, f64)| format!("{{at: {} beats, to: {to}}}", (at - from) as f64 / 4.0);
+            format!("keyframes: [{}]", keyframes.iter().map(text).collect::<Vec<_>>().join(", "))
+        };
+        Some([half(&keyframes[..=middle]), half(&keyframes[middle..])])
     }
 }
 
@@ -88,16 +114,25 @@ impl Show {
     pub(super) fn yaml(&self, csvs: &mut HashMap<String, String>) -> String {
         let order = if self.auto { "auto" } else { "given" };
         let mut moves = String::new();
-        let mut acts = String::new();
+        let (mut acts, mut sequences) = (String::new(), String::new());
         for (index, act) in self.acts.iter().enumerate() {
             acts.push_str(&format!("  - act: a{index}\n    cues:\n"));
+            let by_sequence = self.by_sequence && !act.iter().any(|cue| matches!(cue.when, When::Bar(_)));
+            let target = if by_sequence { &mut sequences } else { &mut acts };
+            if by_sequence {
+                target.push_str(&format!("  s{index}:\n    cues:\n"));
+            }
             for (index, cue) in act.iter().enumerate() {
-                acts.push_str(&format!("      - {{{}}}\n", cue.yaml(index, csvs, &mut moves)));
+                target.push_str(&format!("      - {{{}}}\n", cue.yaml(index, csvs, &mut moves)));
+            }
+            if by_sequence {
+                acts.push_str(&format!("      - {{cue: {SEQUENCE}, at: 0s, sequence: s{index}}}\n"));
             }
         }
         let moves = if moves.is_empty() { moves } else { format!("moves:\n{moves}") };
+        let sequences = if sequences.is_empty() { sequences } else { format!("sequences:\n{sequences}") };
         format!(
-            "scenario: s\noff_grid: snap\n{}zones: {{z0: {order}, z1: given}}\nroles: {{cast: [b, c]}}\n{moves}acts:\n{acts}",
+            "scenario: s\noff_grid: snap\n{}zones: {{z0: {order}, z1: given}}\nroles: {{cast: [b, c]}}\n{moves}{sequences}acts:\n{acts}",
             self.tempo_yaml()
         )
     }
