@@ -27,7 +27,11 @@ pub(crate) fn share(from: &[f64]) -> (u64, u64) {
 }
 
 /// Whole numbers as they are, so that -0 is 0; others by their bits.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a whole number of less than 63 bits")]
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a whole number of less than 63 bits"
+)]
 fn bits(number: f64) -> u64 {
     match number.fract() == 0.0 && number.abs() < 4e18 {
         true => number as i64 as u64,

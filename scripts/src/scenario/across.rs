@@ -131,7 +131,9 @@ impl Group {
             overridden.extend(robots.into_iter().map(|robot| (robot, movement)));
         }
         for (index, robot) in self.robots.iter().enumerate() {
-            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else { continue };
+            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else {
+                continue;
+            };
             let own = cue.own_of.get(index).copied().flatten().and_then(|own| cue.own.get(own));
             let movement = own.or_else(|| overridden.get(robot).copied()).unwrap_or(&cue.movement);
             for track in &movement.tracks {

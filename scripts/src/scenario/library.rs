@@ -5,8 +5,8 @@ use std::cell::{OnceCell, RefCell};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use super::across::is_spread;
 use super::Name;
+use super::across::is_spread;
 use super::each::Roster;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};

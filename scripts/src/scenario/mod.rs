@@ -34,8 +34,8 @@ use crate::node::{self, Node};
 use crate::requirements::Requirements;
 use crate::source::Source;
 
-pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use across::{Group, is_spread};
+pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
 #[cfg(test)]
