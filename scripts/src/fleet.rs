@@ -25,15 +25,17 @@ mod joints;
 mod latency;
 mod mission_settings;
 mod moves;
+mod sensors;
 mod urdf;
 
 pub use calibration::{Calibration, Taken};
 pub use latency::{
-    DeviceLatency, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
+    DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,
 };
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 pub use moves::SimulatedMoves;
+pub(crate) use sensors::sensor;
 
 const FLEET_KEYS: [&str; 9] =
     ["ntp", "handshake", "identity", "revoked", "insecure", "latency", "space", "robots", "groups"];
@@ -561,25 +563,6 @@ impl FleetReader<'_> {
             fleet.groups.insert(name.to_owned(), members);
         }
     }
-}
-
-/// A sensor of the robot, or a finding where the name stands.
-pub(crate) fn sensor(
-    findings: &mut Reader,
-    name: &str,
-    at: &At<'_>,
-    init: &InitializationBlock,
-) -> Option<DeviceId> {
-    let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
-    let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
-    let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
-    if found.is_none() {
-        let message = format!("the robot has no sensor `{}`", node::shortened(name));
-        let expected = crate::finding::one_of(sensors());
-        let hint = crate::finding::did_you_mean(name, sensors());
-        findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
-    }
-    found
 }
 
 /// Anyone who can send a message to such a robot can move it.

@@ -71,10 +71,10 @@ pub use expression::tried as try_expression;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
-    Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LatencyFile, LatencySource,
-    MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves, SimulationSettings, Taken,
-    latency_file_of, latency_text, read_fleet, read_fleet_named, read_fleet_to_measure, read_fleet_within,
-    read_latency_file,
+    Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
+    LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
+    SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
+    read_fleet_to_measure, read_fleet_within, read_latency_file,
 };
 pub use init::{init_of, init_text, read_init};
 pub use open::open;

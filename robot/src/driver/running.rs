@@ -128,6 +128,7 @@ impl Running {
         match write_within(input, format!("{line}\n").as_bytes(), wait) {
             Ok(true) => {}
             Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
+            Err(error) if error.kind() == ErrorKind::BrokenPipe => return Err(self.why_it_reads_no_more()),
             Err(error) => return Err(format!("takes no line: {error}")),
         }
         self.answers.recv_timeout(wait).map_err(|error| match error {
@@ -135,7 +136,19 @@ impl Running {
             RecvTimeoutError::Disconnected => "has ended".to_owned(),
         })
     }
+
+    fn why_it_reads_no_more(&self) -> String {
+        // What it said before is passed over.
+        let last = std::iter::repeat_with(|| self.answers.recv_timeout(ENDS_WITHIN)).take(LAST_WORDS_MAX);
+        let ended = last.filter_map(Result::err).next() == Some(RecvTimeoutError::Disconnected);
+        if ended { "has ended" } else { "has closed its input" }.to_owned()
+    }
 }
+
+/// A program that ends closes its input and its output, one just before the other.
+const ENDS_WITHIN: Duration = Duration::from_millis(200);
+/// Answers that may be left of it.
+const LAST_WORDS_MAX: usize = 8;
 
 /// Of longer lines a reason names the first word alone.
 const SHOWN_MAX: usize = 200;
@@ -232,5 +245,24 @@ mod tests {
             check(line, None);
         }
         check("done 7 9223372036854775807", None);
+    }
+
+    /// What is said of a program that reads no more, in place of an answer.
+    fn said_of(command: &str) -> String {
+        let mut running = Running::start(command, None).unwrap();
+        let wait = Duration::from_secs(5);
+        assert_eq!(running.ask("hello", wait), Ok("ok".to_owned()));
+        // Until its input is closed it may still take a line, which it never answers.
+        (0..1_000)
+            .find_map(|_| {
+                running.ask("ping", Duration::from_millis(20)).err().filter(|why| !why.contains("ping"))
+            })
+            .unwrap()
+    }
+
+    #[test]
+    fn a_program_that_ended_is_told_from_one_that_closed_its_input() {
+        assert_eq!(said_of("read line; echo ok; exec <&-; sleep 60"), "has closed its input");
+        assert_eq!(said_of("read line; echo ok; exec <&-; sleep 0.1"), "has ended");
     }
 }

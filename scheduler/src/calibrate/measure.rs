@@ -1,5 +1,6 @@
 //! The measurement of one device: readings at rest, movements to and fro until the spread is known, and back.
 
+use downbeat_scripts::Lag;
 use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
 
 use super::NotMeasured;
@@ -36,8 +37,8 @@ const UNCLEAR_MAX: usize = 3;
 pub struct Measured {
     /// What all trials say together.
     pub latencies: Latencies,
-    /// Of the first-order lag, if it is known.
-    pub time_constant: Option<Span>,
+    /// How the device follows, if it is known.
+    pub lag: Option<Lag>,
     /// How far behind a ramp the device is.
     pub tracking_lag: Option<Span>,
     /// How far all latencies together may be off, since it is not known when within its round trip the sensor takes its value.
@@ -146,7 +147,8 @@ impl Mover<'_> {
         tell: &mut impl FnMut(Progress),
     ) -> Result<Estimate, NotMeasured> {
         let (least, largest) = self.planned.sensor_range;
-        let readable = Readable { range: Some((least, largest)), movement: to - from };
+        let visible = self.planned.how.visible;
+        let readable = Readable { range: Some((least, largest)), movement: to - from, visible };
         let mut trials: Vec<Trial> = Vec::new();
         loop {
             let (here, there) = if self.at_from { (from, to) } else { (to, from) };
@@ -177,7 +179,7 @@ impl Mover<'_> {
     fn enough(&self, found: &Estimate) -> Span {
         let slowest = found.onsets.iter().flatten().map(|onset| onset.latency).max();
         let Some(slowest) = slowest else { return self.watched };
-        let settled = found.time_constant.unwrap_or_default() * 8;
+        let settled = found.lag.map_or(Span::ZERO, |lag| lag.time_constant) * 8;
         let spare = self.rest.interval * READINGS_BEFORE + Span::from_millis(100);
         (slowest + settled + spare).max(Span::from_millis(200)).min(WATCHED_MAX)
     }
@@ -203,7 +205,11 @@ impl Mover<'_> {
             let read = self.talk.read_again(&self.planned.how.sensor).await?;
             let reading = Talk::reading_since(start, read);
             let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
-            samples.push(Sample { at, uncertainty, value: reading.value });
+            samples.push(Sample {
+                at: at - self.planned.how.sensor_delay,
+                uncertainty,
+                value: reading.value,
+            });
             tokio::time::sleep(BETWEEN_READINGS).await;
         }
         // The clocks drift meanwhile.
@@ -268,7 +274,7 @@ fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured>
     uncertainties.sort_unstable();
     Ok(Measured {
         latencies,
-        time_constant: estimate.time_constant,
+        lag: estimate.lag,
         tracking_lag: estimate.tracking_lag,
         systematic: uncertainties.get(uncertainties.len() / 2).copied().unwrap_or_default(),
         interval: rest.interval,

@@ -176,7 +176,7 @@ fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
         ("encoding", json!(encoding.as_str())),
         ("require", json!(require)),
     ]);
-    for (device, DeviceLatency { latency, from: _, time_constant: _ }) in latencies {
+    for (device, DeviceLatency { latency, from: _, lag: _ }) in latencies {
         settings.insert(format!("latency of `{device}`"), sorted(json!(latency)));
     }
     for (device, RateLimits { speed, acceleration }) in limits {

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use chrono::SecondsFormat;
 use downbeat_robot::HostOptions;
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Attempt, LatencyFile, MeasuredLatency, Refusal, latency_text, read_latency_file};
+use downbeat_scripts::{
+    Attempt, Lag, LatencyFile, MeasuredLatency, Refusal, latency_text, read_latency_file,
+};
 use serde_json::json;
 use urrcp::{RobotId, SessionId, Span};
 
@@ -189,7 +191,7 @@ fn kept(path: &Path) -> Result<LatencyFile, Exit> {
     })
 }
 
-/// The file is written to a neighbour at first, which then takes its place: whoever reads it has it whole.
+/// Another file is written, and then renamed, so that nobody reads half of it.
 fn part_of(path: &Path) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
@@ -352,7 +354,7 @@ fn entry(measured: &Measured) -> MeasuredLatency {
         p95: Some(rounded(of.p95).max(Span::ZERO)),
         trials: u32::try_from(of.trials).ok(),
         measured: Some(chrono::Utc::now().to_rfc3339_opts(SecondsFormat::Secs, true)),
-        time_constant: measured.time_constant.map(rounded),
+        lag: measured.lag.map(|lag| Lag { time_constant: rounded(lag.time_constant), ..lag }),
         tracking_lag: measured.tracking_lag.map(|lag| rounded(lag).max(Span::ZERO)),
     }
 }
@@ -377,8 +379,10 @@ fn plan_text(robots: &[PlannedRobot<'_>], unplanned: &[Unplanned], args: &Calibr
         ]);
     }
     let mut text = if table.is_empty() { String::new() } else { table.text(console::columns()) };
-    for Unplanned { robot, device, reason } in unplanned {
-        text += &format!("{}: {}: not measured: {reason}\n", shown(robot.as_str()), shown(device.as_str()));
+    for alike in unplanned.chunk_by(|a, b| (&a.robot, &a.reason) == (&b.robot, &b.reason)) {
+        let devices: Vec<_> = alike.iter().map(|one| shown(one.device.as_str()).to_string()).collect();
+        let Unplanned { robot, reason, .. } = &alike[0];
+        text += &format!("{}: {}: not measured: {reason}\n", shown(robot.as_str()), devices.join(", "));
     }
     text
 }
@@ -420,7 +424,7 @@ fn outcome_text(outcomes: &[Outcome]) -> String {
             format!("+-{}", rounded(of.median_error + measured.systematic)),
             format!("+-{}", rounded(of.spread)),
             rounded(of.p95).to_string(),
-            some(measured.time_constant),
+            some(measured.lag.map(|lag| lag.time_constant)),
             some(measured.tracking_lag),
             format!("every {}", rounded(measured.interval)),
             of.trials.to_string(),
@@ -438,7 +442,8 @@ fn outcome_json(outcomes: &[Outcome], unplanned: &[Unplanned]) -> serde_json::Va
                 "robot": robot, "device": device, "median_ms": millis(of.median), "median_error_ms": millis(of.median_error),
                 "systematic_ms": millis(measured.systematic), "spread_ms": millis(of.spread), "p95_ms": millis(of.p95),
                 "trials": of.trials, "unclear": measured.unclear,
-                "time_constant_ms": measured.time_constant.map(millis), "tracking_lag_ms": measured.tracking_lag.map(millis),
+                "time_constant_ms": measured.lag.map(|lag| millis(lag.time_constant)), "lags": measured.lag.map(|lag| lag.lags),
+                "tracking_lag_ms": measured.tracking_lag.map(millis),
                 "sensor_delay_ms": millis(measured.sensor_delay), "reading_interval_ms": millis(measured.interval),
             })
         }

@@ -117,7 +117,7 @@ mod tests {
         let mut choreography = downbeat_scripts::Choreography::clone(&bench::played(&[&[("a", 0, 400)]]));
         let robot: RobotId = choreography.acts[0].plan.robots[0].robot.clone();
         if let Some((millis, from)) = used {
-            let latency = DeviceLatency { latency: ms(millis), from, time_constant: None };
+            let latency = DeviceLatency { latency: ms(millis), from, lag: None };
             let devices = BTreeMap::from([("a".parse().unwrap(), latency)]);
             choreography.acts[0].latencies.insert(robot.clone(), devices);
         }

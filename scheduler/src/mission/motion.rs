@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use downbeat_scripts::{Calibration, Taken};
+use downbeat_scripts::{Calibration, Lag, Taken};
 use serde::Serialize;
 use urrcp::{
     ControlParameters, ControlType, Device, DeviceId, Interpolation, RobotId, Server, Span, Step, Timestamp,
@@ -31,12 +31,15 @@ pub(crate) struct Watched {
     device: DeviceId,
     sensor: DeviceId,
     taken: Taken,
+    sensor_delay: Span,
+    /// In the unit of the device.
+    visible: f64,
     range: Option<(f64, f64)>,
     movement: Movement,
     /// What is compensated: the motion should begin so long after the command.
     latency: Span,
     /// As it was measured.
-    time_constant: Option<Span>,
+    lag: Option<Lag>,
     readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
     /// When it was last asked, and whether the answer is awaited.
     asked: Option<(Timestamp<Server>, bool)>,
@@ -120,9 +123,9 @@ impl Watched {
                 let Some(movement) = first_movement(steps.make_contiguous(), linear) else { continue };
                 let known = state.settings.latencies.get(device);
                 let latency = known.map_or(Span::ZERO, |known| known.latency.median);
-                let time_constant = known.and_then(|known| known.time_constant);
+                let lag = known.and_then(|known| known.lag);
                 let range = described(state, &calibration.sensor).and_then(range_of);
-                let Calibration { sensor, taken, .. } = calibration.clone();
+                let Calibration { sensor, taken, sensor_delay, visible, .. } = calibration.clone();
                 let device = device.clone();
                 let (readings, asked) = (Vec::new(), None);
                 let robot = member.robot;
@@ -131,10 +134,12 @@ impl Watched {
                     device,
                     sensor,
                     taken,
+                    sensor_delay,
+                    visible,
                     range,
                     movement,
                     latency,
-                    time_constant,
+                    lag,
                     readings,
                     asked,
                 });
@@ -180,18 +185,18 @@ impl Watched {
         let sample = |(asked, answered, value): &(Timestamp<Server>, Timestamp<Server>, f64)| {
             let reading = Reading { asked: *asked - due, answered: *answered - due, value: *value };
             let (at, uncertainty) = reading.instant(robot.round_trip(), self.taken);
-            Sample { at, uncertainty, value: *value }
+            Sample { at: at - self.sensor_delay, uncertainty, value: *value }
         };
         let samples: Vec<Sample> = self.readings.iter().map(sample).collect();
         let from = self.movement.from.or_else(|| samples.first().map(|sample| sample.value));
         let movement = from.map_or(0.0, |from| self.movement.to - from);
-        let readable = Readable { range: self.range, movement };
+        let readable = Readable { range: self.range, movement, visible: self.visible };
         let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), samples };
-        let found = onset::onset(&trial, readable, self.time_constant);
+        let found = onset::onset(&trial, readable, self.lag);
         // One motion alone hardly tells a late begin from a slow one.
-        let without_lag = match self.time_constant {
+        let without_lag = match self.lag {
             Some(_) => found,
-            None => onset::onset(&trial, readable, Some(Span::ZERO)),
+            None => onset::onset(&trial, readable, Some(Lag { time_constant: Span::ZERO, lags: 1 })),
         };
         let uncertainty = found.as_ref().ok().map(|onset| {
             let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;

@@ -265,7 +265,7 @@ mod tests {
         assert_eq!((plain.predicted, plain.parts().as_str()), (plain.clocks, ""));
         for (device, spread) in [("a", 20), ("other", 500)] {
             let latency = urrcp::Latency { median: ms(40), spread: ms(spread) };
-            let latency = DeviceLatency { latency, from: LatencySource::File, time_constant: None };
+            let latency = DeviceLatency { latency, from: LatencySource::File, lag: None };
             robots[1].settings.latencies.insert(device.parse().unwrap(), latency);
         }
         let wide = budget(&robots, ms(60));

@@ -1,6 +1,8 @@
-//! The fit: a latency for each trial, and one time constant for all.
+//! The fit: a latency for each trial, and one lag for all.
 
-use super::model::{Agreement, Readings, response};
+use downbeat_scripts::LAGS_MAX;
+
+use super::model::{Agreement, Lag, Readings, response};
 
 /// Time constants that are tried at first, in milliseconds: from none, in steps of a factor of two.
 const TIME_CONSTANTS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
@@ -25,16 +27,28 @@ pub(super) struct Fitted {
     pub(super) noise: f64,
 }
 
-#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
-/// The time constant that fits all trials best, and its standard error, in milliseconds.
-pub(super) fn time_constant(trials: &[&Readings]) -> (f64, f64) {
-    let cost = |constant: f64| -> f64 {
-        trials.iter().map(|trial| trial.agreement(latency(trial, constant), constant).squares).sum()
+/// The lag that fits all trials best, and the standard error of its time constant, in milliseconds.
+pub(super) fn lag(trials: &[&Readings]) -> (Lag, f64) {
+    let of = |lags: u8| {
+        let cost = |constant: f64| -> f64 {
+            let lag = Lag { constant, lags };
+            trials.iter().map(|trial| trial.agreement(latency(trial, lag), lag).squares).sum()
+        };
+        let (constant, error) = time_constant(trials, cost);
+        (Lag { constant, lags }, error, cost(constant))
     };
+    let found: Vec<_> = (1..=LAGS_MAX).map(of).collect();
+    // Both have as many parameters, so the likelier one is the one with the smaller squares.
+    let best = found.into_iter().min_by(|a, b| a.2.total_cmp(&b.2));
+    best.map_or((Lag::NONE, f64::INFINITY), |(lag, error, _)| (lag, error))
+}
+
+#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+fn time_constant(trials: &[&Readings], cost: impl Fn(f64) -> f64) -> (f64, f64) {
     let costs: Vec<f64> = TIME_CONSTANTS.iter().map(|constant| cost(*constant)).collect();
     let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default();
     let (low, high) = (best.saturating_sub(1), (best + 1).min(costs.len() - 1));
-    let constant = golden(TIME_CONSTANTS[low], TIME_CONSTANTS[high], 12, cost);
+    let constant = golden(TIME_CONSTANTS[low], TIME_CONSTANTS[high], 12, &cost);
     let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
     let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
     let (with, without) = (cost(constant), costs[0]);
@@ -58,9 +72,9 @@ fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> 
     if curvature > 0.0 { (variance / curvature).sqrt() } else { f64::INFINITY }
 }
 
-/// The best latency of one trial for this time constant.
-pub(super) fn latency(trial: &Readings, time_constant: f64) -> f64 {
-    let cost = |latency: f64| trial.agreement(latency, time_constant).squares;
+/// The best latency of one trial for this lag.
+pub(super) fn latency(trial: &Readings, lag: Lag) -> f64 {
+    let cost = |latency: f64| trial.agreement(latency, lag).squares;
     let (first, last) = trial.span();
     let step = (trial.interval() / 2.0).max((last - first) / GRID_MAX);
     let mut best = (first, f64::INFINITY);
@@ -116,29 +130,23 @@ fn golden(low: f64, high: f64, steps: u32, cost: impl Fn(f64) -> f64) -> f64 {
     if at_left <= at_right { left } else { right }
 }
 
-/// The latency with its standard error, for this time constant.
+/// The latency with its standard error, for this lag.
 #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
-pub(super) fn fitted(trial: &Readings, time_constant: f64) -> Fitted {
-    let latency = latency(trial, time_constant);
-    let agreement = trial.agreement(latency, time_constant);
+pub(super) fn fitted(trial: &Readings, lag: Lag) -> Fitted {
+    let latency = latency(trial, lag);
+    let agreement = trial.agreement(latency, lag);
     let free = (trial.at.len() as f64 - 3.0).max(1.0);
     let noise = (agreement.squares / free).sqrt();
-    let standard_error = standard_error(trial, latency, time_constant, &agreement, noise);
+    let standard_error = standard_error(trial, latency, lag, &agreement, noise);
     Fitted { latency, standard_error, agreement, noise }
 }
 
 /// Of the latency in the linearized fit of rest, gain and latency. Where no reading lies on the movement, it is that of an instant
 /// anywhere between two readings: their interval over the root of 12.
-fn standard_error(
-    trial: &Readings,
-    latency: f64,
-    time_constant: f64,
-    agreement: &Agreement,
-    noise: f64,
-) -> f64 {
+fn standard_error(trial: &Readings, latency: f64, lag: Lag, agreement: &Agreement, noise: f64) -> f64 {
     let between = trial.interval() / 12.0_f64.sqrt();
     let step = (trial.interval() / 8.0).max(0.05);
-    let shape = |after: f64| response(&trial.commanded, time_constant, after);
+    let shape = |after: f64| response(&trial.commanded, lag, after);
     // What a later latency changes, with what rest and gain could explain of that taken out.
     let rows: Vec<(f64, f64)> = (trial.at.iter())
         .map(|at| {

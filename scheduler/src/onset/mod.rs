@@ -1,19 +1,20 @@
 //! When a device begins to move after it was told to: the instant is estimated from readings of a sensor around a small movement that
 //! was commanded. Pure: no clock is read and nothing is sent here.
 //!
-//! What the sensor shows is fitted by the response of a first-order lag with dead time (FOPDT) to what was commanded, which is the usual
-//! model for the identification of a plant from its response to a step (Åström, Hägglund: Advanced PID Control, ISA 2006, section 2.7;
-//! Bi et al.: Robust identification of first-order plus dead-time model from step response, Control Engineering Practice 7(1), 1999):
+//! What the sensor shows is fitted by the response of one first-order lag with dead time (FOPDT) to what was commanded, or of two equal
+//! ones in a row, whichever fits better. These are the usual models for the identification of a plant from its response to a step
+//! (Åström, Hägglund: Advanced PID Control, ISA 2006, section 2.7; Bi et al.: Robust identification of first-order plus dead-time model
+//! from step response, Control Engineering Practice 7(1), 1999):
 //!
 //! ```text
-//! value(t) = rest + gain * response(t - latency),    response' = (commanded - response) / time_constant
+//! value(t) = rest + gain * response(t - dead_time),    response' = (commanded - response) / time_constant
 //! ```
 //!
-//! A bare threshold would not do: with noise it has to lie well above it, and a device with a time constant passes it late. In the fit,
-//! every reading counts. `rest` and `gain` enter linearly and are solved for at each pair of the other two (variable projection: Golub,
-//! Pereyra: The differentiation of pseudo-inverses and nonlinear least squares problems whose variables separate, SIAM Journal on
-//! Numerical Analysis 10(2), 1973). The time constant is a property of the device, so all trials have it in common; each trial has a
-//! latency of its own.
+//! The latency is when this response has moved by the visible amount, less what it would take without dead time and lag. A bare threshold
+//! for readings would not do: with noise it has to lie well above it. In the fit, every reading counts. `rest` and `gain` enter linearly
+//! and are solved for at each pair of the other two (variable projection: Golub, Pereyra: The differentiation of pseudo-inverses and
+//! nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis 10(2), 1973). The lag is a property of
+//! the device, so all trials have it in common; each trial has a dead time of its own.
 //!
 //! **What cannot be known.** A delay of the sensor that its round trips do not show cannot be told from a latency of the device: the
 //! latencies contain it. Where within a round trip the value was taken cannot be known either: see [`Reading::instant`].

@@ -1,4 +1,4 @@
-//! The response of a first-order lag to what was commanded, and how well readings agree with it.
+//! The response of one or two first-order lags to what was commanded, and how well readings agree with it.
 
 use super::commanded::{Commanded, Part};
 
@@ -6,30 +6,76 @@ use super::commanded::{Commanded, Part};
 const NO_LAG: f64 = 1e-3;
 
 /// How far a device has come `after` milliseconds since its motion began, as a share of the movement.
-pub(super) fn response(commanded: &Commanded, time_constant: f64, after: f64) -> f64 {
-    commanded.parts.iter().map(|part| part.share * part.response(time_constant, after - part.begins)).sum()
+pub(super) fn response(commanded: &Commanded, lag: Lag, after: f64) -> f64 {
+    commanded.parts.iter().map(|part| part.share * part.response(lag, after - part.begins)).sum()
+}
+
+/// How much later than without its lag a device has moved by this share of the movement, in milliseconds.
+pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 {
+    let crossed = |lag: Lag| {
+        let (mut before, mut after) = (0.0, commanded.lasts_ms() + 20.0 * lag.constant + 1.0);
+        for _ in 0..48 {
+            let middle = f64::midpoint(before, after);
+            if response(commanded, lag, middle) < share { before = middle } else { after = middle }
+        }
+        after
+    };
+    (crossed(lag) - crossed(Lag::NONE)).max(0.0)
+}
+
+/// Equal first-order lags, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Lag {
+    /// Of all together, in milliseconds.
+    pub(super) constant: f64,
+    /// One or two.
+    pub(super) lags: u8,
+}
+
+impl Lag {
+    pub(super) const NONE: Self = Self { constant: 0.0, lags: 1 };
+
+    /// The response to a step of size one.
+    fn step(self, after: f64) -> f64 {
+        match self.lags {
+            1 => -(-after / self.constant).exp_m1(),
+            _ => {
+                let each = after / (self.constant / 2.0);
+                1.0 - (1.0 + each) * (-each).exp()
+            }
+        }
+    }
+
+    /// The response to a ramp of slope one.
+    fn ramp(self, after: f64) -> f64 {
+        match self.lags {
+            1 => after + self.constant * (-after / self.constant).exp_m1(),
+            _ => after - self.constant + (after + self.constant) * (-2.0 * after / self.constant).exp(),
+        }
+    }
+}
+
+impl From<downbeat_scripts::Lag> for Lag {
+    fn from(lag: downbeat_scripts::Lag) -> Self {
+        Self { constant: lag.time_constant.as_millis_f64(), lags: lag.lags }
+    }
 }
 
 impl Part {
-    fn response(self, time_constant: f64, after: f64) -> f64 {
+    fn response(self, lag: Lag, after: f64) -> f64 {
         if after <= 0.0 {
             return 0.0;
         }
-        let lags = time_constant > NO_LAG;
+        let lags = lag.constant > NO_LAG;
         if self.lasts <= 0.0 {
-            return if lags { -(-after / time_constant).exp_m1() } else { 1.0 };
+            return if lags { lag.step(after) } else { 1.0 };
         }
         if !lags {
             return (after / self.lasts).min(1.0);
         }
         let since_end = (after - self.lasts).max(0.0);
-        (lagged(after, time_constant) - lagged(since_end, time_constant)) / self.lasts
+        (lag.ramp(after) - lag.ramp(since_end)) / self.lasts
     }
-}
-
-/// The response to a ramp of slope one.
-fn lagged(after: f64, time_constant: f64) -> f64 {
-    after + time_constant * (-after / time_constant).exp_m1()
 }
 
 /// The readings of one trial: milliseconds since the movement was due, and values.
@@ -40,7 +86,7 @@ pub(super) struct Readings {
     pub(super) values: Vec<f64>,
 }
 
-/// Readings against the response for one latency and time constant.
+/// Readings against the response for one latency and lag.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Agreement {
     /// Sum of the squared deviations.
@@ -50,15 +96,15 @@ pub(super) struct Agreement {
 }
 
 impl Readings {
-    /// The best fit at this latency and time constant.
+    /// The best fit at this latency and lag.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
-    pub(super) fn agreement(&self, latency: f64, time_constant: f64) -> Agreement {
+    pub(super) fn agreement(&self, latency: f64, lag: Lag) -> Agreement {
         let n = self.at.len() as f64;
         let (mut r_sum, mut v_sum, mut rr, mut rv, mut vv) = (0.0, 0.0, 0.0, 0.0, 0.0);
         // Counted from the first value, so that squares do not cancel.
         let origin = self.values.first().copied().unwrap_or_default();
         for (at, value) in self.at.iter().zip(&self.values) {
-            let (r, v) = (response(&self.commanded, time_constant, at - latency), value - origin);
+            let (r, v) = (response(&self.commanded, lag, at - latency), value - origin);
             (r_sum, v_sum) = (r_sum + r, v_sum + v);
             (rr, rv, vv) = (rr + r * r, rv + r * v, vv + v * v);
         }

@@ -11,6 +11,8 @@ struct Device {
     /// Standard deviation of the latency from trial to trial.
     deviation: f64,
     time_constant: f64,
+    /// So many lags make it.
+    lags: u8,
     noise: f64,
     /// Of the sensor, between request and answer; the value is taken at the request.
     delay: f64,
@@ -24,6 +26,7 @@ const LINK: f64 = 0.8;
 /// Between an answer and the next question.
 const BETWEEN: f64 = 1.0;
 const MOVEMENT: f64 = 2.0;
+const VISIBLE: f64 = 0.02;
 const REST: f64 = 30.0;
 
 impl Device {
@@ -36,7 +39,7 @@ impl Device {
         let mut samples = Vec::new();
         while asked < until {
             let arrived = asked + LINK / 2.0;
-            let at_device = model::response(&commanded, self.time_constant, arrived - latency);
+            let at_device = model::response(&commanded, self.lag(), arrived - latency);
             let value = REST + MOVEMENT * (at_device + self.noise * normal(rng));
             let answered = asked + LINK + self.delay + self.delay_varies * rng.f64();
             let reading = Reading {
@@ -51,6 +54,16 @@ impl Device {
         (Trial { commanded, samples }, latency)
     }
 
+    fn lag(&self) -> model::Lag {
+        model::Lag { constant: self.time_constant, lags: self.lags }
+    }
+
+    /// Until it has visibly moved, later than a device without latency and lag.
+    fn visible(&self) -> f64 {
+        let commanded = Commanded::ramp(Span::from_millis_f64(self.lasts));
+        self.latency + model::visible_delay(&commanded, self.lag(), VISIBLE / MOVEMENT)
+    }
+
     fn trials(&self, seed: u64, count: usize) -> Vec<Trial> {
         let mut rng = fastrand::Rng::with_seed(seed);
         (0..count).map(|_| self.trial(&mut rng, Taken::AtRequest).0).collect()
@@ -63,7 +76,7 @@ fn normal(rng: &mut fastrand::Rng) -> f64 {
     radius * (std::f64::consts::TAU * rng.f64()).cos()
 }
 
-const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), movement: MOVEMENT };
+const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), movement: MOVEMENT, visible: VISIBLE };
 
 /// As `downbeat calibrate` chooses it.
 fn lasts(interval: f64) -> f64 {
@@ -72,7 +85,7 @@ fn lasts(interval: f64) -> f64 {
 
 /// The latency that 95 % of the device's movements do not exceed.
 fn true_p95(device: &Device) -> f64 {
-    device.latency + 1.645 * device.deviation
+    device.visible() + 1.645 * device.deviation
 }
 
 #[test]
@@ -86,6 +99,7 @@ fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds(
             latency: 5.0 + 195.0 * rng.f64(),
             deviation: 0.3 + 2.0 * rng.f64(),
             time_constant: if seed % 2 == 0 { 0.0 } else { 5.0 + 35.0 * rng.f64() },
+            lags: if seed % 4 == 1 { 2 } else { 1 },
             noise: 0.01,
             delay,
             delay_varies: 0.1 * delay,
@@ -93,7 +107,7 @@ fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds(
         };
         let found = estimate(&device.trials(seed, 20), READABLE);
         let latencies = found.latencies.unwrap_or_else(|| panic!("{device:?}: {:?}", found.onsets));
-        let error = (latencies.median.as_millis_f64() - device.latency).abs();
+        let error = (latencies.median.as_millis_f64() - device.visible()).abs();
         assert!(error < 2.0, "off by {error} ms: {device:?}, {found:?}");
         worst = worst.max(error);
         covered += usize::from(latencies.p95.as_millis_f64() >= true_p95(&device));
@@ -106,13 +120,16 @@ fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds(
 
 #[test]
 fn a_time_constant_and_the_lag_behind_a_ramp_are_told() {
-    let device = Device { time_constant: 20.0, lasts: 120.0, ..DEVICE };
-    let found = estimate(&device.trials(7, 20), READABLE);
-    let constant = found.time_constant.unwrap().as_millis_f64();
-    let lag = found.tracking_lag.unwrap().as_millis_f64();
-    assert!((constant - 20.0).abs() < 2.0 && (lag - 60.0).abs() < 2.0, "{constant}, {lag}");
+    for lags in [1, 2] {
+        let device = Device { time_constant: 20.0, lags, lasts: 120.0, ..DEVICE };
+        let found = estimate(&device.trials(7, 20), READABLE);
+        assert_eq!(found.lag.unwrap().lags, lags);
+        let constant = found.lag.unwrap().time_constant.as_millis_f64();
+        let lag = found.tracking_lag.unwrap().as_millis_f64();
+        assert!((constant - 20.0).abs() < 2.0 && (lag - 60.0).abs() < 2.0, "{constant}, {lag}");
+    }
     let none = estimate(&DEVICE.trials(7, 20), READABLE);
-    assert_eq!(none.time_constant, None);
+    assert_eq!(none.lag, None);
 }
 
 #[test]
@@ -140,6 +157,7 @@ const DEVICE: Device = Device {
     latency: 40.0,
     deviation: 1.0,
     time_constant: 0.0,
+    lags: 1,
     noise: 0.01,
     delay: 2.0,
     delay_varies: 0.0,
@@ -174,7 +192,11 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
 fn a_device_that_still_moves_at_the_last_reading_is_refused() {
     let mut trial = Device { time_constant: 200.0, ..DEVICE }.trials(5, 1).remove(0);
     trial.samples.retain(|sample| sample.at < Span::from_millis(250));
-    let found = onset(&trial, READABLE, Some(Span::from_millis(200)));
+    let found = onset(
+        &trial,
+        READABLE,
+        Some(downbeat_scripts::Lag { time_constant: Span::from_millis(200), lags: 1 }),
+    );
     assert!(matches!(found, Err(Unclear::NotSettled { .. })), "{found:?}");
 }
 
@@ -184,4 +206,21 @@ fn bounds_are_those_of_the_tables() {
     assert!((quantile_bound(20, 0.0, 1.0) - 2.6).abs() < 0.15, "{}", quantile_bound(20, 0.0, 1.0));
     assert!((spread_bound(20, 1.0) - 2.752).abs() < 0.02, "{}", spread_bound(20, 1.0));
     assert_eq!(Latencies::of(&[1.0, 2.0]), None);
+}
+
+#[test]
+fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
+    let ramp = Commanded::ramp(Span::from_millis(100));
+    let delay = |lag: model::Lag, share: f64| model::visible_delay(&ramp, lag, share);
+    assert!(delay(model::Lag::NONE, 0.1).abs() < 1e-9);
+    // A hundredth of the way takes 1 ms without a lag. With one of 20 ms: t - 20 (1 - exp(-t / 20)) = 1, with two of 10 ms:
+    // t - 20 + (t + 20) exp(-t / 10) = 1.
+    for (lags, t) in [(1, 6.676), (2, 9.861)] {
+        let lag = model::Lag { constant: 20.0, lags };
+        assert!((delay(lag, 0.01) - (t - 1.0)).abs() < 0.01, "{lags}: {}", delay(lag, 0.01));
+    }
+    // A step reaches half of its way after ln 2 time constants.
+    let step = Commanded::ramp(Span::ZERO);
+    let lag = model::Lag { constant: 20.0, lags: 1 };
+    assert!((model::visible_delay(&step, lag, 0.5) - 20.0 * 2.0_f64.ln()).abs() < 1e-6);
 }

@@ -4,7 +4,7 @@ use urrcp::Span;
 
 use super::commanded::Commanded;
 use super::fit::{self, Fitted};
-use super::model::Readings;
+use super::model::{Lag, Readings, visible_delay};
 use super::{Latencies, Unclear};
 
 /// Readings that are needed before the movement, and from its command on.
@@ -19,6 +19,8 @@ const SATURATED_SHARE: f64 = 0.2;
 const SETTLED: f64 = 4.0;
 /// A ramp has to last so many time constants for the lag behind it to become steady.
 const RAMP_STEADY: f64 = 3.0;
+/// The largest share of a movement that can be its visible begin.
+const VISIBLE_MAX: f64 = 0.5;
 /// Motion may seem this much earlier than the command, by errors of clocks.
 const EARLY_MAX: f64 = 5.0;
 
@@ -49,13 +51,18 @@ pub struct Readable {
     pub range: Option<(f64, f64)>,
     /// By how much the device is to move, in the sensor's unit.
     pub movement: f64,
+    /// A device that has moved by so much has visibly begun to move.
+    pub visible: f64,
 }
 
 /// The begin of one motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Onset {
-    /// From the instant at which the first step was due to the first motion.
+    /// From the instant at which the first step was due to the first visible motion, less what a device without latency and lag would
+    /// take to move so far.
     pub latency: Span,
+    /// From the instant at which the first step was due until the device begins to follow.
+    pub dead_time: Span,
     /// Its standard error from the noise of the readings.
     pub standard_error: Span,
     /// How far all readings together may be off: the largest uncertainty of a sample. It does not average out.
@@ -73,22 +80,25 @@ pub struct Estimate {
     pub onsets: Vec<Result<Onset, Unclear>>,
     /// Of those that could be judged; `None` of fewer than three.
     pub latencies: Option<Latencies>,
-    /// The time constant of the first-order lag; `None` where the readings do not tell it from none.
-    pub time_constant: Option<Span>,
-    /// How far the device is behind a ramp once it follows: latency and time constant together, which is exact for the model. `None`
+    /// How the device follows; `None` where the readings do not tell it from a device that follows at once.
+    pub lag: Option<downbeat_scripts::Lag>,
+    /// How far the device is behind a ramp once it follows: dead time and time constant together, which is exact for the model. `None`
     /// where no movement lasted long enough.
     pub tracking_lag: Option<Span>,
 }
 
-/// The begin of a single motion, with a time constant that is known, or else fitted to this motion alone.
+/// The begin of a single motion, with a lag that is known, or else fitted to this motion alone.
 ///
 /// # Errors
 /// [`Unclear`]: why it cannot be told.
-pub fn onset(trial: &Trial, readable: Readable, time_constant: Option<Span>) -> Result<Onset, Unclear> {
+pub fn onset(
+    trial: &Trial,
+    readable: Readable,
+    lag: Option<downbeat_scripts::Lag>,
+) -> Result<Onset, Unclear> {
     let readings = readable.readings(trial)?;
-    let constant =
-        time_constant.map_or_else(|| fit::time_constant(&[&readings]).0, urrcp::Span::as_millis_f64);
-    readable.judged(trial, &readings, constant)
+    let lag = lag.map_or_else(|| fit::lag(&[&readings]).0, Lag::from);
+    readable.judged(trial, &readings, lag)
 }
 
 /// The latency of each of several motions of one device, and what they have in common.
@@ -97,20 +107,24 @@ pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let readings: Vec<Result<Readings, Unclear>> =
         trials.iter().map(|trial| readable.readings(trial)).collect();
     let usable: Vec<&Readings> = readings.iter().filter_map(|readings| readings.as_ref().ok()).collect();
-    let (constant, error) = match usable.is_empty() {
-        true => (0.0, f64::INFINITY),
-        false => fit::time_constant(&usable),
+    let (lag, error) = match usable.is_empty() {
+        true => (Lag::NONE, f64::INFINITY),
+        false => fit::lag(&usable),
     };
+    let constant = lag.constant;
     let onsets: Vec<_> = (trials.iter().zip(readings))
-        .map(|(trial, readings)| readable.judged(trial, &readings?, constant))
+        .map(|(trial, readings)| readable.judged(trial, &readings?, lag))
         .collect();
     let known: Vec<f64> = onsets.iter().flatten().map(|onset| onset.latency.as_millis_f64()).collect();
     let latencies = Latencies::of(&known);
     let lasted = trials.iter().map(|trial| trial.commanded.lasts_ms()).fold(0.0, f64::max);
     let steady = lasted > 0.0 && lasted >= RAMP_STEADY * constant;
-    let time_constant = (constant > 2.0 * error).then(|| Span::from_millis_f64(constant));
-    let lag = |latencies: Latencies| latencies.median + Span::from_millis_f64(constant);
-    Estimate { onsets, latencies, time_constant, tracking_lag: latencies.filter(|_| steady).map(lag) }
+    let time_constant = Span::from_millis_f64(constant);
+    let told = (constant > 2.0 * error).then(|| downbeat_scripts::Lag { time_constant, lags: lag.lags });
+    let mut dead: Vec<Span> = onsets.iter().flatten().map(|onset| onset.dead_time).collect();
+    dead.sort_unstable();
+    let tracking_lag = dead.get(dead.len() / 2).filter(|_| steady).map(|dead| *dead + time_constant);
+    Estimate { onsets, latencies, lag: told, tracking_lag: latencies.and(tracking_lag) }
 }
 
 impl Readable {
@@ -141,8 +155,8 @@ impl Readable {
         at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
     }
 
-    fn judged(&self, trial: &Trial, readings: &Readings, constant: f64) -> Result<Onset, Unclear> {
-        let Fitted { latency, standard_error, agreement, noise } = fit::fitted(readings, constant);
+    fn judged(&self, trial: &Trial, readings: &Readings, lag: Lag) -> Result<Onset, Unclear> {
+        let Fitted { latency, standard_error, agreement, noise } = fit::fitted(readings, lag);
         let (movement, seen) = (self.movement.abs(), agreement.gain.abs());
         if noise * NOISE_RATIO > movement.max(seen.min(movement * 2.0)) {
             return Err(Unclear::Noisy { noise, movement, ratio: NOISE_RATIO });
@@ -154,12 +168,14 @@ impl Readable {
             return Err(Unclear::MovedBefore { early: Span::from_millis_f64(-latency) });
         }
         let (_, last) = readings.span();
-        if last - latency < readings.commanded.shown_ms() + SETTLED * constant {
+        if last - latency < readings.commanded.shown_ms() + SETTLED * lag.constant {
             return Err(Unclear::NotSettled { watched: Span::from_millis_f64(last) });
         }
         let uncertainty = trial.samples.iter().map(|sample| sample.uncertainty).max().unwrap_or_default();
+        let visible = (self.visible / movement).min(VISIBLE_MAX);
         Ok(Onset {
-            latency: Span::from_millis_f64(latency),
+            latency: Span::from_millis_f64(latency + visible_delay(&readings.commanded, lag, visible)),
+            dead_time: Span::from_millis_f64(latency),
             standard_error: Span::from_millis_f64(standard_error),
             uncertainty,
             moved: agreement.gain,

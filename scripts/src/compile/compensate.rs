@@ -147,7 +147,7 @@ acts:
             let mut robot = crate::tests::robot();
             robot.id = name.parse().unwrap();
             let latency = Latency { median: Span::from_nanos(nanos?), spread: Span::ZERO };
-            let latency = DeviceLatency { latency, from: LatencySource::Fleet, time_constant: None };
+            let latency = DeviceLatency { latency, from: LatencySource::Fleet, lag: None };
             robot.mission.latencies = BTreeMap::from([("d".parse().unwrap(), latency)]);
             Some(robot)
         };

@@ -391,7 +391,8 @@ impl<'a> Timetable<'a> {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
             let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            let critical = critical.contains(first) || critical.contains(last);
+            // The end of a cue that may start later is held by another cue.
+            let critical = slack == Span::ZERO && (critical.contains(first) || critical.contains(last));
             CueTime { start, end, stretch, slack, critical }
         };
         self.events.iter().zip(members).map(time).collect()

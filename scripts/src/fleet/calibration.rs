@@ -2,15 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use urrcp::{ControlType, Device, DeviceId, InitializationBlock};
+use urrcp::{ControlType, DeviceId, InitializationBlock, Limits, Span};
 
 use super::moves::is_positioned;
-use super::sensor;
+use super::sensors::{sensor, sensor_at};
 use crate::fields::{At, Reader};
 use crate::finding::{self, Code};
 use crate::node::shortened;
 
-const CALIBRATE_KEYS: [&str; 4] = ["sensor", "from", "by", "taken"];
+const CALIBRATE_KEYS: [&str; 6] = ["sensor", "from", "by", "taken", "sensor_delay", "visible"];
+/// A movement is visible from this share of it on, if nothing else is said.
+const VISIBLE_SHARE: f64 = 0.01;
+/// The latest part of a movement that can count as its begin.
+const VISIBLE_SHARE_MAX: f64 = 0.5;
+const SENSOR_DELAY_MAX: Span = Span::from_millis(1_000);
 const TAKEN_WORDS: [(&str, Taken); 3] =
     [("request", Taken::AtRequest), ("answer", Taken::AtAnswer), ("between", Taken::Between)];
 
@@ -25,6 +30,10 @@ pub struct Calibration {
     pub by: f64,
     /// When the sensor's value is taken.
     pub taken: Taken,
+    /// How old the value is then, which no round trip shows.
+    pub sensor_delay: Span,
+    /// A device that has moved by so much, in its unit, has visibly begun to move. Above 0, and at most half of `by`.
+    pub visible: f64,
 }
 
 /// Where between request and answer the value of a sensor is taken, as far as that is known.
@@ -49,7 +58,7 @@ pub(super) fn read(
     for (name, at) in findings.entries(at, "device to the movement by which it is measured") {
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.map(&at, "the calibration of a device", CALIBRATE_KEYS, &["by"]);
-        let Some([sensor, from, by, taken]) = keys else { continue };
+        let Some([sensor, from, by, taken, delay, visible]) = keys else { continue };
         let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
         let Some(device) = device else { continue };
         let limits = init
@@ -58,35 +67,62 @@ pub(super) fn read(
         let expected = "a number, in the unit of the device";
         let from_value = from.as_ref().and_then(|at| findings.number(at, expected));
         let by_value = by.as_ref().and_then(|at| findings.number(at, expected));
-        if let (Some(by), Some(limits)) = (&by, &limits) {
-            let ends = [from_value, from_value.zip(by_value).map(|(from, by)| from + by)];
-            let beyond =
-                ends.into_iter().flatten().find(|v| !(limits.min_value..=limits.max_value).contains(v));
-            let expected = format!("{} to {}, which the device declares", limits.min_value, limits.max_value);
-            if let Some(beyond) = beyond {
-                findings.add(
-                    Code::OutOfRange,
-                    by.place(),
-                    format!("the movement would reach {beyond}"),
-                    expected,
-                    None,
-                );
-            } else if by_value == Some(0.0) {
-                let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
-                findings.add(
-                    Code::WrongType,
-                    by.place(),
-                    "the device would not move",
-                    "a number other than 0",
-                    hint,
-                );
-            }
+        if let (Some(at), Some(by), Some(limits)) = (&by, by_value, &limits) {
+            movement(findings, at, (from_value, by), limits);
         }
+        let sensor_delay = delay.and_then(|at| sensor_delay(findings, &at)).unwrap_or_default();
+        let visible = visible.zip(by_value).and_then(|(at, by)| visible_amount(findings, &at, by));
         let Some(sensor) = sensor_of(findings, sensor.as_ref(), &device, &at, init) else { continue };
         let Some(by) = by_value else { continue };
-        all.insert(device, Calibration { sensor, from: from_value, by, taken });
+        let visible = visible.unwrap_or(by.abs() * VISIBLE_SHARE);
+        all.insert(device, Calibration { sensor, from: from_value, by, taken, sensor_delay, visible });
     }
     all
+}
+
+/// It has to stay within the limits of the device, wherever it begins if that is not said.
+fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
+    let (least, largest) = (limits.min_value, limits.max_value);
+    let within = least..=largest;
+    let beyond = match from {
+        Some(from) => [from, from + by].into_iter().find(|end| !within.contains(end)),
+        None => Some(by).filter(|by| by.abs() > largest - least),
+    };
+    if let Some(beyond) = beyond {
+        let message = match from {
+            Some(_) => format!("the movement would reach {beyond}"),
+            None => format!("the device cannot move by {beyond}"),
+        };
+        let expected = format!("{least} to {largest}, which the device declares");
+        findings.add(Code::OutOfRange, at.place(), message, expected, None);
+    } else if by == 0.0 {
+        let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
+        let message = "the device would not move";
+        findings.add(Code::WrongType, at.place(), message, "a number other than 0", hint);
+    }
+}
+
+fn sensor_delay(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let delay = findings.duration(at)?;
+    if delay <= SENSOR_DELAY_MAX {
+        return Some(delay);
+    }
+    let message = format!("{delay} is too long for the delay of a sensor");
+    findings.add(Code::BadDuration, at.place(), message, format!("at most {SENSOR_DELAY_MAX}"), None);
+    None
+}
+
+fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
+    let most = by.abs() * VISIBLE_SHARE_MAX;
+    let expected = "a number above 0, in the unit of the device";
+    let visible = findings.positive(at, expected)?;
+    if visible <= most {
+        return Some(visible);
+    }
+    let message = format!("{visible} is more than half of the movement by {by}");
+    let hint = Some("the amount by which the device has moved once one sees it".to_owned());
+    findings.add(Code::OutOfRange, at.place(), message, format!("at most {most}"), hint);
+    None
 }
 
 /// A device that is driven by position, or a finding where the name stands.
@@ -117,13 +153,5 @@ pub(super) fn sensor_of(
 ) -> Option<DeviceId> {
     let Some(named) = named else { return sensor(findings, device.as_str(), at, init) };
     let name = findings.name(named, "the id of a sensor")?;
-    let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
-    let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
-    let found = init.device(&name).filter(is_sensor).map(|device| device.id.clone());
-    if found.is_none() {
-        let message = format!("the robot has no sensor `{}`", shortened(&name));
-        let (expected, hint) = (finding::one_of(sensors()), findings.did_you_mean(&name, sensors()));
-        findings.add(Code::UnknownSensor, named.place(), message, expected, hint);
-    }
-    found
+    sensor_at(findings, &name, named.place(), init)
 }

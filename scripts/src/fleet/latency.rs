@@ -21,8 +21,8 @@ use crate::source::Source;
 const LATENCY_MAX: Span = Span::from_millis(10_000);
 const LATENCY_KEYS: [&str; 2] = ["median", "spread"];
 const FILE_KEYS: [&str; 1] = ["latency"];
-const MEASURED_KEYS: [&str; 7] =
-    ["median", "spread", "p95", "trials", "measured", "time_constant", "tracking_lag"];
+const MEASURED_KEYS: [&str; 8] =
+    ["median", "spread", "p95", "trials", "measured", "time_constant", "lags", "tracking_lag"];
 /// Most trials that a file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
 
@@ -34,10 +34,22 @@ pub struct DeviceLatency {
     pub latency: Latency,
     /// Who says so.
     pub from: LatencySource,
-    /// Of the lag with which the device follows from its first motion on, where it was measured. It is not compensated.
+    /// The lag with which the device follows, where it was measured. It is not compensated.
     #[serde(skip)]
-    pub time_constant: Option<Span>,
+    pub lag: Option<Lag>,
 }
+
+/// How a device follows what it is told: by equal first-order lags, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lag {
+    /// Of all together: how far behind a ramp the device stays.
+    pub time_constant: Span,
+    /// How many: 1 begins at once with full speed towards the value, 2 begins softly.
+    pub lags: u8,
+}
+
+/// Most lags in a row.
+pub const LAGS_MAX: u8 = 2;
 
 /// Where a latency was found, the most trusted first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -74,8 +86,8 @@ pub struct MeasuredLatency {
     pub trials: Option<u32>,
     /// When, as text.
     pub measured: Option<String>,
-    /// How long the device takes for 63 % of a small step, from its first motion on.
-    pub time_constant: Option<Span>,
+    /// How the device follows.
+    pub lag: Option<Lag>,
     /// How far behind a ramp the device stays.
     pub tracking_lag: Option<Span>,
 }
@@ -120,7 +132,7 @@ pub fn latency_text(file: &LatencyFile) -> String {
 }
 
 fn entry(measured: &MeasuredLatency) -> String {
-    let MeasuredLatency { median, spread, p95, trials, measured, time_constant, tracking_lag } = measured;
+    let MeasuredLatency { median, spread, p95, trials, measured, lag, tracking_lag } = measured;
     let time = |key: &str, span: &Option<Span>| span.map(|span| format!("{key}: {}", written(span)));
     let parts = [
         time("median", &Some(*median)),
@@ -129,7 +141,8 @@ fn entry(measured: &MeasuredLatency) -> String {
         trials.map(|trials| format!("trials: {trials}")),
         // Quotes keep an instant from being read as a date.
         measured.as_ref().map(|measured| format!("measured: {}", serde_json::Value::from(measured.as_str()))),
-        time("time_constant", time_constant),
+        time("time_constant", &lag.map(|lag| lag.time_constant)),
+        lag.map(|lag| format!("lags: {}", lag.lags)),
         time("tracking_lag", tracking_lag),
     ];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
@@ -162,7 +175,7 @@ fn id<T>(findings: &mut Reader, id: Result<T, urrcp::LimitError>, at: &At<'_>, e
 }
 
 fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> {
-    let [median, spread, p95, trials, measured, time_constant, tracking_lag] =
+    let [median, spread, p95, trials, measured, time_constant, lags, tracking_lag] =
         findings.map(at, "a measured latency", MEASURED_KEYS, &["median"])?;
     let mut span = |at: Option<At<'_>>| at.and_then(|at| latency_span(findings, &at));
     let (median, spread, p95) = (span(median), span(spread), span(p95));
@@ -170,7 +183,10 @@ fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> 
     let trials = trials.and_then(|at| findings.count(&at, 1, TRIALS_MAX));
     let measured = measured.and_then(|at| findings.text(&at, "an instant as text"));
     let measured = measured.map(Into::into);
-    Some(MeasuredLatency { median: median?, spread, p95, trials, measured, time_constant, tracking_lag })
+    let lags = lags.and_then(|at| findings.count(&at, 1, u32::from(LAGS_MAX)));
+    let lags = lags.map_or(1, |lags| u8::try_from(lags).unwrap_or(LAGS_MAX));
+    let lag = time_constant.map(|time_constant| Lag { time_constant, lags });
+    Some(MeasuredLatency { median: median?, spread, p95, trials, measured, lag, tracking_lag })
 }
 
 /// A time from 0 to [`LATENCY_MAX`].
@@ -233,11 +249,11 @@ pub(super) fn read(
 ) -> BTreeMap<DeviceId, DeviceLatency> {
     let own = keys.latency.as_ref().map(|at| read_own(findings, at, init)).unwrap_or_default();
     let of = |device: &Device| {
-        let from = |from| move |latency| DeviceLatency { latency, from, time_constant: None };
+        let from = |from| move |latency| DeviceLatency { latency, from, lag: None };
         let of_file = |measured: &MeasuredLatency| DeviceLatency {
             latency: Latency { median: measured.median, spread: measured.spread.unwrap_or_default() },
             from: LatencySource::File,
-            time_constant: measured.time_constant,
+            lag: measured.lag,
         };
         let fleet = || own.get(&device.id).copied().map(from(LatencySource::Fleet));
         let file = || measured?.get(&device.id).map(of_file);

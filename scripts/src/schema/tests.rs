@@ -136,7 +136,7 @@ robots:
     require: {range: {above: 1, below: 2, within: [0, 1]}}
     simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
       readings: {range: 1}, moves: {wheel: {latency: 1ms, spread: 1ms, time_constant: 1ms, sensor: range, noise: 0, delay: 1ms}}}
-    calibrate: {wheel: {sensor: range, from: 0, by: 1, taken: request}}
+    calibrate: {wheel: {sensor: range, from: 0, by: 1, taken: request, sensor_delay: 1ms, visible: 0.1}}
 groups: {all: [rover]}
 ";
 

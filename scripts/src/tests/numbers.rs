@@ -201,6 +201,20 @@ fn a_repeated_movement_that_closes_but_for_rounding_has_one_step_at_each_seam() 
 }
 
 #[test]
+fn a_cue_that_can_start_later_is_not_on_the_critical_path() {
+    let act = act("tempo: 40
+cues:
+  - {cue: free, robots: bot, duration: 700ms..2700ms, tracks: {pole: [{at: 0ms, to: 0}, {at: 1ms, to: 0}]}}
+  - {cue: rigid, robots: bot, duration: 1s, tracks: {lamp: [{at: 0ms, to: 0}, {at: 1s, to: 1}]}, with: [end of free]}
+  - {cue: last, robots: bot, at: bar 3, with: [end of free], tracks: {arm: [{at: 0ms, to: 0}, {at: 3s, to: 0}]}}");
+    let told = act.cues.iter().map(|cue| (cue.name.as_str(), cue.slack.as_millis_f64(), cue.critical));
+    assert_eq!(
+        told.collect::<Vec<_>>(),
+        [("free", 2_000.0, false), ("rigid", 0.0, true), ("last", 0.0, true)]
+    );
+}
+
+#[test]
 fn a_device_that_holds_takes_the_fewest_steps_within_a_tolerance() {
     let keyframes =
         "[{at: 0s, to: 10}, {at: 1s, to: 10}, {at: 2s, to: 80}, {at: 3s, to: 82}, {at: 4s, to: 10}]";
