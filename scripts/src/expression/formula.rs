@@ -7,6 +7,7 @@ use super::evaluate::{Known, angle_only, common_unit, plain_only, product, quoti
 use super::grammar::{Expression, Function, Span, Step, Two};
 use super::unit::Unit;
 use super::{Amount, Fault, Quantity};
+use crate::chance::share;
 
 /// A formula of the time in seconds since its track began.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +24,8 @@ pub(super) enum Operation {
     Not,
     Two(Two),
     Call(Function),
+    /// Of so many numbers.
+    Random(usize),
 }
 
 /// What a value on the way is.
@@ -105,6 +108,11 @@ impl Formula {
                     }
                 }
                 Operation::Call(function) => of_one(*function, pop()),
+                Operation::Random(count) => {
+                    let mut from: Vec<f64> = (0..*count).map(|_| pop()).collect();
+                    from.reverse();
+                    random(&from)
+                }
             };
             stack.push(value);
         }
@@ -120,6 +128,7 @@ impl Formula {
             Operation::Not => [3, 0],
             Operation::Two(two) => [4, two as u64],
             Operation::Call(function) => [5, function as u64],
+            Operation::Random(count) => [6, count as u64],
         })
     }
 
@@ -160,6 +169,13 @@ pub(super) fn of_one(function: Function, value: f64) -> f64 {
         Function::Round => value.round(),
         Function::Min | Function::Max | Function::Mod | Function::Random | Function::If => value,
     }
+}
+
+/// From 0 to below 1; not a number of what is none.
+#[expect(clippy::cast_precision_loss, reason = "53 bits")]
+pub(super) fn random(from: &[f64]) -> f64 {
+    let (part, whole) = share(from);
+    if from.iter().all(|number| number.is_finite()) { part as f64 / whole as f64 } else { f64::NAN }
 }
 
 /// Of degrees.
@@ -262,10 +278,10 @@ impl Maker {
                 self.kinds.push(Kind::In(unit));
             }
             Function::Random => {
-                let message = "`random` within a formula";
-                let hint = "give it a name under `variables`: `chance: random(7, $index)`";
-                let expected = "a number that does not depend on `t`";
-                return Err(Fault::new(span, message, expected).hint(hint));
+                for _ in 0..count {
+                    plain_only(name, self.number(span)?, span)?;
+                }
+                self.put(Operation::Random(count), Kind::In(Unit::PLAIN));
             }
             Function::If => {
                 let (no, yes) = (self.kinds.pop(), self.kinds.pop());

@@ -1,7 +1,7 @@
 //! A formula over an interval of time: bounds of its value and of its first two derivatives, by interval arithmetic (Moore, Kearfott
 //! and Cloud, Introduction to Interval Analysis, 2009) with the rules of differentiation.
 
-use super::formula::{Formula, Operation, of_one, of_two, sine};
+use super::formula::{Formula, Operation, of_one, of_two, random, sine};
 use super::grammar::{Function, Two};
 
 /// From the least to the largest.
@@ -169,6 +169,15 @@ pub(super) fn jet(formula: &Formula, (from, to): (f64, f64)) -> Option<Jet> {
                 })
             }
             Operation::Call(function) => pop().and_then(|jet| one_jet(*function, &jet)),
+            // Of numbers that change, it jumps all the time.
+            Operation::Random(count) => {
+                let from: Option<Vec<f64>> =
+                    (0..*count).map(|_| pop().filter(Jet::is_constant).map(|jet| jet.value.0)).collect();
+                from.map(|mut from| {
+                    from.reverse();
+                    Jet::constant(random(&from))
+                })
+            }
         };
         stack.push(next);
     }

@@ -193,6 +193,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
         let at = body.entry("tracks", 0, &own);
         reader.robots.current = Some(Robot { index: 0, count: 1 });
         reader.nesting.renew_plays();
+        reader.group.enter(Vec::new());
         drop(of_move(reader, library, &at, None));
         reader.robots.current = None;
         reader.unset.clear();

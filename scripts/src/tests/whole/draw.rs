@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::super::verified::{Change, Movement, changes, movements};
-use super::{Cue, DEVICES, LAMP, Lag, NAMES, Relation, Show, Tempo, When, Word};
+use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, Relation, Show, Tempo, When, Word};
 
 /// Keyframes at quarters of a beat, played as they are written.
 fn musical(moves: bool) -> impl Strategy<Value = (Movement, Option<Vec<(i64, f64)>>)> {
@@ -67,7 +67,7 @@ fn with_fixed_start(cue: &mut Cue, bar: i64) {
             relation.lag = Lag::None;
         }
     }
-    if cue.beats.is_some() && !matches!(cue.when, When::At(_) | When::Bar(_)) {
+    if cue.beats.is_some() && !matches!(cue.when, When::At(_) | When::Each(..) | When::Bar(_)) {
         cue.when = When::Bar(bar);
         cue.relations.clear();
     }
@@ -93,6 +93,20 @@ fn relations() -> impl Strategy<Value = Vec<(Word, usize, Option<bool>, Lag)>> {
     ]
 }
 
+fn canons() -> impl Strategy<Value = Canon> {
+    let forms = [
+        Canon::Even,
+        Canon::Growing,
+        Canon::Backward,
+        Canon::Outward,
+        Canon::Inward,
+        Canon::Ranked,
+        Canon::Speed,
+        Canon::Over,
+    ];
+    (prop::sample::select(forms.to_vec()), 1i64..900).prop_map(|(form, amount)| form(amount))
+}
+
 fn cue() -> impl Strategy<Value = Cue> {
     let device = 0..DEVICES.len();
     let moving = device.prop_flat_map(|device| {
@@ -109,13 +123,14 @@ fn cue() -> impl Strategy<Value = Cue> {
     let when = prop_oneof![
         12 => Just(When::Free),
         1 => (0i64..9_000).prop_map(When::At),
+        1 => (0i64..9_000, 0i64..900).prop_map(|(first, gap)| When::Each(first, gap)),
         1 => (0i64..9_000, 0i64..4_000).prop_map(|(least, more)| When::Between(least, least + more)),
         1 => (1i64..6).prop_map(When::Bar),
         1 => (9_000i64..90_000).prop_map(When::EndBy),
     ];
     let stretch = prop_oneof![4 => Just(None), 1 => (700i64..20_000, 0i64..2).prop_map(|(least, more)| Some((least, least + more * 2_000)))];
     let tolerance = prop_oneof![2 => Just(None), 1 => (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))];
-    let canon = prop_oneof![3 => Just(None), 1 => (0i64..900).prop_map(Some)];
+    let canon = prop_oneof![2 => Just(None), 1 => canons().prop_map(Some)];
     let late = prop_oneof![3 => Just(None), 1 => (0usize..3, 0i64..900).prop_map(Some)];
     let zone = prop_oneof![2 => Just(None), 1 => (0usize..2).prop_map(Some)];
     let apart = prop_oneof![6 => Just(None), 1 => (0usize..6).prop_map(Some)];

@@ -2,7 +2,7 @@
 
 use num_rational::Ratio;
 
-use super::{Cue, DEVICES, MS, NAMES, Nanos, Show, Tempo, When};
+use super::{Canon, Cue, DEVICES, MS, NAMES, Nanos, PLACES, Show, Tempo, When};
 
 pub(super) fn rounded(time: Ratio<i128>) -> Nanos {
     (time + Ratio::new(1, 2)).floor().to_integer()
@@ -80,7 +80,7 @@ fn quarter(bpm: i64) -> Ratio<i128> {
 impl Cue {
     pub(super) fn start(&self, show: &Show) -> Option<Ratio<i128>> {
         match self.when {
-            When::At(millis) => Some(Ratio::from_integer(i128::from(millis) * MS)),
+            When::At(millis) | When::Each(millis, _) => Some(Ratio::from_integer(i128::from(millis) * MS)),
             When::Bar(bar) => Some(show.bar(bar)),
             _ => None,
         }
@@ -104,16 +104,22 @@ impl Cue {
     }
 
     /// How much later each of its robots begins.
-    pub(super) fn delays(&self) -> Vec<(usize, Nanos)> {
+    pub(super) fn delays(&self, show: &Show) -> Vec<(usize, Nanos)> {
+        let robots = NAMES[self.who].1;
         let delay = |(index, robot): (usize, &usize)| {
             let own = self.late.filter(|(late, _)| late == robot).map_or(0, |(_, millis)| i128::from(millis));
-            (*robot, (index as i128 * i128::from(self.canon.unwrap_or(0)) + own) * MS)
+            let each = match self.when {
+                When::Each(_, gap) => Ratio::from_integer(index as i128 * i128::from(gap) * MS),
+                _ => Ratio::from_integer(0),
+            };
+            let canon = self.canon.map_or(Ratio::from_integer(0), |canon| canon.delay(robots, index));
+            (*robot, laid(self.start(show), canon + each) + own * MS)
         };
-        NAMES[self.who].1.iter().enumerate().map(delay).collect()
+        robots.iter().enumerate().map(delay).collect()
     }
 
-    pub(super) fn delay(&self) -> Nanos {
-        self.delays().iter().map(|(_, delay)| *delay).max().unwrap_or(0)
+    pub(super) fn delay(&self, show: &Show) -> Nanos {
+        self.delays(show).iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
     /// Its steps from its start, where the device plays it as written; with what is written for each.
@@ -161,5 +167,36 @@ impl Cue {
             }
         }
         Some(steps)
+    }
+}
+
+impl Canon {
+    /// How much later the robot of this index begins, in nanoseconds.
+    fn delay(self, robots: &[usize], index: usize) -> Ratio<i128> {
+        let (count, place) = (robots.len() as i128, index as i128);
+        // Twice how far a robot is from the middle of the row.
+        let off = |place: i128| (2 * place - (count - 1)).abs();
+        let least = (0..count).map(off).min().unwrap_or(0);
+        let x = |robot: &usize| PLACES[*robot];
+        let first = robots.iter().map(x).min().unwrap_or(0);
+        let steps = |millis: i64, steps: i128| Ratio::from_integer(steps * i128::from(millis) * MS);
+        match self {
+            Self::Even(step) => steps(step, place),
+            Self::Growing(gap) => steps(gap, (1..=place).sum()),
+            Self::Backward(step) => steps(step, count - 1 - place),
+            Self::Outward(step) => steps(step, (off(place) - least) / 2),
+            Self::Inward(step) => steps(step, (count - 1 - off(place)) / 2),
+            Self::Ranked(step) => {
+                let mut ahead: Vec<i128> =
+                    robots.iter().map(x).filter(|other| *other < x(&robots[index])).collect();
+                ahead.sort_unstable();
+                ahead.dedup();
+                steps(step, ahead.len() as i128)
+            }
+            // Millimetres over metres a second are milliseconds.
+            Self::Speed(quarters) => Ratio::new((x(&robots[index]) - first) * 4 * MS, i128::from(quarters)),
+            Self::Over(_) if count == 1 => Ratio::from_integer(0),
+            Self::Over(millis) => Ratio::new(place * i128::from(millis) * MS, count - 1),
+        }
     }
 }

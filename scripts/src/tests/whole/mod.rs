@@ -21,6 +21,7 @@ use self::draw::shows;
 use self::steps::compare;
 use super::robot;
 use super::verified::{Change, Movement};
+use crate::space::{Body, Coordinate, Shape};
 use crate::{Code, Compiled, Files, Finding, Fleet, FleetRobot, Severity, Source, compile};
 
 type Nanos = i128;
@@ -41,6 +42,8 @@ const LAMP: usize = 6;
 /// What every robot reads.
 const SENSOR: &str = "eye";
 const ROBOTS: [&str; 3] = ["a", "b", "c"];
+/// Where they stand, in millimetres along x.
+const PLACES: [i128; 3] = [700, -500, 700];
 /// Names that stand for robots.
 const NAMES: [(&str, &[usize]); 7] = [
     ("a", &[0]),
@@ -66,7 +69,7 @@ struct Cue {
     reads: Vec<i64>,
     change: Change,
     tolerance: Option<f64>,
-    canon: Option<i64>,
+    canon: Option<Canon>,
     late: Option<(usize, i64)>,
     stretch: Option<(i64, i64)>,
     when: When,
@@ -79,10 +82,27 @@ struct Cue {
     composed: bool,
 }
 
+/// How much later robots begin, in milliseconds; `Speed` is in quarters of a metre a second.
+#[derive(Clone, Copy, Debug)]
+enum Canon {
+    Even(i64),
+    /// A gap that grows by so much from robot to robot.
+    Growing(i64),
+    Backward(i64),
+    Outward(i64),
+    Inward(i64),
+    /// In the order of their places.
+    Ranked(i64),
+    Speed(i64),
+    Over(i64),
+}
+
 #[derive(Clone, Copy, Debug)]
 enum When {
     Free,
     At(i64),
+    /// Each robot so much later than the one before it.
+    Each(i64, i64),
     Between(i64, i64),
     Bar(i64),
     EndBy(i64),
@@ -142,6 +162,19 @@ impl Files for Csvs {
     }
 }
 
+/// A point that never moves.
+fn standing(x: f64) -> Body {
+    Body {
+        coordinates: [x, 0.0, 0.0, 0.0].map(Coordinate::Fixed),
+        drive: None,
+        shape: Shape::Ball { radius: 0.0 },
+        joints: Vec::new(),
+        tip: [0.0; 3],
+        speed: None,
+        acceleration: None,
+    }
+}
+
 fn fleet() -> Fleet {
     let device = |(name, moves, granularity, most): &(&str, bool, f64, usize)| {
         let interpolation = if *moves { "linear" } else { "hold" };
@@ -169,7 +202,8 @@ fn fleet() -> Fleet {
     let bot = |id: &&str| {
         let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
         let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
-        FleetRobot { id: init.id.clone(), init: Some(init), ..robot() }
+        let place = PLACES[ROBOTS.iter().position(|robot| robot == id).unwrap()] as f64 / 1_000.0;
+        FleetRobot { id: init.id.clone(), init: Some(init), body: Some(standing(place)), ..robot() }
     };
     let robots: Vec<FleetRobot> = ROBOTS.iter().map(bot).collect();
     let group = |members: &[usize]| members.iter().map(|robot| robots[*robot].id.clone()).collect();

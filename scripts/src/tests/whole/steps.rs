@@ -24,10 +24,10 @@ struct Segment<'a> {
 fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usize), Vec<Segment<'a>>> {
     let mut lanes: BTreeMap<(usize, usize), Vec<Segment<'_>>> = BTreeMap::new();
     for (index, cue) in act.iter().enumerate() {
-        let length = times.ends[index] - times.starts[index] - cue.delay();
+        let length = times.ends[index] - times.starts[index] - cue.delay(show);
         let mut change = cue.change.clone();
         change.duration = (length != cue.length(show)).then_some(length as f64 / 1e6);
-        for (robot, delay) in cue.delays() {
+        for (robot, delay) in cue.delays(show) {
             let begin = times.starts[index] + delay;
             lanes.entry((robot, cue.device)).or_default().push(Segment {
                 cue,
@@ -188,7 +188,7 @@ fn compare_colours(act: &Act, robot: &str, segments: &[Segment<'_>]) -> Result<(
 }
 
 /// Every sensor that is read, and when.
-fn compare_readings(planned: &Act, act: &[Cue], times: &Times) -> Result<(), TestCaseError> {
+fn compare_readings(show: &Show, planned: &Act, act: &[Cue], times: &Times) -> Result<(), TestCaseError> {
     let of_cue = |(cue, start): (&Cue, &Nanos)| {
         let of_robot = |(robot, delay): (usize, Nanos)| {
             cue.reads
@@ -196,7 +196,7 @@ fn compare_readings(planned: &Act, act: &[Cue], times: &Times) -> Result<(), Tes
                 .map(move |millis| (ROBOTS[robot].to_owned(), start + delay + i128::from(*millis) * MS))
                 .collect::<Vec<_>>()
         };
-        cue.delays().into_iter().flat_map(of_robot).collect::<Vec<_>>()
+        cue.delays(show).into_iter().flat_map(of_robot).collect::<Vec<_>>()
     };
     let mut expected: Vec<(String, Nanos)> = act.iter().zip(&times.starts).flat_map(of_cue).collect();
     let found =
@@ -289,7 +289,7 @@ pub(super) fn compare(show: &Show, compiled: &Compiled) -> Result<(), TestCaseEr
                 _ => compare_lane(show, planned, ROBOTS[*robot], segments)?,
             }
         }
-        compare_readings(planned, act, times)?;
+        compare_readings(show, planned, act, times)?;
     }
     Ok(())
 }

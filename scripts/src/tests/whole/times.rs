@@ -52,10 +52,10 @@ fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
             Some((least, largest)) => (i128::from(least) * MS, i128::from(largest) * MS),
             None => (cue.length(show), cue.length(show)),
         };
-        between(start, end, Some(least + cue.delay()), Some(largest + cue.delay()));
+        between(start, end, Some(least + cue.delay(show)), Some(largest + cue.delay(show)));
         match cue.when {
             When::Free => {}
-            When::At(millis) => {
+            When::At(millis) | When::Each(millis, _) => {
                 between(0, start, Some(i128::from(millis) * MS), Some(i128::from(millis) * MS))
             }
             When::Between(least, largest) => {

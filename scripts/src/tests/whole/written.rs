@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, Word};
+use super::{Canon, Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, Word};
 
 /// The cue that plays a sequence.
 pub(super) const SEQUENCE: &str = "q";
@@ -27,12 +27,28 @@ impl Lag {
     }
 }
 
+impl Canon {
+    fn yaml(self) -> String {
+        match self {
+            Self::Even(step) => format!("{step}ms"),
+            Self::Growing(gap) => format!("$index * {gap}ms"),
+            Self::Backward(step) => format!("{{step: {step}ms, direction: backward}}"),
+            Self::Outward(step) => format!("{{step: {step}ms, direction: outward}}"),
+            Self::Inward(step) => format!("{{direction: inward, step: {step}ms}}"),
+            Self::Ranked(step) => format!("{{step: {step}ms, by: x}}"),
+            Self::Speed(quarters) => format!("{{speed: {}, by: x}}", quarters as f64 / 4.0),
+            Self::Over(millis) => format!("{{over: {millis}ms}}"),
+        }
+    }
+}
+
 impl Cue {
     fn yaml(&self, index: usize, csvs: &mut HashMap<String, String>, moves: &mut String) -> String {
         let mut yaml = format!("cue: {}, robots: {}", name(index), NAMES[self.who].0);
         match self.when {
             When::Free => {}
             When::At(millis) => yaml.push_str(&format!(", at: {millis}ms")),
+            When::Each(millis, gap) => yaml.push_str(&format!(", at: {millis}ms + $index * {gap}ms")),
             When::Between(least, largest) => yaml.push_str(&format!(", at: {least}ms..{largest}ms")),
             When::Bar(bar) => yaml.push_str(&format!(", at: bar {bar}")),
             When::EndBy(millis) => yaml.push_str(&format!(", end_by: {millis}ms")),
@@ -60,7 +76,7 @@ impl Cue {
                 if least == largest { format!("{least}ms") } else { format!("{least}ms..{largest}ms") };
             yaml.push_str(&format!(", duration: {duration}"));
         }
-        yaml.push_str(&self.canon.map_or(String::new(), |canon| format!(", canon: {canon}ms")));
+        yaml.push_str(&self.canon.map_or(String::new(), |canon| format!(", canon: {}", canon.yaml())));
         if let Some((robot, millis)) = self.late {
             yaml.push_str(&format!(", overrides: {{{}: {{delay: {millis}ms}}}}", ROBOTS[robot]));
         }
