@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
 import math
@@ -16,6 +17,10 @@ from .output import Lines, protected_stdout
 from .plan import Plan, Step
 from .playing import Plans
 from .robot import Robot, Value
+
+
+SHOWN_MAX = 200
+"""Of longer lines a log names the first word alone."""
 
 
 class Refused(Exception):
@@ -50,6 +55,7 @@ class Driver:
         self._setting = threading.RLock()
         self._heard = time.monotonic()
         self._is_obeying = False
+        self._has_started = False
         self._plans = Plans(self.play, self._push, self._silence, self.log)
 
     # What you write.
@@ -67,7 +73,8 @@ class Driver:
             self.set(value.device, value.control_type, value.value, *value.more)
 
     def ramp(self, device: str, control_type: str, value: float, seconds: float) -> None:
-        """Begins a linear movement to a value and returns at once. Written only for hardware that moves by itself."""
+        """Begins a linear movement to a value, which takes so many seconds, and returns at once. Written only for hardware that moves by
+        itself. A later `set` or `ramp` of the device takes its place."""
         raise Refused("this driver takes no ramps")
 
     def play(self, plan: Plan) -> None:
@@ -100,10 +107,10 @@ class Driver:
         raise Refused(f"no sensor `{sensor}` is connected")
 
     def ping(self) -> None:
-        """Raises an exception if the hardware could not be moved now."""
+        """Raises an exception if the hardware could not be moved now. Without it, only this program is known to be alive."""
 
     def stop(self) -> None:
-        """Lets the hardware go. Called last; the devices are in their default state."""
+        """Lets the hardware go. Called last, if `start` has ended well; the devices are in their default state."""
 
     # What you call.
 
@@ -134,7 +141,8 @@ class Driver:
             self.log.warning("the edge has gone")
         finally:
             self._end_plans()
-            self.stop()
+            if self._has_started:
+                self.stop()
 
     def _move(self, plan: Plan, before: Optional[Step], step: Step) -> None:
         """Moves linearly up to shortly before a step."""
@@ -185,7 +193,7 @@ class Driver:
         except Refused as refused:
             return f"error {refused}"
         except Exception as error:  # The edge has to know, whatever it is.
-            self.log.exception("`%s` failed", line)
+            self.log.exception("`%s` failed", line if len(line) <= SHOWN_MAX else line.partition(" ")[0])
             return f"error {type(error).__name__}: {error}"
 
     def _obey(self, line: str) -> str:
@@ -194,7 +202,9 @@ class Driver:
             return "ok 2"
         if verb == "init":
             self.robot = Robot.of(json.loads(rest)["block"])
+            self._check()
             self.start(self.robot)
+            self._has_started = True
             return "ok " + json.dumps(self._declared())
         if verb == "frame":
             values = [
@@ -225,6 +235,12 @@ class Driver:
         else:
             raise Refused(f"unknown command `{verb}`")
         return "ok"
+
+    def _check(self) -> None:
+        """The edge writes milliseconds; a `ramp` that takes seconds for those would move a thousand times too fast."""
+        known = inspect.signature(self.ramp).parameters
+        if "seconds" not in known:
+            raise TypeError(f"`ramp` takes {', '.join(known)}; expected device, control_type, value, seconds")
 
     def _declared(self) -> dict[str, object]:
         declared: dict[str, object] = {

@@ -112,6 +112,28 @@ class Spoken(unittest.TestCase):
         self.assertRaises(ValueError, driver.push_reading, "eye", float("nan"))
         self.assertRaises(RuntimeError, Recorder().fault, "too early")
 
+    def test_a_ramp_that_would_take_milliseconds_is_refused_before_anything_moves(self):
+        class Wrong(Recorder):
+            def ramp(self, device, control_type, value, milliseconds):
+                self.calls.append(value)
+
+        driver = Wrong()
+        answers = said(driver, "hello", INIT, "set arm position 4")
+        self.assertIn("expected device, control_type, value, seconds", answers[1])
+
+    def test_a_driver_that_has_not_started_is_not_stopped(self):
+        stopped = []
+
+        class Absent(Recorder):
+            def start(self, robot):
+                raise OSError("no such port")
+
+            def stop(self):
+                stopped.append(self)
+
+        self.assertEqual(said(Absent(), "hello", INIT)[1], "error OSError: no such port")
+        self.assertEqual(stopped, [])
+
     def test_what_libraries_print_does_not_reach_the_edge(self):
         program = textwrap.dedent(
             """
