@@ -10,7 +10,7 @@ fn downbeat(args: &[&str]) -> Ran {
 
 #[test]
 fn every_example_is_sound_and_plays_in_virtual_time() {
-    for name in ["swap", "dance", "tank", "wave", "meeting"] {
+    for name in ["swap", "dance", "tank", "wave", "meeting", "sky", "eight"] {
         let scenario = format!("scripts/examples/{name}.yaml");
         downbeat(&["check", &scenario]).says(0, &["no errors"]);
         let ran = downbeat(&["dry-run", &scenario, "--format", "json"]);
