@@ -71,7 +71,9 @@ pub(super) fn read(
             movement(findings, at, (from_value, by), limits);
         }
         let sensor_delay = delay.and_then(|at| sensor_delay(findings, &at)).unwrap_or_default();
-        let visible = visible.zip(by_value).and_then(|(at, by)| visible_amount(findings, &at, by));
+        let visible = visible
+            .zip(by_value.filter(|by| *by != 0.0))
+            .and_then(|(at, by)| visible_amount(findings, &at, by));
         let Some(sensor) = sensor_of(findings, sensor.as_ref(), &device, &at, init) else { continue };
         let Some(by) = by_value else { continue };
         let visible = visible.unwrap_or(by.abs() * VISIBLE_SHARE);
@@ -84,16 +86,14 @@ pub(super) fn read(
 fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
     let (least, largest) = (limits.min_value, limits.max_value);
     let within = least..=largest;
-    let beyond = match from {
-        Some(from) => [from, from + by].into_iter().find(|end| !within.contains(end)),
-        None => Some(by).filter(|by| by.abs() > largest - least),
-    };
-    if let Some(beyond) = beyond {
-        let message = match from {
-            Some(_) => format!("the movement would reach {beyond}"),
-            None => format!("the device cannot move by {beyond}"),
-        };
+    let reached = from.and_then(|from| [from, from + by].into_iter().find(|end| !within.contains(end)));
+    if let Some(reached) = reached {
+        let message = format!("the movement would reach {reached}");
         let expected = format!("{least} to {largest}, which the device declares");
+        findings.add(Code::OutOfRange, at.place(), message, expected, None);
+    } else if by.abs() > largest - least {
+        let message = format!("the device cannot move by {by}");
+        let expected = format!("less than from {least} to {largest}, which the device declares");
         findings.add(Code::OutOfRange, at.place(), message, expected, None);
     } else if by == 0.0 {
         let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
