@@ -102,7 +102,17 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
     if let Some(hint) = &finding.hint {
         group = group.element(Level::HELP.message(shown(hint)));
     }
-    renderer.render(&[group])
+    let rendered = renderer.render(&[group]);
+    match lines.iter().flat_map(|line| &line.2).find(|mark| mark.primary) {
+        // The renderer counts the column within what is shown of the line.
+        Some(mark) if mark.left_out > 0 => {
+            let (line, column) =
+                finding.related.first().map_or((finding.line, finding.column), |at| (at.line, at.column));
+            let place = |column: usize| format!("{file}:{line}:{column}");
+            rendered.replacen(&place(column - mark.left_out), &place(column), 1)
+        }
+        _ => rendered,
+    }
 }
 
 /// A part of a line that is marked.
@@ -110,22 +120,24 @@ struct Mark {
     span: std::ops::Range<usize>,
     label: String,
     primary: bool,
+    /// Characters at the begin of the line that are not shown.
+    left_out: usize,
 }
 
 /// The finding's line with what was expected; where a chain of places leads to it, the lines of that chain.
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     if finding.related.is_empty() {
-        let (text, span) = shown_part(&finding.source_line, finding.column, finding.width);
+        let (text, span, left_out) = shown_part(&finding.source_line, finding.column, finding.width);
         let label = format!("expected {}", shown(&finding.expected));
-        return vec![(finding.line, text, vec![Mark { span, label, primary: true }])];
+        return vec![(finding.line, text, vec![Mark { span, label, primary: true, left_out }])];
     }
     let mut places: Vec<_> = finding.related.iter().enumerate().collect();
     places.sort_by_key(|(_, place)| (place.line, place.column));
     let mut lines: Vec<(usize, String, Vec<Mark>)> = Vec::new();
     for (index, place) in places {
-        let (text, span) = shown_part(&place.source_line, place.column, place.width);
+        let (text, span, left_out) = shown_part(&place.source_line, place.column, place.width);
         let label = format!("{}: {}", index + 1, shown(&place.message));
-        let mark = Mark { span, label, primary: index == 0 };
+        let mark = Mark { span, label, primary: index == 0, left_out };
         match lines.last_mut().filter(|(number, shown, _)| *number == place.line && *shown == text) {
             Some((.., marks)) => marks.push(mark),
             None => lines.push((place.line, text, vec![mark])),
@@ -134,8 +146,8 @@ fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     lines
 }
 
-/// The line or a part of it round the place, and the place in it in bytes.
-fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>) {
+/// The line or a part of it round the place, the place in it in bytes, and how many characters before that part are left out.
+fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>, usize) {
     let column = column.saturating_sub(1);
     let first = column.saturating_sub(LINE_CHARS_MAX / 2);
     let chars = line.chars().skip(first).take(LINE_CHARS_MAX);
@@ -143,5 +155,5 @@ fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Ran
     let byte = |chars: usize| shown.char_indices().nth(chars).map_or(shown.len(), |(at, _)| at);
     let start = byte(column - first);
     let end = byte((column - first).saturating_add(width)).max(start);
-    (shown, start..end)
+    (shown, start..end, first)
 }
