@@ -120,7 +120,7 @@ pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let lasted = trials.iter().map(|trial| trial.commanded.lasts_ms()).fold(0.0, f64::max);
     let steady = lasted > 0.0 && lasted >= RAMP_STEADY * constant;
     let time_constant = Span::from_millis_f64(constant);
-    let told = (constant > 2.0 * error).then(|| downbeat_scripts::Lag { time_constant, lags: lag.lags });
+    let told = (constant > 2.0 * error).then_some(downbeat_scripts::Lag { time_constant, lags: lag.lags });
     let mut dead: Vec<Span> = onsets.iter().flatten().map(|onset| onset.dead_time).collect();
     dead.sort_unstable();
     let tracking_lag = dead.get(dead.len() / 2).filter(|_| steady).map(|dead| *dead + time_constant);
