@@ -10,7 +10,7 @@ class Tank(Driver):
 
     def start(self, robot: Robot) -> None:
         self.driven = open(sys.argv[1], "a", buffering=1)
-        self.log.debug("drives %s", ", ".join(robot.devices))
+        self.log.info("drives %s", ", ".join(robot.devices))
 
     def set(self, device: str, control_type: str, value: float, *more: float) -> None:
         self.driven.write(f"{device} {control_type} {value}\n")
@@ -19,9 +19,9 @@ class Tank(Driver):
         raise Refused("no sensor is connected")
 
     def ping(self) -> None:
-        """Raise an exception here if the hardware could not be moved."""
+        """Raise an exception here if the hardware does not answer. If it answers and something is wrong, call `self.fault(reason)`."""
 
-    def stop(self) -> None:
+    def stop(self) -> None:  # called at the end, if `start` has ended well
         self.driven.close()
 
 
