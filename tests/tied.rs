@@ -197,7 +197,7 @@ fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
 }
 
 /// Which section describes what, by the beginning of the place in the schema; the first that fits counts.
-const SECTIONS: [(&str, &str, &str, &str); 22] = [
+const SECTIONS: [(&str, &str, &str, &str); 28] = [
     ("scenario", "/$defs/keyframe/properties/ease", "docs/scenario.md", "### Movements"),
     ("scenario", "/$defs/keyframe", "docs/scenario.md", "### A track"),
     ("scenario", "/$defs/point", "docs/scenario.md", "### A track"),
@@ -214,6 +214,12 @@ const SECTIONS: [(&str, &str, &str, &str); 22] = [
     ("scenario", "/$defs/act", "docs/scenario.md", "### An act"),
     ("scenario", "/$defs/wait", "docs/scenario.md", "### An act"),
     ("scenario", "/$defs/cue", "docs/scenario.md", "### A cue"),
+    ("scenario", "/$defs/formation", "docs/scenario.md", "### A formation"),
+    ("scenario", "/$defs/by", "docs/scenario.md", "### Patterns over a group"),
+    ("scenario", "/$defs/canon", "docs/scenario.md", "### Patterns over a group"),
+    ("scenario", "/$defs/direction", "docs/scenario.md", "### Patterns over a group"),
+    ("scenario", "/$defs/spread", "docs/scenario.md", "### Patterns over a group"),
+    ("scenario", "/$defs/included", "docs/scenario.md", "### The scenario"),
     ("scenario", "/$defs/override", "docs/scenario.md", "### Moves, and what"),
     ("scenario", "/$defs/", "docs/scenario.md", "### Moves, and what"),
     ("scenario", "", "docs/scenario.md", "### The scenario"),
