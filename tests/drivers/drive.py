@@ -10,7 +10,7 @@ class Tank(Driver):
 
     def start(self, robot: Robot) -> None:
         self.driven = open(sys.argv[1], "a", buffering=1)
-        self.log.info("drives %s", ", ".join(robot.devices))
+        self.log.debug("drives %s", ", ".join(robot.devices))
 
     def set(self, device: str, control_type: str, value: float, *more: float) -> None:
         self.driven.write(f"{device} {control_type} {value}\n")

@@ -130,7 +130,8 @@ pub(super) fn read(
         delay: None,
         tolerance,
     };
-    let mut group = form::read(reader, at, [form, turn, grow, shift, over], duration);
+    let changes = [scale, mirror, reverse, repeat, devices, overrides];
+    let mut group = form::read(reader, at, [form, turn, grow, shift, over], duration, changes);
     if let Some(group) = &mut group {
         library.form_name(reader, group);
     }

@@ -89,12 +89,13 @@ pub(crate) struct Sweep {
     pub(crate) shift: Point,
 }
 
-/// What a cue says of its robots as a group.
+/// What a cue says of its robots as a group. `shaping` are the keys that change a movement, which no group has.
 pub(super) fn read(
     reader: &mut Reader,
     cue: &At<'_>,
     values: [Option<At<'_>>; GROUP_KEYS.len()],
     duration: Option<At<'_>>,
+    shaping: [Option<At<'_>>; 6],
 ) -> Option<Together> {
     let keys = GroupKeys::of(values);
     let sweeps = [keys.turn, keys.grow, keys.shift];
@@ -109,6 +110,17 @@ pub(super) fn read(
     if let Some(at) = duration {
         let expected = "`over` alone: it says how long the cue takes";
         reader.add(Code::UnknownKey, at.key_place(), "a `duration` next to `over`", expected, None);
+    }
+    for at in shaping.into_iter().flatten() {
+        let message = "the movement of a group cannot be changed";
+        let hint = Some("write a cue for each turn, and one of its own for tracks".to_owned());
+        reader.add(
+            Code::UnknownKey,
+            at.key_place(),
+            message,
+            "`form`, `turn`, `grow` or `shift` alone",
+            hint,
+        );
     }
     if keys.over.is_none() && !reader.is_miswritten(cue, "over") {
         let hint = Some("say how long it takes, as in `over: 6s`".to_owned());

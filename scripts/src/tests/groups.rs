@@ -130,6 +130,49 @@ cues:
 ";
 
 #[test]
+fn the_time_that_a_way_needs_is_enough_for_it() {
+    // 0.7 m: 15/8 of it by 5 m/s, and (10/sqrt(3)) of it by 10 m/s2, which takes longer.
+    let text = |over: &str| {
+        format!(
+            "scenario: s\nformations: {{f: {{points: [[0.7, 0, 0]]}}}}\ncues: [{{robots: d0, form: f, over: {over}}}]\n"
+        )
+    };
+    let short = compiled(1, &text("10ms"));
+    let expected = short.findings[0].expected.clone();
+    let needed = expected.split(['`', ' ']).nth(2).unwrap();
+    assert!(compiled(1, &text(needed)).findings.is_empty(), "{expected}");
+}
+
+#[test]
+fn what_changes_a_movement_has_no_place_next_to_a_group() {
+    for key in ["repeat: 2", "mirror: true", "scale: 2", "reverse: true", "overrides: {d1: {mirror: true}}"] {
+        let found = compiled(
+            3,
+            &format!("scenario: s\ncues: [{{robots: all, shift: [0, 0, 1], over: 4s, {key}}}]\n"),
+        );
+        let codes: Vec<Code> = found.findings.iter().map(|finding| finding.code).collect();
+        assert_eq!(codes, [Code::UnknownKey], "{key}: {:#?}", found.findings);
+    }
+}
+
+#[test]
+fn robots_that_wait_end_with_the_cue_to_the_nanosecond() {
+    for (tempo, beats) in [(130, 8), (130, 11), (151, 9), (163, 8)] {
+        let text = format!(
+            "scenario: s
+tempo: {tempo}
+formations: {{line: {{line: {{spacing: 1.5}}, at: [3, 0, 2]}}}}
+cues:
+  - {{cue: up, at: 0s, robots: all, form: line, over: {beats} beats}}
+  - {{cue: home, after: up, robots: all, form: home, over: {beats} beats, canon: 1 beat}}
+  - {{cue: again, after: home, robots: all, form: line, over: {beats} beats}}
+"
+        );
+        sound(4, &text);
+    }
+}
+
+#[test]
 fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
     assert!(SHOW.lines().count() < 50);
     let act = sound(8, SHOW);

@@ -107,6 +107,9 @@ pub(crate) enum Refused {
     Blocked(Blocked),
 }
 
+/// A time that is enough but for the rounding of its computation is enough.
+const ROUNDING: f64 = 1.0 + 1e-9;
+
 /// Finds ways that keep all bodies apart, in their order.
 ///
 /// # Errors
@@ -119,7 +122,7 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
         let times = crossing.bodies.iter().zip(&ways).map(|(body, way)| body.limits.time_for(way));
         let (body, seconds) =
             times.enumerate().fold((0, 0.0), |most, time| if time.1 > most.1 { time } else { most });
-        if seconds > crossing.over {
+        if seconds > crossing.over * ROUNDING {
             if seconds < needed.1 {
                 needed = (body, seconds);
             }
@@ -290,6 +293,6 @@ impl Crossing<'_> {
                 ..*straight
             })
         });
-        ways.filter(|way| body.limits.time_for(way) <= way.length && within(way)).collect()
+        ways.filter(|way| body.limits.time_for(way) <= way.length * ROUNDING && within(way)).collect()
     }
 }

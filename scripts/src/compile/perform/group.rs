@@ -362,7 +362,9 @@ impl<'a> Performer<'_, 'a> {
             if swept.is_still() {
                 continue;
             }
-            let length = Span::from_millis_f64(moved.length * 1_000.0);
+            // What begins late ends with the others, to the nanosecond.
+            let begin = Span::from_millis_f64(moved.begin * 1_000.0);
+            let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;
             let track = track(cue, group, device, curve(swept.in_units(scale, offset), length));
             let robots = [dancer.member.robot];
             let on = OnDevice { cue, track: &track, device, robots: &robots, cast: self.cast };
@@ -371,7 +373,7 @@ impl<'a> Performer<'_, 'a> {
                 return;
             }
             let segment = Segment {
-                begin: time.start + Span::from_millis_f64(moved.begin * 1_000.0),
+                begin: time.start + begin,
                 cue: cue.name.as_str().into(),
                 stop_condition: cue.stop_condition,
                 part: Arc::new(part),

@@ -1,4 +1,5 @@
-//! Tables of places: x, y and z in the first three columns, or in those that the header names.
+//! Tables of places: x, y and z in the first three columns, or in those that the header names. Where semicolons or tabs separate columns,
+//! a comma is that of a decimal number, as spreadsheets write it in many countries.
 
 use super::{Format, ITEMS_MAX};
 use crate::formation::{Point, Unfit};
@@ -10,10 +11,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     let rows = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
     let rows = rows.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
     let mut columns: Option<[usize; 3]> = None;
+    let separator = ['\t', ';'].into_iter().find(|separator| text.contains(*separator)).unwrap_or(',');
     let mut points = Vec::new();
     for (line, row) in rows {
-        let cells: Vec<&str> =
-            row.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"')).collect();
+        let cells: Vec<&str> = row.split(separator).map(|cell| cell.trim().trim_matches('"')).collect();
         let columns = match columns {
             Some(columns) => columns,
             None => {
@@ -25,7 +26,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
                 found
             }
         };
-        let number = |column: usize| cells.get(column).and_then(|cell| cell.parse::<f64>().ok());
+        let number = |column: usize| cells.get(column).and_then(|cell| number(cell));
         let [Some(x), Some(y), Some(z)] = columns.map(number) else {
             return Err(Format::Csv.unfit(format!("line {line} has no three numbers")));
         };
@@ -40,6 +41,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
     }
 }
 
+fn number(cell: &str) -> Option<f64> {
+    cell.replace(',', ".").parse().ok()
+}
+
 /// The columns of x, y and z, and whether the line is a header: a first line without any number is one.
 fn header(cells: &[&str]) -> ([usize; 3], bool) {
     let named = |name: &str| {
@@ -50,6 +55,29 @@ fn header(cells: &[&str]) -> ([usize; 3], bool) {
     };
     match [named("x"), named("y"), named("z")] {
         [Some(x), Some(y), Some(z)] => ([x, y, z], true),
-        _ => ([0, 1, 2], cells.iter().all(|cell| cell.parse::<f64>().is_err())),
+        _ => ([0, 1, 2], cells.iter().all(|cell| number(cell).is_none())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check(text: &str, expected: &[Point]) {
+        assert_eq!(read(text.as_bytes()).ok().as_deref(), Some(expected), "{text}");
+    }
+
+    #[test]
+    fn columns_are_separated_as_the_first_of_tab_semicolon_and_comma_that_there_is() {
+        check("x,y,z\n1.5,2.5,3\n", &[[1.5, 2.5, 3.0]]);
+        check("1,2,3\n", &[[1.0, 2.0, 3.0]]);
+        check("name;x;y;z\np1;1,5;2,5;3,5\n", &[[1.5, 2.5, 3.5]]);
+        check("1,5\t2,5\t-3\n", &[[1.5, 2.5, -3.0]]);
+    }
+
+    #[test]
+    fn a_row_without_three_numbers_is_refused() {
+        assert!(read(b"1;2\n").is_err() && read(b"x,y,z\n1,2,high\n").is_err());
     }
 }
