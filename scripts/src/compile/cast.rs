@@ -6,6 +6,7 @@ use std::sync::OnceLock;
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
+use super::acts::Ways;
 use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
@@ -252,6 +253,27 @@ pub(super) struct Positions<'a> {
     /// Where each act that leads here leaves the devices.
     before: Vec<&'a Rest>,
     first: bool,
+    others: OtherWays,
+}
+
+/// Ways into an act besides those from the end of an act before it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct OtherWays {
+    /// After a failure: devices are in their default state, or where they were.
+    failure: bool,
+    /// After a wait that took too long, or back from a later act: nothing is known.
+    elsewhere: bool,
+}
+
+impl OtherWays {
+    pub(super) fn into(ways: &[Ways], index: usize) -> Self {
+        let to = Way::Act(index);
+        let back = ways.iter().skip(index).any(|way| way.next == to);
+        Self {
+            failure: ways.iter().any(|way| way.on_failure.then == Some(index)),
+            elsewhere: back || ways.iter().any(|way| way.on_timeout == to),
+        }
+    }
 }
 
 impl<'a> Positions<'a> {
@@ -260,8 +282,19 @@ impl<'a> Positions<'a> {
         before: &[usize],
         rests: &'a HashMap<usize, Rest>,
         first: bool,
+        others: OtherWays,
     ) -> Self {
-        Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first }
+        Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first, others }
+    }
+
+    /// Known only where every way into the act has the device at the same place, also after a failure, a timeout or back from a later act.
+    pub(super) fn certain(&self, robot: usize, device: usize) -> Option<f64> {
+        let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
+        let left = self.before.iter().map(|rest| rest.get(&(robot, device)).copied().or(default));
+        let begun = (self.first || self.others.failure).then_some(default);
+        let mut known = left.chain(begun);
+        let place = known.next()?.filter(|_| !self.others.elsewhere)?;
+        known.all(|other| other == Some(place)).then_some(place)
     }
 
     /// Whether the act is the first one.

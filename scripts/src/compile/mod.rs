@@ -105,9 +105,10 @@ impl Compiler {
         let (mut rests, mut poses) = (HashMap::new(), HashMap::new());
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
+        let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
-            let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
+            let positions = cast::Positions::after(fleet, &before, &rests, index == 0, others[index]);
             let times = known.next().unwrap_or_else(|| self.times(act, &cast, horizon));
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {

@@ -143,6 +143,49 @@ fn the_time_that_a_way_needs_is_enough_for_it() {
     assert!(compiled(1, &text(needed)).findings.is_empty(), "{expected}");
 }
 
+/// What is said of places in a scenario of acts.
+fn lost(text: &str) -> Vec<String> {
+    let found = compiled(2, text).findings;
+    found
+        .into_iter()
+        .filter(|finding| finding.code == Code::NotInGroup)
+        .map(|finding| finding.message)
+        .collect()
+}
+
+const UP: &str = "{cue: up, at: 0s, robots: all, shift: [0, 0, 1], over: 9s}";
+
+#[test]
+fn an_act_that_is_reached_after_a_failure_too_does_not_know_where_robots_are() {
+    let acts = |policy: &str| {
+        format!(
+            "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], {policy}}}\n  - {{act: two, cues: [{UP}]}}\n"
+        )
+    };
+    assert_eq!(lost(&acts("on_failure: abort")), Vec::<String>::new());
+    let after_failure = lost(&acts("on_failure: {default: abort, then: two}"));
+    assert!(after_failure.len() == 1 && after_failure[0].contains("when `up` begins"), "{after_failure:?}");
+}
+
+#[test]
+fn an_act_to_which_a_later_one_leads_back_does_not_know_where_robots_are() {
+    let acts = |next: &str| {
+        format!(
+            "scenario: s\nacts:\n  - {{act: one, wait: operator, cues: [{UP}]}}\n  - {{act: two, wait: {{time: '19:30:00', timeout: 30s, otherwise: end}}, cues: [{UP}], next: {next}}}\n"
+        )
+    };
+    assert_eq!(lost(&acts("end")), Vec::<String>::new());
+    assert_eq!(lost(&acts("one")).len(), 1, "what follows the act is not told once more");
+}
+
+#[test]
+fn an_act_that_only_a_failure_leads_to_begins_in_the_default_state() {
+    let text = format!(
+        "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], next: end, on_failure: {{default: abort, then: landing}}}}\n  - {{act: landing, cues: [{{cue: down, at: 0s, robots: all, form: home, over: 9s}}]}}\n"
+    );
+    assert_eq!(lost(&text), Vec::<String>::new());
+}
+
 #[test]
 fn what_changes_a_movement_has_no_place_next_to_a_group() {
     for key in ["repeat: 2", "mirror: true", "scale: 2", "reverse: true", "overrides: {d1: {mirror: true}}"] {

@@ -205,7 +205,7 @@ impl<'a> Performer<'_, 'a> {
         let segments = self.segments.get(&(robot, index)).into_iter().flatten();
         let last = segments.filter(|segment| segment.end() <= at).max_by_key(|segment| segment.end());
         let value = match last {
-            None => positions.of(robot, index)?,
+            None => positions.certain(robot, index)?,
             Some(segment) => match &segment.part.steps {
                 Steps::One(values) if segment.part.control_type == ControlType::Position => values.last()?.to,
                 _ => return None,
