@@ -148,7 +148,7 @@ impl Mover<'_> {
     ) -> Result<Estimate, NotMeasured> {
         let (least, largest) = self.planned.sensor_range;
         let visible = self.planned.how.visible;
-        let readable = Readable { range: Some((least, largest)), movement: to - from, visible };
+        let readable = Readable { range: Some((least, largest)), visible };
         let mut trials: Vec<Trial> = Vec::new();
         loop {
             let (here, there) = if self.at_from { (from, to) } else { (to, from) };
@@ -157,7 +157,8 @@ impl Mover<'_> {
             trials.push(trial);
             tell(Progress { trials: trials.len(), of: wanted });
             if trials.len() == 2 || trials.len() == UNCLEAR_MAX {
-                let first = estimate(&trials, readable);
+                let first;
+                (trials, first) = estimated(trials, readable).await;
                 unclear(&first, UNCLEAR_MAX)?;
                 self.watched = self.enough(&first);
             }
@@ -165,7 +166,8 @@ impl Mover<'_> {
             if trials.len() < wanted || !self.at_from {
                 continue;
             }
-            let found = estimate(&trials, readable);
+            let found;
+            (trials, found) = estimated(trials, readable).await;
             let known = found.latencies.is_some_and(|known| known.median_error <= MEDIAN_ERROR_MAX);
             if known || trials.len() >= wanted * TRIALS_FACTOR {
                 return Ok(found);
@@ -215,7 +217,7 @@ impl Mover<'_> {
         // The clocks drift meanwhile.
         self.talk.ping().await?;
         self.talk.check(device, request.as_ref())?;
-        Ok(Trial { commanded, samples })
+        Ok(Trial { commanded, movement: there - here, samples })
     }
 
     /// The movement as a script, and as the estimator takes it.
@@ -247,6 +249,18 @@ impl Mover<'_> {
             }
         }
         (steps, Commanded::stairs(shares))
+    }
+}
+
+/// The fit takes longer than the link may stay unattended.
+async fn estimated(trials: Vec<Trial>, readable: Readable) -> (Vec<Trial>, Estimate) {
+    let fit = move || {
+        let estimate = estimate(&trials, readable);
+        (trials, estimate)
+    };
+    match tokio::task::spawn_blocking(fit).await {
+        Ok(done) => done,
+        Err(error) => std::panic::resume_unwind(error.into_panic()),
     }
 }
 

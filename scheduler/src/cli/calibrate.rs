@@ -354,7 +354,11 @@ fn entry(measured: &Measured) -> MeasuredLatency {
         p95: Some(rounded(of.p95).max(Span::ZERO)),
         trials: u32::try_from(of.trials).ok(),
         measured: Some(chrono::Utc::now().to_rfc3339_opts(SecondsFormat::Secs, true)),
-        lag: measured.lag.map(|lag| Lag { time_constant: rounded(lag.time_constant), ..lag }),
+        lag: measured.lag.map(|lag| Lag {
+            time_constant: rounded(lag.time_constant),
+            later: rounded(lag.later),
+            ..lag
+        }),
         tracking_lag: measured.tracking_lag.map(|lag| rounded(lag).max(Span::ZERO)),
     }
 }
@@ -443,6 +447,7 @@ fn outcome_json(outcomes: &[Outcome], unplanned: &[Unplanned]) -> serde_json::Va
                 "systematic_ms": millis(measured.systematic), "spread_ms": millis(of.spread), "p95_ms": millis(of.p95),
                 "trials": of.trials, "unclear": measured.unclear,
                 "time_constant_ms": measured.lag.map(|lag| millis(lag.time_constant)), "lags": measured.lag.map(|lag| lag.lags),
+                "later_ms": measured.lag.map(|lag| millis(lag.later)),
                 "tracking_lag_ms": measured.tracking_lag.map(millis),
                 "sensor_delay_ms": millis(measured.sensor_delay), "reading_interval_ms": millis(measured.interval),
             })

@@ -190,13 +190,17 @@ impl Watched {
         let samples: Vec<Sample> = self.readings.iter().map(sample).collect();
         let from = self.movement.from.or_else(|| samples.first().map(|sample| sample.value));
         let movement = from.map_or(0.0, |from| self.movement.to - from);
-        let readable = Readable { range: self.range, movement, visible: self.visible };
-        let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), samples };
+        let readable = Readable { range: self.range, visible: self.visible };
+        let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), movement, samples };
         let found = onset::onset(&trial, readable, self.lag);
         // One motion alone hardly tells a late begin from a slow one.
         let without_lag = match self.lag {
             Some(_) => found,
-            None => onset::onset(&trial, readable, Some(Lag { time_constant: Span::ZERO, lags: 1 })),
+            None => onset::onset(
+                &trial,
+                readable,
+                Some(Lag { time_constant: Span::ZERO, lags: 1, later: Span::ZERO }),
+            ),
         };
         let uncertainty = found.as_ref().ok().map(|onset| {
             let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;

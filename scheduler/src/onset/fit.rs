@@ -5,9 +5,14 @@ use downbeat_scripts::LAGS_MAX;
 use super::model::{Agreement, Lag, Readings, response};
 
 /// Time constants that are tried at first, in milliseconds: from none, in steps of a factor of two.
-const TIME_CONSTANTS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
+const TIME_CONSTANTS: [f64; 11] =
+    [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, TIME_CONSTANT_MAX];
+/// The largest of them.
+pub(super) const TIME_CONSTANT_MAX: f64 = 512.0;
 /// Steps of a golden-section search: together a factor of 10 000.
 const GOLDEN_STEPS: u32 = 20;
+/// Squares are rounded by this share of those of the movement.
+const ROUNDING: f64 = 1e-12;
 /// The smaller part of the golden section.
 const GOLDEN: f64 = 0.381_966_011_250_105;
 /// The 99 % quantile of chi squared with one degree of freedom: a likelihood ratio beyond it is significant.
@@ -31,11 +36,11 @@ pub(super) struct Fitted {
 pub(super) fn lag(trials: &[&Readings]) -> (Lag, f64) {
     let of = |lags: u8| {
         let cost = |constant: f64| -> f64 {
-            let lag = Lag { constant, lags };
+            let lag = Lag { constant, lags, later: 0.0 };
             trials.iter().map(|trial| trial.agreement(latency(trial, lag), lag).squares).sum()
         };
         let (constant, error) = time_constant(trials, cost);
-        (Lag { constant, lags }, error, cost(constant))
+        (Lag { constant, lags, later: 0.0 }, error, cost(constant))
     };
     let found: Vec<_> = (1..=LAGS_MAX).map(of).collect();
     // Both have as many parameters, so the likelier one is the one with the smaller squares.
@@ -52,8 +57,10 @@ fn time_constant(trials: &[&Readings], cost: impl Fn(f64) -> f64) -> (f64, f64) 
     let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
     let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
     let (with, without) = (cost(constant), costs[0]);
+    let moved: f64 = trials.iter().map(|trial| trial.squares()).sum();
     // A time constant that explains no more than chance would only shift the latency to the other side.
-    if without - with < SIGNIFICANT * with / free {
+    // Readings without noise leave rounding errors of the squares.
+    if without - with <= SIGNIFICANT * with / free + ROUNDING * moved {
         return (0.0, error_of_constant(trials, 0.0, cost));
     }
     (constant, error_of_constant(trials, constant, cost))

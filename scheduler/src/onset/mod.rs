@@ -11,7 +11,8 @@
 //! ```
 //!
 //! The latency is when this response has moved by the visible amount, less what it would take without dead time and lag. A bare threshold
-//! for readings would not do: with noise it has to lie well above it. In the fit, every reading counts. `rest` and `gain` enter linearly
+//! for readings would not do: with noise it has to lie well above it. In the fit, every reading counts. Where all readings together show
+//! beyond doubt that the device begins at another time than the response, that time is taken: see [`begin`]. `rest` and `gain` enter linearly
 //! and are solved for at each pair of the other two (variable projection: Golub, Pereyra: The differentiation of pseudo-inverses and
 //! nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis 10(2), 1973). The lag is a property of
 //! the device, so all trials have it in common; each trial has a dead time of its own.
@@ -19,6 +20,7 @@
 //! **What cannot be known.** A delay of the sensor that its round trips do not show cannot be told from a latency of the device: the
 //! latencies contain it. Where within a round trip the value was taken cannot be known either: see [`Reading::instant`].
 
+mod begin;
 mod commanded;
 mod fit;
 mod model;
@@ -69,6 +71,22 @@ pub enum Unclear {
         seen: f64,
         /// By how much the device was to move.
         movement: f64,
+    },
+    /// The sensor shows a movement the other way.
+    #[error(
+        "the sensor shows the opposite movement: its readings changed by {seen:.4} where {movement:.4} was commanded: is its sign the other way round, or is it the sensor of another device?"
+    )]
+    WrongWay {
+        /// By how much the readings changed, in the sensor's unit.
+        seen: f64,
+        /// By how much the device was to move.
+        movement: f64,
+    },
+    /// It follows so slowly that the fit does not tell when it began.
+    #[error("the device follows too slowly for a begin to be told: its time constant is {least} or more")]
+    TooSlow {
+        /// The largest time constant that is fitted.
+        least: Span,
     },
     /// The sensor shows one of the ends of its range.
     #[error("the sensor is at the end of its range: {share:.0} % of its readings are {limit}")]

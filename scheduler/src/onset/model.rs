@@ -1,5 +1,7 @@
 //! The response of one or two first-order lags to what was commanded, and how well readings agree with it.
 
+use urrcp::Span;
+
 use super::commanded::{Commanded, Part};
 
 /// Below this a time constant is none, in milliseconds.
@@ -20,7 +22,7 @@ pub(super) fn visible_delay(commanded: &Commanded, lag: Lag, share: f64) -> f64 
         }
         after
     };
-    (crossed(lag) - crossed(Lag::NONE)).max(0.0)
+    (crossed(lag) - crossed(Lag::NONE)).max(0.0) + lag.later
 }
 
 /// Equal first-order lags, one after the other.
@@ -30,10 +32,12 @@ pub(super) struct Lag {
     pub(super) constant: f64,
     /// One or two.
     pub(super) lags: u8,
+    /// So much later than this response the device visibly begins, in milliseconds.
+    pub(super) later: f64,
 }
 
 impl Lag {
-    pub(super) const NONE: Self = Self { constant: 0.0, lags: 1 };
+    pub(super) const NONE: Self = Self { constant: 0.0, lags: 1, later: 0.0 };
 
     /// The response to a step of size one.
     fn step(self, after: f64) -> f64 {
@@ -55,9 +59,16 @@ impl Lag {
     }
 }
 
+impl From<Lag> for downbeat_scripts::Lag {
+    fn from(lag: Lag) -> Self {
+        let time_constant = Span::from_millis_f64(lag.constant);
+        Self { time_constant, lags: lag.lags, later: Span::from_millis_f64(lag.later) }
+    }
+}
+
 impl From<downbeat_scripts::Lag> for Lag {
     fn from(lag: downbeat_scripts::Lag) -> Self {
-        Self { constant: lag.time_constant.as_millis_f64(), lags: lag.lags }
+        Self { constant: lag.time_constant.as_millis_f64(), lags: lag.lags, later: lag.later.as_millis_f64() }
     }
 }
 
@@ -113,6 +124,13 @@ impl Readings {
         let gain = if s_rr > 1e-12 * n { s_rv / s_rr } else { 0.0 };
         let squares = (s_vv - gain * s_rv).max(0.0);
         Agreement { squares, gain }
+    }
+
+    /// Sum of the squared deviations from the mean of all readings.
+    #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+    pub(super) fn squares(&self) -> f64 {
+        let mean = self.values.iter().sum::<f64>() / self.values.len().max(1) as f64;
+        self.values.iter().map(|value| (value - mean).powi(2)).sum()
     }
 
     /// Milliseconds between the first reading and the last.

@@ -51,11 +51,11 @@ impl Device {
             samples.push(Sample { at, uncertainty, value });
             asked = answered + BETWEEN;
         }
-        (Trial { commanded, samples }, latency)
+        (Trial { commanded, movement: MOVEMENT, samples }, latency)
     }
 
     fn lag(&self) -> model::Lag {
-        model::Lag { constant: self.time_constant, lags: self.lags }
+        model::Lag { constant: self.time_constant, lags: self.lags, later: 0.0 }
     }
 
     /// Until it has visibly moved, later than a device without latency and lag.
@@ -76,7 +76,7 @@ fn normal(rng: &mut fastrand::Rng) -> f64 {
     radius * (std::f64::consts::TAU * rng.f64()).cos()
 }
 
-const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), movement: MOVEMENT, visible: VISIBLE };
+const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), visible: VISIBLE };
 
 /// As `downbeat calibrate` chooses it.
 fn lasts(interval: f64) -> f64 {
@@ -195,15 +195,15 @@ fn a_device_that_still_moves_at_the_last_reading_is_refused() {
     let found = onset(
         &trial,
         READABLE,
-        Some(downbeat_scripts::Lag { time_constant: Span::from_millis(200), lags: 1 }),
+        Some(downbeat_scripts::Lag { time_constant: Span::from_millis(200), lags: 1, later: Span::ZERO }),
     );
     assert!(matches!(found, Err(Unclear::NotSettled { .. })), "{found:?}");
 }
 
 #[test]
 fn bounds_are_those_of_the_tables() {
-    // Natrella's formula gives 2.66 for 20 trials at 97.5 %; Howe's factor is 2.752 (NIST/SEMATECH e-Handbook, section 7.2.6.3).
-    assert!((quantile_bound(20, 0.0, 1.0) - 2.6).abs() < 0.15, "{}", quantile_bound(20, 0.0, 1.0));
+    // By hand from Natrella's formula with z = 1.645 and 1.960 for 20 trials: a = 0.89891, b = 2.51347. Howe's factor is 2.752 (NIST/SEMATECH e-Handbook, section 7.2.6.3).
+    assert!((quantile_bound(20, 0.0, 1.0) - 2.5729).abs() < 0.0005, "{}", quantile_bound(20, 0.0, 1.0));
     assert!((spread_bound(20, 1.0) - 2.752).abs() < 0.02, "{}", spread_bound(20, 1.0));
     assert_eq!(Latencies::of(&[1.0, 2.0]), None);
 }
@@ -216,11 +216,89 @@ fn a_device_begins_visibly_when_it_has_moved_by_the_visible_amount() {
     // A hundredth of the way takes 1 ms without a lag. With one of 20 ms: t - 20 (1 - exp(-t / 20)) = 1, with two of 10 ms:
     // t - 20 + (t + 20) exp(-t / 10) = 1.
     for (lags, t) in [(1, 6.676), (2, 9.861)] {
-        let lag = model::Lag { constant: 20.0, lags };
+        let lag = model::Lag { constant: 20.0, lags, later: 0.0 };
         assert!((delay(lag, 0.01) - (t - 1.0)).abs() < 0.01, "{lags}: {}", delay(lag, 0.01));
     }
     // A step reaches half of its way after ln 2 time constants.
     let step = Commanded::ramp(Span::ZERO);
-    let lag = model::Lag { constant: 20.0, lags: 1 };
+    let lag = model::Lag { constant: 20.0, lags: 1, later: 0.0 };
     assert!((model::visible_delay(&step, lag, 0.5) - 20.0 * 2.0_f64.ln()).abs() < 1e-6);
+}
+
+/// A device that rests until it has to move by `friction` (a share of the movement), and then follows with one lag: Coulomb friction.
+fn with_friction(rng: &mut fastrand::Rng, friction: f64, noise: f64, sensor: f64) -> Trial {
+    const TAU: f64 = 30.0;
+    const LASTS: f64 = 250.0;
+    const DEAD_TIME: f64 = 8.0;
+    const TICK: f64 = 0.05;
+    let (mut samples, mut place, mut at) = (Vec::new(), 0.0, -200.0);
+    let mut asked = at + rng.f64() * sensor;
+    while at < 700.0 {
+        let wanted = ((at - DEAD_TIME) / LASTS).clamp(0.0, 1.0);
+        let pull = f64::max(wanted - place - friction, 0.0);
+        place += pull / TAU * TICK;
+        at += TICK;
+        if at >= asked {
+            let value = REST + MOVEMENT * (place + noise * normal(rng));
+            samples.push(Sample { at: Span::from_millis_f64(at), uncertainty: Span::ZERO, value });
+            asked += sensor;
+        }
+    }
+    let commanded = Commanded::ramp(Span::from_millis_f64(LASTS));
+    Trial { commanded, movement: MOVEMENT, samples }
+}
+
+/// When it has moved by the visible amount, less what a device without latency and lag takes.
+fn true_begin(friction: f64) -> f64 {
+    let trial = with_friction(&mut fastrand::Rng::with_seed(1), friction, 0.0, 0.05);
+    let moved = |sample: &&Sample| sample.value >= REST + VISIBLE;
+    let crossed = trial.samples.iter().find(moved).unwrap().at.as_millis_f64();
+    crossed - trial.commanded.lasts().as_millis_f64() * VISIBLE / MOVEMENT
+}
+
+#[test]
+fn a_device_with_static_friction_begins_when_its_readings_show_it() {
+    for (noise, sensor) in [(0.0, 21.7), (0.0005, 21.7), (0.001, 5.0), (0.002, 2.0)] {
+        let mut rng = fastrand::Rng::with_seed(31);
+        let trials: Vec<Trial> = (0..20).map(|_| with_friction(&mut rng, 0.06, noise, sensor)).collect();
+        let found = estimate(&trials, READABLE);
+        let latency = found.latencies.unwrap().median.as_millis_f64();
+        let truth = true_begin(0.06);
+        assert!(
+            (latency - truth).abs() < 1.5,
+            "noise {noise}, every {sensor} ms: {latency} is not {truth}, {:?}",
+            found.lag
+        );
+        let lag = found.lag.unwrap();
+        assert!(lag.later > Span::from_millis(2), "the fit alone would do: {lag:?}");
+        // One motion by itself, with what all have shown.
+        let one = onset(&trials[0], READABLE, Some(lag)).unwrap().latency.as_millis_f64();
+        assert!((one - truth).abs() < 2.5, "{one} is not {truth}");
+    }
+}
+
+#[test]
+fn a_sensor_that_shows_the_opposite_movement_is_refused() {
+    let mirrored = |sample: &mut Sample| sample.value = 2.0 * REST - sample.value;
+    refused(
+        DEVICE,
+        mirrored,
+        |why| matches!(why, Unclear::WrongWay { seen, movement } if seen * movement < 0.0),
+    );
+}
+
+#[test]
+fn a_device_that_is_too_slow_for_the_fit_is_refused() {
+    let slow = Device { time_constant: 900.0, lasts: 40.0, ..DEVICE };
+    let trial = slow.trials(5, 1).remove(0);
+    let found = onset(&trial, READABLE, None);
+    assert!(matches!(found, Err(Unclear::TooSlow { .. })), "{found:?}");
+}
+
+#[test]
+fn readings_without_noise_show_no_lag_where_none_is() {
+    let exact = Device { noise: 0.0, deviation: 0.0, ..DEVICE };
+    let found = estimate(&exact.trials(9, 20), READABLE);
+    assert_eq!(found.lag, None);
+    assert!((found.latencies.unwrap().median.as_millis_f64() - 40.0).abs() < 0.1);
 }

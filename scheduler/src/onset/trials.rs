@@ -2,6 +2,7 @@
 
 use urrcp::Span;
 
+use super::begin;
 use super::commanded::Commanded;
 use super::fit::{self, Fitted};
 use super::model::{Lag, Readings, visible_delay};
@@ -40,17 +41,17 @@ pub struct Sample {
 pub struct Trial {
     /// What was commanded.
     pub commanded: Commanded,
+    /// By how much the device is to move, in the sensor's unit, with its sign.
+    pub movement: f64,
     /// In any order.
     pub samples: Vec<Sample>,
 }
 
-/// What is known of the sensor and the movement before any trial.
+/// What is known of the sensor before any trial.
 #[derive(Clone, Copy, Debug)]
 pub struct Readable {
     /// Lowest and highest reading of the sensor; `None` without limits.
     pub range: Option<(f64, f64)>,
-    /// By how much the device is to move, in the sensor's unit.
-    pub movement: f64,
     /// A device that has moved by so much has visibly begun to move.
     pub visible: f64,
 }
@@ -97,8 +98,11 @@ pub fn onset(
     lag: Option<downbeat_scripts::Lag>,
 ) -> Result<Onset, Unclear> {
     let readings = readable.readings(trial)?;
-    let lag = lag.map_or_else(|| fit::lag(&[&readings]).0, Lag::from);
-    readable.judged(trial, &readings, lag)
+    let known = lag.map(Lag::from);
+    let lag = known.unwrap_or_else(|| fit::lag(&[&readings]).0);
+    let fitted = fit::fitted(&readings, lag);
+    let later = known.map_or_else(|| readable.later(&[(trial, &readings, fitted)], lag), |lag| lag.later);
+    readable.judged(trial, &readings, fitted, Lag { later, ..lag })
 }
 
 /// The latency of each of several motions of one device, and what they have in common.
@@ -112,15 +116,27 @@ pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
         false => fit::lag(&usable),
     };
     let constant = lag.constant;
-    let onsets: Vec<_> = (trials.iter().zip(readings))
-        .map(|(trial, readings)| readable.judged(trial, &readings?, lag))
+    let fitted: Vec<_> = (readings.into_iter())
+        .map(|readings| readings.map(|readings| (fit::fitted(&readings, lag), readings)))
+        .collect();
+    let clear: Vec<_> = (trials.iter().zip(&fitted))
+        .filter_map(|(trial, fitted)| {
+            fitted.as_ref().ok().map(|(fitted, readings)| (trial, readings, *fitted))
+        })
+        .filter(|(trial, readings, fitted)| readable.judged(trial, readings, *fitted, lag).is_ok())
+        .collect();
+    let lag = Lag { later: readable.later(&clear, lag), ..lag };
+    let onsets: Vec<_> = (trials.iter().zip(fitted))
+        .map(|(trial, fitted)| {
+            fitted.and_then(|(fitted, readings)| readable.judged(trial, &readings, fitted, lag))
+        })
         .collect();
     let known: Vec<f64> = onsets.iter().flatten().map(|onset| onset.latency.as_millis_f64()).collect();
     let latencies = Latencies::of(&known);
     let lasted = trials.iter().map(|trial| trial.commanded.lasts_ms()).fold(0.0, f64::max);
     let steady = lasted > 0.0 && lasted >= RAMP_STEADY * constant;
     let time_constant = Span::from_millis_f64(constant);
-    let told = (constant > 2.0 * error).then_some(downbeat_scripts::Lag { time_constant, lags: lag.lags });
+    let told = (constant > 2.0 * error || lag.later != 0.0).then(|| lag.into());
     let mut dead: Vec<Span> = onsets.iter().flatten().map(|onset| onset.dead_time).collect();
     dead.sort_unstable();
     let tracking_lag = dead.get(dead.len() / 2).filter(|_| steady).map(|dead| *dead + time_constant);
@@ -155,14 +171,31 @@ impl Readable {
         at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
     }
 
-    fn judged(&self, trial: &Trial, readings: &Readings, lag: Lag) -> Result<Onset, Unclear> {
-        let Fitted { latency, standard_error, agreement, noise } = fit::fitted(readings, lag);
-        let (movement, seen) = (self.movement.abs(), agreement.gain.abs());
+    /// See [`begin::later`].
+    fn later(&self, trials: &[(&Trial, &Readings, Fitted)], lag: Lag) -> f64 {
+        let Some((trial, ..)) = trials.first() else { return 0.0 };
+        let pooled: Vec<_> = trials.iter().map(|(_, readings, fitted)| (*readings, *fitted)).collect();
+        begin::later(&pooled, lag, self.visible_share(trial))
+    }
+
+    fn visible_share(&self, trial: &Trial) -> f64 {
+        (self.visible / trial.movement.abs()).min(VISIBLE_MAX)
+    }
+
+    fn judged(&self, trial: &Trial, readings: &Readings, fitted: Fitted, lag: Lag) -> Result<Onset, Unclear> {
+        let Fitted { latency, standard_error, agreement, noise } = fitted;
+        let (movement, seen) = (trial.movement.abs(), agreement.gain.abs());
         if noise * NOISE_RATIO > movement.max(seen.min(movement * 2.0)) {
             return Err(Unclear::Noisy { noise, movement, ratio: NOISE_RATIO });
         }
         if seen < (movement * MOVED_LEAST).max(noise * 2.0) {
             return Err(Unclear::NothingMoved { seen, movement });
+        }
+        if agreement.gain * trial.movement < 0.0 {
+            return Err(Unclear::WrongWay { seen: agreement.gain, movement: trial.movement });
+        }
+        if lag.constant > fit::TIME_CONSTANT_MAX * 0.98 {
+            return Err(Unclear::TooSlow { least: Span::from_millis_f64(fit::TIME_CONSTANT_MAX) });
         }
         if latency < -EARLY_MAX - 4.0 * standard_error {
             return Err(Unclear::MovedBefore { early: Span::from_millis_f64(-latency) });
@@ -172,7 +205,7 @@ impl Readable {
             return Err(Unclear::NotSettled { watched: Span::from_millis_f64(last) });
         }
         let uncertainty = trial.samples.iter().map(|sample| sample.uncertainty).max().unwrap_or_default();
-        let visible = (self.visible / movement).min(VISIBLE_MAX);
+        let visible = self.visible_share(trial);
         Ok(Onset {
             latency: Span::from_millis_f64(latency + visible_delay(&readings.commanded, lag, visible)),
             dead_time: Span::from_millis_f64(latency),

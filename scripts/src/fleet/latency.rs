@@ -21,8 +21,8 @@ use crate::source::Source;
 const LATENCY_MAX: Span = Span::from_millis(10_000);
 const LATENCY_KEYS: [&str; 2] = ["median", "spread"];
 const FILE_KEYS: [&str; 1] = ["latency"];
-const MEASURED_KEYS: [&str; 8] =
-    ["median", "spread", "p95", "trials", "measured", "time_constant", "lags", "tracking_lag"];
+const MEASURED_KEYS: [&str; 9] =
+    ["median", "spread", "p95", "trials", "measured", "time_constant", "lags", "later", "tracking_lag"];
 /// Most trials that a file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
 
@@ -46,6 +46,8 @@ pub struct Lag {
     pub time_constant: Span,
     /// How many: 1 begins at once with full speed towards the value, 2 begins softly.
     pub lags: u8,
+    /// So much later than such lags alone it visibly begins, as a device with static friction does; negative if earlier.
+    pub later: Span,
 }
 
 /// Most lags in a row.
@@ -143,6 +145,7 @@ fn entry(measured: &MeasuredLatency) -> String {
         measured.as_ref().map(|measured| format!("measured: {}", serde_json::Value::from(measured.as_str()))),
         time("time_constant", &lag.map(|lag| lag.time_constant)),
         lag.map(|lag| format!("lags: {}", lag.lags)),
+        time("later", &lag.map(|lag| lag.later).filter(|later| *later != Span::ZERO)),
         time("tracking_lag", tracking_lag),
     ];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
@@ -175,7 +178,7 @@ fn id<T>(findings: &mut Reader, id: Result<T, urrcp::LimitError>, at: &At<'_>, e
 }
 
 fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> {
-    let [median, spread, p95, trials, measured, time_constant, lags, tracking_lag] =
+    let [median, spread, p95, trials, measured, time_constant, lags, later, tracking_lag] =
         findings.map(at, "a measured latency", MEASURED_KEYS, &["median"])?;
     let mut span = |at: Option<At<'_>>| at.and_then(|at| latency_span(findings, &at));
     let (median, spread, p95) = (span(median), span(spread), span(p95));
@@ -185,14 +188,21 @@ fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> 
     let measured = measured.map(Into::into);
     let lags = lags.and_then(|at| findings.count(&at, 1, u32::from(LAGS_MAX)));
     let lags = lags.map_or(1, |lags| u8::try_from(lags).unwrap_or(LAGS_MAX));
-    let lag = time_constant.map(|time_constant| Lag { time_constant, lags });
+    let later =
+        later.and_then(|at| findings.signed_duration(&at).and_then(|span| possible(findings, &at, span)));
+    let later = later.unwrap_or_default();
+    let lag = time_constant.map(|time_constant| Lag { time_constant, lags, later });
     Some(MeasuredLatency { median: median?, spread, p95, trials, measured, lag, tracking_lag })
 }
 
 /// A time from 0 to [`LATENCY_MAX`].
 fn latency_span(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
     let span = findings.duration(at)?;
-    if span <= LATENCY_MAX {
+    possible(findings, at, span)
+}
+
+fn possible(findings: &mut Reader, at: &At<'_>, span: Span) -> Option<Span> {
+    if span.abs() <= LATENCY_MAX {
         return Some(span);
     }
     let message = format!("{span} is too long for a device to begin to move");

@@ -101,7 +101,7 @@ fn a_file_that_is_written_is_read_back() {
         p95: Some(ms(44_000)),
         trials: Some(20),
         measured: Some("2026-11-23T21:04:05Z".to_owned()),
-        lag: Some(Lag { time_constant: ms(20_000), lags: 2 }),
+        lag: Some(Lag { time_constant: ms(20_000), lags: 2, later: ms(-1_500) }),
         tracking_lag: Some(ms(35_000)),
     };
     let bare = MeasuredLatency { median: Span::ZERO, ..MeasuredLatency::default() };
@@ -111,7 +111,7 @@ fn a_file_that_is_written_is_read_back() {
         [("arm-1".parse().unwrap(), arm), ("true".parse().unwrap(), BTreeMap::new())].into();
     let text = latency_text(&file);
     let line = "    elbow: {median: 41.2ms, spread: 3.1ms, p95: 44ms, trials: 20, \
-                measured: \"2026-11-23T21:04:05Z\", time_constant: 20ms, lags: 2, tracking_lag: 35ms}\n";
+                measured: \"2026-11-23T21:04:05Z\", time_constant: 20ms, lags: 2, later: -1.5ms, tracking_lag: 35ms}\n";
     assert!(text.contains(line), "{text}");
     for file in [file, LatencyFile::new()] {
         let source = Source { name: "latency.yaml".to_owned(), text: latency_text(&file) };

@@ -1,0 +1,158 @@
+//! When the readings show the first visible motion, where they contradict the fitted response.
+//!
+//! No device follows exactly like first-order lags. One with static friction, say, rests for a while and then catches up: the best fit
+//! begins before the device does. So the readings of all trials are laid over each other, each from its own dead time on, and smoothed by
+//! local linear regression with tricube weights (Cleveland: Robust locally weighted regression and smoothing scatterplots, Journal of the
+//! American Statistical Association 74, 1979). The fitted response at the same instants is smoothed by the same weights: what the smoothing
+//! changes is then changed in both. The difference of the two crossings counts where the noise leaves it significant.
+
+use super::fit::Fitted;
+use super::model::{Lag, Readings, response};
+
+/// The narrowest and the widest half-width of the weights, in milliseconds.
+const WIDTHS: (f64, f64) = (1.0, 16.0);
+/// Each width is by so much wider than the one before.
+const WIDER: f64 = 1.4;
+/// Readings that are needed under the weights.
+const READINGS_LEAST: usize = 5;
+/// How exactly a crossing has to be known to be used, in milliseconds: its standard error.
+const PRECISE: f64 = 1.0;
+/// Noise above this part of the visible share makes more than one crossing: the standard error of the regression.
+const QUIET: f64 = 0.125;
+/// A difference of so many standard errors is significant, if it is also above [`MATTERS`].
+const SIGNIFICANT: f64 = 4.0;
+/// Less is not worth an exception from the fit, in milliseconds.
+const MATTERS: f64 = 0.5;
+/// Between two instants at which the regression is computed, in milliseconds.
+const STEP: f64 = 0.5;
+/// Crossings are looked for before the fitted response has come so far.
+const BEGUN: f64 = 0.6;
+
+/// A reading of any trial.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    /// Milliseconds since the dead time of its trial.
+    after: f64,
+    /// The share of the movement that the sensor shows.
+    seen: f64,
+    /// The share of the fitted response.
+    fitted: f64,
+}
+
+/// The readings of all trials in order, and the standard deviation of those at rest.
+struct Pooled {
+    points: Vec<Point>,
+    at_rest: f64,
+}
+
+/// The regression at one instant.
+#[derive(Clone, Copy, Debug)]
+struct Smoothed {
+    at: f64,
+    seen: f64,
+    fitted: f64,
+    /// Per millisecond.
+    slope: f64,
+    standard_error: f64,
+}
+
+/// How many milliseconds later than the fitted response the devices have visibly begun to move, by this share of the movement; negative if
+/// earlier. Zero where the readings do not contradict the fit, or cannot tell.
+pub(super) fn later(trials: &[(&Readings, Fitted)], lag: Lag, share: f64) -> f64 {
+    let Some(commanded) = trials.first().map(|(readings, _)| &readings.commanded) else { return 0.0 };
+    let pooled = Pooled::of(trials, lag);
+    let last = commanded.lasts_ms() + 20.0 * lag.constant + STEP;
+    let begun = instants(0.0, last).find(|at| response(commanded, lag, *at) >= BEGUN).unwrap_or(last);
+    let widths = std::iter::successors(Some(WIDTHS.0), |width| Some(width * WIDER));
+    for width in widths.take_while(|width| *width <= WIDTHS.1) {
+        let Some((difference, error)) = pooled.difference(width, begun, share) else { continue };
+        if error <= PRECISE {
+            return if difference.abs() > (SIGNIFICANT * error).max(MATTERS) { difference } else { 0.0 };
+        }
+    }
+    0.0
+}
+
+fn instants(first: f64, last: f64) -> impl DoubleEndedIterator<Item = f64> {
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "movements are watched for seconds"
+    )]
+    let count = ((last - first) / STEP).ceil().max(0.0) as u32;
+    (0..=count).map(move |index| first + f64::from(index) * STEP)
+}
+
+impl Pooled {
+    #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+    fn of(trials: &[(&Readings, Fitted)], lag: Lag) -> Self {
+        let (mut points, mut squares, mut free) = (Vec::new(), 0.0, 0.0);
+        for (readings, fitted) in trials.iter().filter(|(_, fitted)| fitted.agreement.gain != 0.0) {
+            let resting = || readings.at.iter().zip(&readings.values).filter(|(at, _)| **at < 0.0);
+            let count = resting().count() as f64;
+            let rest = resting().map(|(_, value)| value).sum::<f64>() / count.max(1.0);
+            let share = |value: f64| (value - rest) / fitted.agreement.gain;
+            squares += resting().map(|(_, value)| share(*value).powi(2)).sum::<f64>();
+            free += (count - 1.0).max(0.0);
+            points.extend(readings.at.iter().zip(&readings.values).map(|(at, value)| {
+                let after = at - fitted.latency;
+                Point { after, seen: share(*value), fitted: response(&readings.commanded, lag, after) }
+            }));
+        }
+        points.sort_by(|a, b| a.after.total_cmp(&b.after));
+        Self { points, at_rest: (squares / free.max(1.0)).sqrt() }
+    }
+
+    /// How much later the readings cross this share than the fitted response does, and its standard error, in milliseconds.
+    fn difference(&self, width: f64, begun: f64, share: f64) -> Option<(f64, f64)> {
+        let first = self.points.first()?.after.max(-begun);
+        let smoothed: Option<Vec<Smoothed>> =
+            instants(first + width, begun).map(|at| self.smoothed(at, width)).collect();
+        let smoothed = smoothed?;
+        let seen = crossing(&smoothed, share, |smoothed| smoothed.seen)?;
+        let fitted = crossing(&smoothed, share, |smoothed| smoothed.fitted)?;
+        let near = smoothed.iter().min_by(|a, b| (a.at - seen).abs().total_cmp(&(b.at - seen).abs()))?;
+        let told = near.slope > 0.0 && near.standard_error <= QUIET * share;
+        told.then(|| (seen - fitted, near.standard_error / near.slope))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+    fn smoothed(&self, at: f64, width: f64) -> Option<Smoothed> {
+        let begin = self.points.partition_point(|point| point.after <= at - width);
+        let end = self.points.partition_point(|point| point.after < at + width);
+        let near = &self.points[begin..end];
+        if near.len() < READINGS_LEAST {
+            return None;
+        }
+        let weight = |point: &Point| (1.0 - ((point.after - at).abs() / width).powi(3)).powi(3);
+        let (mut s0, mut s1, mut s2) = (0.0, 0.0, 0.0);
+        for point in near {
+            let (weight, distance) = (weight(point), point.after - at);
+            (s0, s1, s2) = (s0 + weight, s1 + weight * distance, s2 + weight * distance * distance);
+        }
+        let determinant = s0 * s2 - s1 * s1;
+        if determinant <= 1e-9 * s0 * s0 {
+            return None;
+        }
+        let (mut seen, mut fitted, mut slope, mut gained) = (0.0, 0.0, 0.0, 0.0);
+        for point in near {
+            let (weight, distance) = (weight(point), point.after - at);
+            let part = weight * (s2 - s1 * distance) / determinant;
+            (seen, fitted, gained) =
+                (seen + part * point.seen, fitted + part * point.fitted, gained + part * part);
+            slope += weight * (s0 * distance - s1) / determinant * point.seen;
+        }
+        let deviation = |point: &Point| point.seen - seen - slope * (point.after - at);
+        let squares = near.iter().map(|point| weight(point) * deviation(point).powi(2)).sum::<f64>() / s0;
+        let count = near.len() as f64;
+        let variance = (squares * count / (count - 2.0)).max(self.at_rest.powi(2));
+        Some(Smoothed { at, seen, fitted, slope, standard_error: (variance * gained).sqrt() })
+    }
+}
+
+/// Where the values rise above this share for the last time.
+fn crossing(smoothed: &[Smoothed], share: f64, of: impl Fn(&Smoothed) -> f64) -> Option<f64> {
+    let below = smoothed.iter().rposition(|smoothed| of(smoothed) < share)?;
+    let (before, after) = (smoothed.get(below)?, smoothed.get(below + 1)?);
+    Some(before.at + (after.at - before.at) * (share - of(before)) / (of(after) - of(before)))
+}
