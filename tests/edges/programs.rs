@@ -6,7 +6,7 @@ use std::time::Duration;
 use rustix::process::Signal;
 
 use super::processes::Edge;
-use super::{LEAD, SCENARIO, await_that, session};
+use super::{LEAD, SCENARIO, await_that, fleet, session};
 use crate::robots::signal;
 use crate::session::{Ran, Session, root};
 
@@ -317,4 +317,17 @@ fn the_edge_document_shows_the_programs_that_are_tested() {
     for program in [DRIVE, include_str!("../drivers/drive.py"), include_str!("../thrift/urrcp.thrift")] {
         assert!(document.contains(program), "docs/edge.md lacks, word for word:\n{program}");
     }
+}
+
+#[test]
+fn a_sensor_that_a_program_cannot_read_is_shown_with_its_reason() {
+    let session = session();
+    session.file("drive.sh", DRIVE.replace("echo 12.5", "echo 'error the pack does not answer'"));
+    session.file("fleet.yaml", fleet(&["program:sh drive.sh driven.txt".to_owned()], "above 12"));
+    let preflight = ["preflight", "tanks.yaml", "--start-programs"];
+    session.run(&preflight).says(1, &["nothing: ", "the pack does not answer", "above 12"]);
+    let report = session.run(&[&preflight[..], &["--format", "json"]].concat()).json();
+    let reading = &report["preflight"]["rows"][0]["readings"][0];
+    assert_eq!(reading["reading"], serde_json::Value::Null, "{reading}");
+    assert!(reading["why"].as_str().unwrap().contains("the pack does not answer"), "{reading}");
 }

@@ -169,11 +169,15 @@ impl Mission {
             StatusValue::Number(value) if response.status == Status::Provide => Some(value),
             _ => None,
         };
+        if let (None, Some(error)) = (value, &response.error) {
+            self.robots[robot].unread.insert(response.device_id.clone(), error.message.clone());
+        }
         match what {
             Reading::Requirement(index) => self.robots[robot].readings[index] = value,
-            Reading::Position(device) => {
-                self.robots[robot].positions.extend(value.map(|value| (device, value)));
-            }
+            Reading::Position(device) => match value {
+                Some(value) => self.robots[robot].positions.push((device, value)),
+                None => self.robots[robot].shown.push((device, None)),
+            },
             Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);

@@ -103,6 +103,9 @@ pub struct DeviceReading {
     pub device: DeviceId,
     /// In its unit; `None` where it gave no reading.
     pub reading: Option<f64>,
+    /// Why it gave none, as the robot says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
     /// Its unit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
@@ -141,9 +144,9 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
         let described = robot.block.as_ref()?.device(device.as_str())?;
         described.unit.as_ref().map(ToString::to_string)
     };
-    let row = |device: &DeviceId, reading, expected| {
-        let (device, unit) = (device.clone(), unit(device));
-        DeviceReading { device, reading, unit, expected }
+    let row = |device: &DeviceId, reading: Option<f64>, expected| {
+        let why = robot.unread.get(device).filter(|_| reading.is_none()).cloned();
+        DeviceReading { device: device.clone(), reading, why, unit: unit(device), expected }
     };
     let asked = mission.options.greeting == Greeting::Full;
     let required = robot.settings.require.iter().zip(&robot.readings).filter(|_| asked);

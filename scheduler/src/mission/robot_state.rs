@@ -1,6 +1,6 @@
 //! What the mission knows of one robot: its link, its clock, what it was asked, and its stop.
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{
@@ -228,6 +228,8 @@ pub(crate) struct RobotState {
     pub(crate) positions: Vec<(DeviceId, f64)>,
     /// What its other sensors read, which nothing depends on.
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
+    /// Why a device gave no reading, as the robot says it.
+    pub(crate) unread: BTreeMap<DeviceId, String>,
     pub(crate) reads: HashMap<RequestId, Reading>,
     /// The requests that it was sent, by their names.
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
@@ -277,6 +279,7 @@ impl RobotState {
             settings: participant.settings,
             positions: Vec::new(),
             shown: Vec::new(),
+            unread: BTreeMap::new(),
             reads: HashMap::new(),
             requests: HashMap::new(),
             touched: BTreeSet::new(),

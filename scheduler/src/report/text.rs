@@ -224,9 +224,11 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
     for row in &preflight.rows {
         for reading in &row.readings {
             let unit = reading.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
-            let read = reading
-                .reading
-                .map_or("nothing".to_owned(), |value| format!("{}{unit}", reading_text(value)));
+            let read = match (reading.reading, &reading.why) {
+                (Some(value), _) => format!("{}{unit}", reading_text(value)),
+                (None, Some(why)) => format!("nothing: {why}"),
+                (None, None) => "nothing".to_owned(),
+            };
             let expected = reading.expected.as_ref().map(|expected| format!("{expected}{unit}"));
             rows.add([row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
         }
