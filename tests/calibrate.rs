@@ -223,3 +223,22 @@ fn an_interrupt_leaves_the_device_where_it_is_and_the_robot_free() {
     assert_eq!(show.log().len(), moves, "it still moves");
     assert_eq!(show.calibrate(&["--trials", "6"]).code(), 0);
 }
+
+#[test]
+fn a_mission_whose_motions_no_sensor_can_verify_is_refused_before_anything_moves() {
+    let session = Session::new();
+    session
+        .file("robot.yaml", ARM)
+        .file("fleet.yaml", "robots: {arm: {init: robot.yaml, address: sim}}\n")
+        .file(
+            "show.yaml",
+            "scenario: show\ncues: [{at: 0s, robots: arm, tracks: {elbow: [{at: 0s, to: 0}]}}]\n",
+        );
+    session.run(&["run", "show.yaml", "--verify-motion"]).says(
+        2,
+        &[
+            "no robot of this scenario has that key",
+            "add `calibrate: {DEVICE: {sensor: SENSOR, by: AMOUNT}}`",
+        ],
+    );
+}

@@ -14,7 +14,7 @@ const BYTES_MAX: u64 = 64 * 1024;
 #[non_exhaustive]
 pub enum KeyFileError {
     /// It cannot be read.
-    #[error("{}: {error}", path.display())]
+    #[error("{}: {error}; expected a file that `downbeat keys` wrote", path.display())]
     Unreadable {
         /// Which file.
         path: PathBuf,

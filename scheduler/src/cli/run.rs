@@ -285,6 +285,15 @@ impl Work<'_> {
             );
             return Exit::Usage;
         }
+        if self.verify_motion {
+            let mut settings = fleet::robots_in(&fleet, &choreography).into_iter();
+            if settings.all(|robot| robot.mission.calibrate.is_empty()) {
+                console::error(
+                    "--verify-motion reads the sensors that `calibrate` names, and no robot of this scenario has that key; add `calibrate: {DEVICE: {sensor: SENSOR, by: AMOUNT}}` to a robot of the fleet file",
+                );
+                return Exit::Usage;
+            }
+        }
         if matches!(self.place, Place::Detaching) {
             let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
             return match journal::state_folder() {
