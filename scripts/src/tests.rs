@@ -232,6 +232,7 @@ mod groups;
 mod hints;
 mod numbers;
 mod patterns;
+mod standing;
 mod told;
 mod verified;
 mod whole;

@@ -164,7 +164,12 @@ impl Search<'_> {
 /// Within a leaf, in order of time.
 fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> {
     let from = time(leaf, leaves, a.ends).max(a.path.known_from()).max(b.path.known_from());
-    path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends))
+    let mut moments = path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends));
+    // One moment alone is a way that goes nowhere, as where nothing moves.
+    if let [only] = moments.as_slice() {
+        moments.push(only.clone());
+    }
+    moments
 }
 
 /// When two bodies first touch, in seconds; a graze by less than a tenth of a millimetre may be missed.

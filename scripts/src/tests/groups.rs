@@ -24,7 +24,7 @@ fn device(id: &str, home: f64) -> String {
 }
 
 /// A drone that begins at a place.
-fn drone(index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
+pub(super) fn drone(index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
     let id = format!("d{index}");
     let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home)).join(", ");
     let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{devices}]}}"#);
