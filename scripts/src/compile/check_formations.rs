@@ -8,7 +8,7 @@ use crate::node::shortened;
 use crate::scenario::Scenario;
 
 /// Places that are nearer to each other, in metres, count as one.
-const SAME: f64 = 1e-6;
+pub(super) const SAME: f64 = 1e-6;
 
 /// Formations that have places of their own; others depend on how many robots take part.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
@@ -23,6 +23,14 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     }
 }
 
+/// How near two places are, as the end of a sentence about them.
+pub(super) fn apart(metres: f64) -> String {
+    match metres < SAME {
+        true => "are the same".to_owned(),
+        false => format!("are {metres:.3} m apart"),
+    }
+}
+
 /// A warning about the two places that are nearest to each other, if that is nearer than two bodies may be.
 pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[Point], fleet: &Fleet) {
     let Some(pair) = nearest_pair(places) else { return };
@@ -32,10 +40,7 @@ pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[P
     }
     let [a, b] = pair.places;
     let [x, y, z] = places[a];
-    let apart = match pair.distance < SAME {
-        true => "are the same".to_owned(),
-        false => format!("are {:.3} m apart", pair.distance),
-    };
+    let apart = apart(pair.distance);
     let message = format!(
         "places {} and {} of `{}` {apart}, near [{x:.2}, {y:.2}, {z:.2}]",
         a + 1,

@@ -349,6 +349,81 @@ fn what_a_group_cannot_do_is_found() {
     assert_eq!(findings.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NotInGroup]);
 }
 
+/// What a finding of a group that is to move too fast says would be enough.
+fn enough(count: usize, formations: &str, cue: &str) -> Option<String> {
+    let text = format!("scenario: s\nformations: {{{formations}}}\ncues: [{{at: 0s, robots: all, {cue}}}]\n");
+    let found = compiled(count, &text).findings;
+    let too_fast = found.iter().find(|finding| finding.code == Code::BodyTooFast)?;
+    let (_, after) = too_fast.expected.split_once("over: ").unwrap_or_else(|| panic!("{too_fast:#?}"));
+    Some(after.split_once('`').unwrap().0.to_owned())
+}
+
+#[test]
+fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
+    let (codes, text) = found(2, "form: {to: three, thin: evenly}, over: 5s");
+    assert!(codes.is_empty(), "{text}");
+    let near = "near: {points: [[0, 0, 1], [0.39, 0, 1], [4, 0, 1]]}";
+    let text = format!("scenario: s\nformations: {{{near}}}\ncues: [{{at: 0s, robots: all, form: near, over: 60s}}]\n");
+    let findings = compiled(3, &text).findings;
+    let codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();
+    assert_eq!(codes, [Code::NoWayPast], "{findings:#?}");
+    assert_eq!(findings[0].message, "places 1 and 2 of `near` are 0.390 m apart");
+    assert!(findings[0].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
+    let hint = findings[0].hint.as_deref().unwrap();
+    assert!(hint.contains("larger") && !hint.contains("time"), "{hint}");
+    // Without bodies and distances, two robots still cannot be at one place.
+    let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
+    let text = format!("scenario: s\nformations: {{{ring}}}\ncues: [{{at: 0s, robots: all, form: ring, over: 60s}}]\n");
+    let findings = compiled(3, &text).findings;
+    assert!(findings[0].message.contains("of `ring` are 0.017 m apart"), "{findings:#?}");
+}
+
+#[test]
+fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
+    let mut fleet = fleet(3);
+    if let Some(body) = &mut fleet.robots[1].body {
+        body.coordinates[2] = Coordinate::Fixed(0.0);
+    }
+    let codes = |cue: &str| {
+        let text = format!(
+            "scenario: s\nformations: {{three: {{points: [[0, 0, 1], [2, 0, 1], [4, 0, 1]]}}, floor: {{points: [[0, 0, 0], [2, 0, 0], [4, 0, 0]]}}}}\n\
+             cues: [{{at: 0s, robots: d0, tracks: {{z: [{{at: 0s, to: 0}}, {{at: 1s, to: 1}}]}}}}, {{at: 1s, robots: all, {cue}}}]\n"
+        );
+        let found = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles).findings;
+        found.iter().map(|found| (found.code, found.message.clone())).collect::<Vec<_>>()
+    };
+    for cue in ["form: three, over: 9s", "grow: 2, over: 9s", "shift: [0, 0, 1], over: 9s"] {
+        let found = codes(cue);
+        assert!(found.len() == 1 && found[0].0 == Code::NotInGroup, "{cue}: {found:?}");
+        assert!(found[0].1.contains("`d1` cannot change its own"), "{cue}: {found:?}");
+    }
+    for cue in ["form: floor, over: 9s", "form: home, over: 9s", "turn: 20, over: 9s", "shift: [0, 1, 0], over: 9s"] {
+        assert!(codes(cue).is_empty(), "{cue}: {:?}", codes(cue));
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #[test]
+    fn the_shortest_time_that_is_named_is_enough(
+        turn in -9_000..9_000i32,
+        grow in 5..30i32,
+        shift in prop::array::uniform3(-20..20i32),
+        form: bool,
+    ) {
+        let [x, y, z] = shift.map(|tenths| f64::from(tenths) / 10.0);
+        let cue = match form {
+            true => "form: f".to_owned(),
+            false => format!("turn: {turn}, grow: {}, shift: [{x}, {y}, {z}]", f64::from(grow) / 10.0),
+        };
+        let formation = format!("f: {{points: [[{x}, {y}, 1], [{}, 3, 2], [4, {}, 1]]}}", x + 1.0, y + 4.0);
+        if let Some(over) = enough(3, &formation, &format!("{cue}, over: 10ms")) {
+            let again = enough(3, &formation, &format!("{cue}, over: {over}"));
+            prop_assert!(again.is_none(), "{cue}: {over} is not enough, {again:?} is");
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
     #[test]

@@ -102,6 +102,14 @@ struct Dancer<'a> {
 }
 
 impl Dancer<'_> {
+    /// Of the ball about its middle that holds it, in metres.
+    fn radius(&self) -> f64 {
+        match self.body.shape {
+            BodyShape::Ball { radius } => radius,
+            BodyShape::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
+        }
+    }
+
     /// Whether it cannot change its height.
     const fn is_flat(&self) -> bool {
         matches!(self.axes[2], Axis::Fixed(_))
@@ -230,7 +238,11 @@ impl<'a> Performer<'_, 'a> {
                 if !self.reaches(group, name, dancers, &places) {
                     return None;
                 }
-                (level(places, dancers), false)
+                let places = level(places, dancers);
+                if self.tell_crowded(group, name, dancers, &places) {
+                    return None;
+                }
+                (places, false)
             }
         };
         let spare = match form.spare {
@@ -288,10 +300,19 @@ impl<'a> Performer<'_, 'a> {
 
     /// Whether all robots can be at the heights of the places.
     fn reaches(&mut self, group: &Together, name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> bool {
-        let flat = dancers.iter().find(|dancer| dancer.is_flat());
-        let flat = flat.filter(|_| places.iter().any(|place| (place[2] - places[0][2]).abs() > LEVEL));
+        let differ = |height: f64| places.iter().any(|place| (place[2] - height).abs() > LEVEL);
+        let all_flat = dancers.iter().all(Dancer::is_flat);
+        // Robots that are all flat take a level formation to their own height.
+        let cannot = |dancer: &&Dancer<'_>| {
+            let height = if all_flat { places[0][2] } else { dancer.from[2] };
+            dancer.is_flat() && differ(height)
+        };
+        let flat = dancers.iter().find(cannot);
         if let Some(dancer) = flat {
-            let what = format!("the places of `{}` differ in height", shortened(name));
+            let what = match differ(places[0][2]) {
+                true => format!("the places of `{}` differ in height", shortened(name)),
+                false => format!("the places of `{}` are at another height", shortened(name)),
+            };
             self.tell_flat(group, &what, dancer.member.robot);
         }
         flat.is_none()
@@ -326,10 +347,7 @@ impl<'a> Performer<'_, 'a> {
         let heights = dancers.iter().map(|dancer| dancer.from[2]).chain(goals.iter().map(|goal| goal[2]));
         let lowest = heights.fold(f64::INFINITY, f64::min);
         let body = |dancer: &Dancer<'_>| {
-            let radius = match dancer.body.shape {
-                BodyShape::Ball { radius } => radius,
-                BodyShape::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
-            };
+            let radius = dancer.radius();
             let [x, y, z] = dancer.axes.each_ref().map(|axis| axis.error(cue.tolerance));
             let keep_in = space.keep_in.as_ref().map_or(f64::INFINITY, |volume| volume.most[2] - radius);
             transit::Body {

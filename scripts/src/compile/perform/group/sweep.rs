@@ -1,6 +1,6 @@
 //! A group that turns, grows and shifts as one.
 
-use super::{Dancer, Moved, Performer};
+use super::{Dancer, LEVEL, Moved, Performer};
 use crate::finding::Code;
 use crate::formation::Point;
 use crate::motion::Swept;
@@ -14,12 +14,11 @@ impl Performer<'_, '_> {
         sweep: Sweep,
         dancers: &[Dancer<'_>],
     ) -> Option<Vec<Moved>> {
-        let flat = dancers.iter().find(|dancer| dancer.is_flat()).filter(|_| sweep.shift[2] != 0.0);
-        if let Some(dancer) = flat {
-            self.tell_flat(group, "the group is shifted in height", dancer.member.robot);
+        let mut center = middle(dancers)?;
+        if let Some((dancer, what)) = left_behind(sweep, dancers, center[2]) {
+            self.tell_flat(group, what, dancer.member.robot);
             return None;
         }
-        let mut center = middle(dancers)?;
         if let Some([x, y]) = sweep.about {
             (center[0], center[1]) = (x, y);
         }
@@ -45,6 +44,21 @@ impl Performer<'_, '_> {
         }
         Some(all)
     }
+}
+
+/// A robot that cannot follow, because it cannot change its height. Where none can, a group grows on its level.
+fn left_behind<'d, 'a>(
+    sweep: Sweep,
+    dancers: &'d [Dancer<'a>],
+    middle: f64,
+) -> Option<(&'d Dancer<'a>, &'static str)> {
+    let mut flat = dancers.iter().filter(|dancer| dancer.is_flat());
+    if sweep.shift[2] != 0.0 {
+        return Some((flat.next()?, "the group is shifted in height"));
+    }
+    let grows = sweep.grow != 1.0 && dancers.iter().any(|dancer| !dancer.is_flat());
+    let off = flat.find(|dancer| grows && (dancer.from[2] - middle).abs() > LEVEL)?;
+    Some((off, "the group grows in height too"))
 }
 
 /// The shortest time for a movement with these largest derivatives by its share of time.

@@ -1,14 +1,20 @@
 //! What is wrong with a group, in words.
 
 use super::{COORDINATES, Dancer, Performer};
+use crate::compile::check_formations::{SAME, apart};
 use crate::compile::conflict::told;
 use crate::duration;
 use crate::finding::{Code, Severity};
+use crate::formation::{Point, nearest_pair};
 use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{Cue, Form, Target, Together};
+use crate::space::Shape;
 use crate::transit::{Blocked, Refused};
 use urrcp::Span;
+
+/// Metres by which two places may seem nearer than they are.
+const ROUNDING: f64 = 1e-9;
 
 impl Performer<'_, '_> {
     /// Robots that have no place in space, or none that is known.
@@ -71,6 +77,33 @@ impl Performer<'_, '_> {
         self.findings.add(Code::PlacesCount, group.place.clone(), message, expected, Some(hint));
     }
 
+    /// Whether two of the places are too near for any two of these bodies, which is told.
+    pub(super) fn tell_crowded(
+        &mut self,
+        group: &Together,
+        name: &str,
+        dancers: &[Dancer<'_>],
+        places: &[Point],
+    ) -> bool {
+        // Of more places than robots only some are taken.
+        let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return false };
+        let space = &self.cast.fleet.space;
+        let mut radii: Vec<f64> = dancers.iter().map(inner_radius).collect();
+        radii.sort_unstable_by(f64::total_cmp);
+        let required = space.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>();
+        if pair.distance >= required.max(SAME) - ROUNDING {
+            return false;
+        }
+        let [a, b] = pair.places.map(|place| place + 1);
+        let message = format!("places {a} and {b} of `{}` {}", shortened(name), apart(pair.distance));
+        let expected = format!(
+            "at least {required:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
+        );
+        let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
+        self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, hint);
+        true
+    }
+
     pub(super) fn tell_refused(
         &mut self,
         cue: &Cue,
@@ -116,7 +149,10 @@ impl Performer<'_, '_> {
             told(at),
             shortened(&cue.name)
         );
-        let expected = format!("at least {:.3} m; delays and arcs were tried", blocked.required);
+        let expected = format!(
+            "at least {:.3} m, with what steps may be off; delays and arcs were tried",
+            blocked.required
+        );
         let hint = match form.to {
             Target::Home => {
                 "give it more time, let them begin one after another with `canon`, or form a row first"
@@ -126,5 +162,13 @@ impl Performer<'_, '_> {
             }
         };
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
+    }
+}
+
+/// Half of what a body is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
+fn inner_radius(dancer: &Dancer<'_>) -> f64 {
+    match dancer.body.shape {
+        Shape::Ball { radius } => radius,
+        Shape::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
     }
 }
