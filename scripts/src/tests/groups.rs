@@ -6,7 +6,7 @@ use proptest::prelude::*;
 
 use super::robot;
 use crate::space::{Body, Coordinate, Shape, Space};
-use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
+use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, RateLimits, Source, compile};
 
 /// How densely positions are looked at, in milliseconds.
 const EVERY_MS: f64 = 5.0;
@@ -349,12 +349,27 @@ fn what_a_group_cannot_do_is_found() {
     assert_eq!(findings.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NotInGroup]);
 }
 
+/// A fleet whose devices are limited in place of its bodies.
+fn limited(count: usize) -> Fleet {
+    let mut fleet = fleet(count);
+    let limits = |speed: f64| RateLimits { speed: Some(speed), acceleration: Some(2.0) };
+    for robot in &mut fleet.robots {
+        robot.limits =
+            [("x", 1.0), ("y", 1.5), ("z", 0.5)].map(|(id, speed)| (id.to_owned(), limits(speed))).into();
+        let body = robot.body.as_mut().unwrap();
+        (body.speed, body.acceleration) = (None, None);
+    }
+    fleet
+}
+
 /// What a finding of a group that is to move too fast says would be enough.
-fn enough(count: usize, formations: &str, cue: &str) -> Option<String> {
+fn enough(fleet: &Fleet, formations: &str, cue: &str) -> Option<String> {
     let text = format!("scenario: s\nformations: {{{formations}}}\ncues: [{{at: 0s, robots: all, {cue}}}]\n");
-    let found = compiled(count, &text).findings;
-    let too_fast = found.iter().find(|finding| finding.code == Code::BodyTooFast)?;
-    let (_, after) = too_fast.expected.split_once("over: ").unwrap_or_else(|| panic!("{too_fast:#?}"));
+    let found = compile(&Source { name: "s.yaml".into(), text }, fleet, &NoFiles).findings;
+    let of_space = [Code::TooClose, Code::NoWayPast, Code::OutOfRange, Code::NearPlaces];
+    let too_fast = found.iter().find(|finding| !of_space.contains(&finding.code))?;
+    let told = too_fast.expected.split_once("over: ");
+    let (_, after) = told.unwrap_or_else(|| panic!("{cue}: {too_fast:#?}"));
     Some(after.split_once('`').unwrap().0.to_owned())
 }
 
@@ -363,7 +378,9 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     let (codes, text) = found(2, "form: {to: three, thin: evenly}, over: 5s");
     assert!(codes.is_empty(), "{text}");
     let near = "near: {points: [[0, 0, 1], [0.39, 0, 1], [4, 0, 1]]}";
-    let text = format!("scenario: s\nformations: {{{near}}}\ncues: [{{at: 0s, robots: all, form: near, over: 60s}}]\n");
+    let text = format!(
+        "scenario: s\nformations: {{{near}}}\ncues: [{{at: 0s, robots: all, form: near, over: 60s}}]\n"
+    );
     let findings = compiled(3, &text).findings;
     let codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();
     assert_eq!(codes, [Code::NoWayPast], "{findings:#?}");
@@ -373,7 +390,9 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     assert!(hint.contains("larger") && !hint.contains("time"), "{hint}");
     // Without bodies and distances, two robots still cannot be at one place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
-    let text = format!("scenario: s\nformations: {{{ring}}}\ncues: [{{at: 0s, robots: all, form: ring, over: 60s}}]\n");
+    let text = format!(
+        "scenario: s\nformations: {{{ring}}}\ncues: [{{at: 0s, robots: all, form: ring, over: 60s}}]\n"
+    );
     let findings = compiled(3, &text).findings;
     assert!(findings[0].message.contains("of `ring` are 0.017 m apart"), "{findings:#?}");
 }
@@ -397,7 +416,9 @@ fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
         assert!(found.len() == 1 && found[0].0 == Code::NotInGroup, "{cue}: {found:?}");
         assert!(found[0].1.contains("`d1` cannot change its own"), "{cue}: {found:?}");
     }
-    for cue in ["form: floor, over: 9s", "form: home, over: 9s", "turn: 20, over: 9s", "shift: [0, 1, 0], over: 9s"] {
+    for cue in
+        ["form: floor, over: 9s", "form: home, over: 9s", "turn: 20, over: 9s", "shift: [0, 1, 0], over: 9s"]
+    {
         assert!(codes(cue).is_empty(), "{cue}: {:?}", codes(cue));
     }
 }
@@ -410,15 +431,17 @@ proptest! {
         grow in 5..30i32,
         shift in prop::array::uniform3(-20..20i32),
         form: bool,
+        of_devices: bool,
     ) {
+        let fleet = if of_devices { limited(3) } else { fleet(3) };
         let [x, y, z] = shift.map(|tenths| f64::from(tenths) / 10.0);
         let cue = match form {
             true => "form: f".to_owned(),
             false => format!("turn: {turn}, grow: {}, shift: [{x}, {y}, {z}]", f64::from(grow) / 10.0),
         };
         let formation = format!("f: {{points: [[{x}, {y}, 1], [{}, 3, 2], [4, {}, 1]]}}", x + 1.0, y + 4.0);
-        if let Some(over) = enough(3, &formation, &format!("{cue}, over: 10ms")) {
-            let again = enough(3, &formation, &format!("{cue}, over: {over}"));
+        if let Some(over) = enough(&fleet, &formation, &format!("{cue}, over: 10ms")) {
+            let again = enough(&fleet, &formation, &format!("{cue}, over: {over}"));
             prop_assert!(again.is_none(), "{cue}: {over} is not enough, {again:?} is");
         }
     }

@@ -44,7 +44,8 @@ fn bodies_that_are_set_too_near_at_once_are_found() {
 fn the_closest_approach_is_known_where_nothing_moves() {
     let choreography = compiled("  - {cue: mark, at: 0s}\n").choreography;
     assert!(choreography.is_none(), "an act with bodies too near is not played");
-    let text = "scenario: standing\nrequire: {closest: above 0.01m}\ncues:\n  - {cue: mark, at: 0s}\n".to_owned();
+    let text =
+        "scenario: standing\nrequire: {closest: above 0.01m}\ncues:\n  - {cue: mark, at: 0s}\n".to_owned();
     let fleet = Fleet { space: Space::default(), ..near() };
     let compiled = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles);
     let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings));
