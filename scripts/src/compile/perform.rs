@@ -27,6 +27,8 @@ const TOLD_MAX: usize = 1_000_000;
 
 pub(super) use group::Ground;
 
+/// Further than any movement that is compiled although it leaves the limits, in units of a device.
+const FAR: f64 = 1e9;
 /// Most tolerances that are tried for a hint.
 const TOLERANCES_MAX: usize = 16;
 
@@ -248,6 +250,10 @@ impl<'c, 'a> Performer<'c, 'a> {
         sound: bool,
     ) -> Option<Part> {
         let own = actuator.tolerance();
+        // No steps within the limits come near a movement that leaves them, and to find how near takes long.
+        let widened = actuator.limits.map(|limits| Limits { min_value: -FAR, max_value: FAR, ..*limits });
+        let unlimited = Actuator { limits: widened.as_ref(), ..*actuator };
+        let actuator = if sound { actuator } else { &unlimited };
         let thinned = on.track.tolerance.is_some() || on.track.steps_max.is_some();
         let mut tolerance = on.track.tolerance.unwrap_or(own);
         let mut fitted = actuator.steps(played, tolerance, thinned, self.fits);

@@ -349,6 +349,20 @@ fn what_a_group_cannot_do_is_found() {
     assert_eq!(findings.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NotInGroup]);
 }
 
+#[test]
+fn a_group_that_leaves_the_limits_of_its_devices_is_told_so_once_for_each_and_soon() {
+    let findings =
+        compiled(12, "scenario: s\ncues: [{at: 0s, robots: all, turn: 720, grow: 40, over: 500s}]\n")
+            .findings;
+    let others: Vec<_> = findings.iter().filter(|finding| finding.code != Code::OutOfRange).collect();
+    assert!(others.is_empty(), "{others:#?}");
+    assert!((1..=24).contains(&findings.len()), "{}", findings.len());
+    let mut told: Vec<&str> = findings.iter().map(|finding| finding.message.as_str()).collect();
+    told.sort_unstable();
+    told.dedup();
+    assert_eq!(told.len(), findings.len(), "{findings:#?}");
+}
+
 /// A fleet whose devices are limited in place of its bodies.
 fn limited(count: usize) -> Fleet {
     let mut fleet = fleet(count);
