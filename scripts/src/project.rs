@@ -116,6 +116,10 @@ fn existing(path: &Path) -> Option<PathBuf> {
 
 fn outside(path: &Path) -> Finding {
     let name = path.display().to_string();
+    if path.is_dir() || path.as_os_str().is_empty() {
+        let message = "this is a folder".to_owned();
+        return Finding::about_file(Code::OutsideProject, &name, message, "the name of a file", None);
+    }
     let message = "this file is outside the project".to_owned();
     let hint = "move it into the project, or name a folder that holds both with `--project DIR`".to_owned();
     Finding::about_file(Code::OutsideProject, &name, message, EXPECTED, Some(hint))

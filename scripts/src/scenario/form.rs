@@ -7,7 +7,7 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::formation::Point;
 use crate::keys::keys;
-use crate::node::Node;
+use crate::node::{Node, shortened};
 use crate::transit::Least;
 
 /// Most turns: more would take more steps than any device holds.
@@ -193,7 +193,7 @@ fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
 }
 
 fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
-    let expected = "degrees, up to 1000 turns";
+    let expected = "degrees without a unit, as in `turn: 90`, up to 1000 turns";
     let value = reader.degrees(at, expected)?;
     in_bounds(reader, at, value, expected, DEGREES_MAX)
 }
@@ -207,7 +207,8 @@ fn in_bounds(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str, most:
     if value.abs() <= most {
         return Some(value);
     }
-    reader.add(Code::WrongType, at.place(), format!("found {value}"), expected, None);
+    let found = shortened(&value.to_string());
+    reader.add(Code::WrongType, at.place(), format!("found {found}"), expected, None);
     None
 }
 

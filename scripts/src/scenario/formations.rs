@@ -193,7 +193,13 @@ fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
         if angle > 0.0 && angle < 180.0 {
             return Some(angle);
         }
-        reader.add(Code::WrongType, at.place(), format!("found the number {angle}"), expected, None);
+        reader.add(
+            Code::WrongType,
+            at.place(),
+            format!("found the number {}", shortened(&angle.to_string())),
+            expected,
+            None,
+        );
         None
     });
     let spacing = spacing.and_then(|at| length(reader, &at));
@@ -385,7 +391,8 @@ fn within(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str) -> Optio
     if value.abs() <= METRES_MAX {
         return Some(value);
     }
-    reader.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+    let found = shortened(&value.to_string());
+    reader.add(Code::WrongType, at.place(), format!("found the number {found}"), expected, None);
     None
 }
 

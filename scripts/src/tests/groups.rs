@@ -363,6 +363,26 @@ fn a_group_that_leaves_the_limits_of_its_devices_is_told_so_once_for_each_and_so
     assert_eq!(told.len(), findings.len(), "{findings:#?}");
 }
 
+#[test]
+fn a_group_that_turns_or_grows_about_itself_is_told_that_nothing_moves() {
+    for cue in ["turn: 90, over: 5s", "grow: 2, over: 5s", "turn: {by: 90, about: [0, 0]}, over: 5s"] {
+        let (codes, text) = found(1, cue);
+        assert_eq!(codes, [Code::NotInGroup], "{cue}");
+        assert!(text.contains("nothing moves"), "{text}");
+    }
+    assert!(found(1, "turn: {by: 90, about: [1, 0]}, over: 5s").0.is_empty());
+    assert!(found(1, "turn: 90, shift: [1, 0, 0], over: 5s").0.is_empty());
+    assert!(found(2, "turn: 90, over: 5s").0.is_empty());
+}
+
+#[test]
+fn large_numbers_are_told_in_few_digits() {
+    for cue in ["shift: [1e300, 0, 0], over: 5s", "turn: 1e300, over: 5s"] {
+        let (_, text) = found(2, cue);
+        assert!(text.len() < 200, "{text}");
+    }
+}
+
 /// A fleet whose devices are limited in place of its bodies.
 fn limited(count: usize) -> Fleet {
     let mut fleet = fleet(count);

@@ -18,6 +18,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
         let columns = match columns {
             Some(columns) => columns,
             None => {
+                if let Some(name) = named_twice(&cells) {
+                    return Err(Format::Csv.unfit(format!("line {line} names the column `{name}` twice")));
+                }
                 let (found, headed) = header(&cells);
                 columns = Some(found);
                 if headed {
@@ -45,6 +48,12 @@ fn number(cell: &str) -> Option<f64> {
     cell.replace(',', ".").parse().ok()
 }
 
+/// A coordinate that several columns are called.
+fn named_twice(cells: &[&str]) -> Option<&'static str> {
+    let of_name = |name: &str| cells.iter().filter(|cell| cell.eq_ignore_ascii_case(name)).count();
+    ["x", "y", "z"].into_iter().find(|name| of_name(name) > 1)
+}
+
 /// The columns of x, y and z, and whether the line is a header: a first line without any number is one.
 fn header(cells: &[&str]) -> ([usize; 3], bool) {
     let named = |name: &str| {
@@ -66,6 +75,13 @@ mod tests {
     #[track_caller]
     fn check(text: &str, expected: &[Point]) {
         assert_eq!(read(text.as_bytes()).ok().as_deref(), Some(expected), "{text}");
+    }
+
+    #[test]
+    fn a_coordinate_with_two_columns_is_told() {
+        let told = read(b"x,x,y,z\n1,2,3,4\n").err().map(|unfit| unfit.message);
+        assert_eq!(told.as_deref(), Some("line 1 names the column `x` twice"));
+        check("x,x_speed,y,z\n1,2,3,4\n", &[[1.0, 3.0, 4.0]]);
     }
 
     #[test]

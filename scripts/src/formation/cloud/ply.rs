@@ -72,6 +72,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
         if !(1..=ITEMS_MAX).contains(&element.count) {
             return Err(unfit(format!("the file has {} vertices", element.count)));
         }
+        let lacks = |axis: &&str| !element.properties.iter().any(|(known, _)| known.as_str() == *axis);
+        if let Some(axis) = ["x", "y", "z"].into_iter().find(lacks) {
+            return Err(unfit(format!("the element `vertex` has no `{axis}`")));
+        }
         let vertices = parser.read_payload_for_element(&mut reader, element, &header).map_err(failed)?;
         return Ok(vertices.into_iter().map(|Vertex(point)| point).collect());
     }

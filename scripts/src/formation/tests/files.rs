@@ -79,7 +79,7 @@ fn vertices_are_read_from_text_and_binary() {
     let endless = "ply\nformat binary_little_endian 1.0\nelement a 99\nend_header\n";
     refused("a.ply", endless.as_bytes(), "");
     let flat = TEXT_PLY.replace("property float z", "property float w");
-    refused("a.ply", flat.as_bytes(), "not a finite number");
+    refused("a.ply", flat.as_bytes(), "the element `vertex` has no `z`");
     refused("a.ply", b"ply\nformat ascii 1.0\n", "does not end");
 }
 

@@ -1,6 +1,7 @@
 //! A group that turns, grows and shifts as one.
 
 use super::{Dancer, LEVEL, Moved, Performer};
+use crate::compile::check_formations::SAME;
 use crate::finding::Code;
 use crate::formation::Point;
 use crate::motion::Swept;
@@ -21,6 +22,10 @@ impl Performer<'_, '_> {
         }
         if let Some([x, y]) = sweep.about {
             (center[0], center[1]) = (x, y);
+        }
+        if sweep.shift == [0.0; 3] && dancers.iter().all(|dancer| is_center(dancer.from, center, sweep)) {
+            self.tell_unmoved(group);
+            return None;
         }
         let length = group.over.as_millis_f64() / 1_000.0;
         let moved = |dancer: &Dancer<'_>| Moved {
@@ -44,6 +49,12 @@ impl Performer<'_, '_> {
         }
         Some(all)
     }
+}
+
+/// Whether turning and growing leave it where it is: it stands in the middle.
+fn is_center(from: Point, center: Point, sweep: Sweep) -> bool {
+    let axes = if sweep.grow == 1.0 { 2 } else { 3 };
+    (0..axes).all(|axis| (from[axis] - center[axis]).abs() < SAME)
 }
 
 /// A robot that cannot follow, because it cannot change its height. Where none can, a group grows on its level.

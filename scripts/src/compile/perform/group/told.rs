@@ -61,6 +61,12 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
     }
 
+    pub(super) fn tell_unmoved(&mut self, group: &Together) {
+        let message = "all robots of this cue stand in the middle of the group, so nothing moves".to_owned();
+        let expected = "robots at several places, or another middle, as in `turn: {by: 90, about: [0, 0]}`";
+        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
+    }
+
     pub(super) fn tell_count(&mut self, group: &Together, name: &str, robots: usize, places: usize) {
         let (robots_are, places_are) = (counted(robots, "robot"), counted(places, "place"));
         let name = shortened(name);
