@@ -364,6 +364,27 @@ fn a_group_that_leaves_the_limits_of_its_devices_is_told_so_once_for_each_and_so
 }
 
 #[test]
+fn ways_are_judged_to_where_devices_can_be_set() {
+    let mut fleet = fleet(2);
+    for robot in &mut fleet.robots {
+        let block = robot.init.as_mut().unwrap();
+        let text = serde_json::to_string(&block).unwrap();
+        let coarse = text
+            .replace("\"granularity\":0.001", "\"granularity\":0.5")
+            .replace("\"max_error\":0.002", "\"max_error\":0.5");
+        assert_ne!(coarse, text);
+        *block = serde_json::from_str(&coarse).unwrap();
+        robot.body.as_mut().unwrap().acceleration = None;
+    }
+    // d1 is at 0.7 m, which is no multiple of 0.5 m; from there it is 1.3 m to the place as it is set, and 1.05 m as it is written.
+    let formation = "f: {points: [[-1, 0, 0], [1.75, 0, 0]]}";
+    let over = enough(&fleet, formation, "form: f, over: 10ms").unwrap();
+    let needed: f64 = over.trim_end_matches("ms").parse().unwrap();
+    // 1.3 m at 5 m/s at most, with minimum jerk.
+    assert!((needed - 1.3 / 5.0 * 1.875 * 1_000.0).abs() < 15.0, "{over}");
+}
+
+#[test]
 fn a_group_that_turns_or_grows_about_itself_is_told_that_nothing_moves() {
     for cue in ["turn: 90, over: 5s", "grow: 2, over: 5s", "turn: {by: 90, about: [0, 0]}, over: 5s"] {
         let (codes, text) = found(1, cue);
@@ -394,6 +415,13 @@ fn limited(count: usize) -> Fleet {
         (body.speed, body.acceleration) = (None, None);
     }
     fleet
+}
+
+#[test]
+fn a_time_is_enough_for_steps_of_axes_at_different_times() {
+    let cue = "turn: -154, grow: 2.9, shift: [1.5, -0.8, -0.3]";
+    let over = enough(&fleet(3), "", &format!("{cue}, over: 10ms")).unwrap();
+    assert_eq!(enough(&fleet(3), "", &format!("{cue}, over: {over}")), None, "{over}");
 }
 
 /// What a finding of a group that is to move too fast says would be enough.

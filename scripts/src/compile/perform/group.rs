@@ -73,6 +73,13 @@ impl<'a> Axis<'a> {
         }
     }
 
+    /// Metres in one unit, where its zero is, and its granularity.
+    fn grid(&self) -> Option<[f64; 3]> {
+        let Self::Moved { scale, offset, .. } = *self else { return None };
+        let limits = self.limits().and_then(|mut limits| limits.next());
+        Some([scale, offset, limits.map_or(0.0, |limits| limits.granularity)])
+    }
+
     /// How far its steps may be off, in metres.
     fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
@@ -163,7 +170,7 @@ impl<'a> Performer<'_, 'a> {
         }
         let dancers = self.dancers(cue, group, members, time, ground)?;
         let ways = match &group.action {
-            Action::Sweep(sweep) => self.swept(group, *sweep, &dancers)?,
+            Action::Sweep(sweep) => self.swept(group, *sweep, &dancers, cue.tolerance)?,
             Action::Form(form) => self.formed(cue, group, form, &dancers, ground)?,
         };
         for (dancer, moved) in dancers.iter().zip(ways) {
@@ -238,7 +245,7 @@ impl<'a> Performer<'_, 'a> {
                 if !self.reaches(group, name, dancers, &places) {
                     return None;
                 }
-                let places = level(places, dancers);
+                let places = settable(level(places, dancers), dancers);
                 if self.tell_crowded(group, name, dancers, &places) {
                     return None;
                 }
@@ -407,6 +414,18 @@ fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
         && dancers.iter().all(|dancer| dancer.is_flat())
     {
         places.iter_mut().for_each(|place| place[2] = first.from[2]);
+    }
+    places
+}
+
+/// The places to which the devices can be set, if they are the same for all robots: ways are judged to where they end.
+fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
+    let grids = |dancer: &Dancer<'_>| dancer.axes.each_ref().map(Axis::grid);
+    let Some(first) = dancers.first() else { return places };
+    if dancers.iter().all(|dancer| grids(dancer) == grids(first)) {
+        for place in &mut places {
+            *place = std::array::from_fn(|axis| first.axes[axis].nearest(place[axis]));
+        }
     }
     places
 }

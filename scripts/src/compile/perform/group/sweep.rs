@@ -14,6 +14,7 @@ impl Performer<'_, '_> {
         group: &Together,
         sweep: Sweep,
         dancers: &[Dancer<'_>],
+        tolerance: Option<f64>,
     ) -> Option<Vec<Moved>> {
         let mut center = middle(dancers)?;
         if let Some((dancer, what)) = left_behind(sweep, dancers, center[2]) {
@@ -36,15 +37,22 @@ impl Performer<'_, '_> {
         let all: Vec<Moved> = dancers.iter().map(moved).collect();
         let needed = |(moved, dancer): (&Moved, &Dancer<'_>)| {
             let limits = self.limits(dancer);
+            let (speed, acceleration) = Swept::together(&moved.axes);
             let own = moved.axes.iter().zip(limits.axes);
-            let whole = Swept::together(&moved.axes);
-            let own = own.map(|(swept, limits)| time(Swept::together(&[*swept]), limits));
-            (own.fold(time(whole, limits.body), f64::max), dancer.member.robot)
+            let own = own.map(|(swept, limits)| time(Swept::together(&[*swept]), limits)).fold(0.0, f64::max);
+            let error = dancer.axes.iter().map(|axis| axis.error(tolerance)).fold(0.0, f64::max);
+            // The axes of a body have their steps at different times. Where its way bends, the mean speeds of two steps that overlap
+            // are then higher together than the speed at any moment, by about so much.
+            let stepped = (speed + (error * acceleration / 2.0).sqrt(), acceleration);
+            let [shortest, sure] =
+                [(speed, acceleration), stepped].map(|whole| time(whole, limits.body).max(own));
+            (shortest, sure, dancer.member.robot)
         };
-        let times = all.iter().zip(dancers).map(needed);
-        let (shortest, robot) = times.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let times: Vec<(f64, f64, usize)> = all.iter().zip(dancers).map(needed).collect();
+        let sure = times.iter().map(|(_, sure, _)| *sure).fold(0.0, f64::max);
+        let (shortest, _, robot) = times.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
         if shortest > length * (1.0 + 1e-9) {
-            self.tell_too_short(group, robot, shortest, Code::BodyTooFast);
+            self.tell_too_short(group, robot, sure, Code::BodyTooFast);
             return None;
         }
         Some(all)
