@@ -12,7 +12,7 @@
 //!
 //! The latency is when this response has moved by the visible amount, less what it would take without dead time and lag. A bare threshold
 //! for readings would not do: with noise it has to lie well above it. In the fit, every reading counts. Where all readings together show
-//! beyond doubt that the device begins at another time than the response, that time is taken: see [`begin`]. `rest` and `gain` enter linearly
+//! beyond doubt that the device begins at another time than the response, that time is taken (`begin.rs`). `rest` and `gain` enter linearly
 //! and are solved for at each pair of the other two (variable projection: Golub, Pereyra: The differentiation of pseudo-inverses and
 //! nonlinear least squares problems whose variables separate, SIAM Journal on Numerical Analysis 10(2), 1973). The lag is a property of
 //! the device, so all trials have it in common; each trial has a dead time of its own.
