@@ -1,6 +1,7 @@
 //! The paths of an SVG drawing as polylines. `usvg` resolves styles, shapes, `use` and transforms; texts and pictures are left out,
 //! and nothing that the drawing names is read.
 
+use usvg::roxmltree::{Document, ParsingOptions};
 use usvg::tiny_skia_path::{PathSegment, Point as Flat};
 use usvg::{Group, ImageHrefResolver, Node, Options, Tree};
 
@@ -11,6 +12,8 @@ use super::text::FlatStroke;
 const BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Most points of all polylines.
 const POINTS_MAX: usize = 200_000;
+/// Largest number of a path's data. Beyond that, an arc of a circle is cut into more pieces than the library can take off its list in a day.
+const NUMBER_MAX: f64 = 1e9;
 /// Lines that replace a curve: the error is below a thousandth of its length.
 const CHORDS: u8 = 32;
 /// The stack of the thread that reads a drawing: groups within groups are read by recursion, 1024 of them at most.
@@ -46,8 +49,16 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         resolve_string: Box::new(|_, _| None),
     };
     let options = Options { image_href_resolver: nothing(), ..Options::default() };
-    let tree = Tree::from_data(bytes, &options)
-        .map_err(|error| Unfit { message: format!("this is no SVG drawing: {error}"), expected: EXPECTED })?;
+    let unfit = |error| Unfit { message: format!("this is no SVG drawing: {error}"), expected: EXPECTED };
+    let text = std::str::from_utf8(bytes).map_err(|_| unfit(usvg::Error::NotAnUtf8Str))?;
+    let parsing = ParsingOptions { allow_dtd: true, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, parsing).map_err(|error| unfit(error.into()))?;
+    let paths = document.descendants().filter_map(|node| node.attribute("d"));
+    if let Some(number) = paths.flat_map(numbers).find(|number| number.abs() > NUMBER_MAX) {
+        let message = format!("a path of the drawing has the number {number:e}");
+        return Err(Unfit { message, expected: "numbers of at most a billion in paths" });
+    }
+    let tree = Tree::from_xmltree(&document, &options).map_err(unfit)?;
     let mut pen = Pen::default();
     pen.group(tree.root());
     if pen.points > POINTS_MAX {
@@ -62,6 +73,25 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         return Err(Unfit { message: message.to_owned(), expected: EXPECTED });
     }
     Ok(pen.lines)
+}
+
+/// The numbers of a path's data, whatever its commands. They need no spaces between them: `1.5.5-2e3` is 1.5, 0.5 and -2000. Two flags of an
+/// arc may be taken for one number with what follows.
+fn numbers(data: &str) -> impl Iterator<Item = f64> {
+    let of_number = |c: char| c.is_ascii_digit() || "+-.eE".contains(c);
+    data.split(move |c| !of_number(c)).flat_map(|run| {
+        // A sign begins a number, unless it is that of an exponent.
+        let run = run.to_ascii_lowercase().replace("e+", "e").replace("e-", "e~").replace('-', "+");
+        let numbers = run.split('+').flat_map(|number| {
+            let mut parts = number.split('.');
+            let whole: Vec<&str> = parts.by_ref().take(2).collect();
+            let whole = whole.join(".");
+            let further = parts.map(|part| format!("0.{part}"));
+            std::iter::once(whole).chain(further).collect::<Vec<_>>()
+        });
+        let numbers = numbers.filter_map(|number| number.replace('~', "-").parse().ok());
+        numbers.collect::<Vec<f64>>()
+    })
 }
 
 /// Draws polylines.

@@ -66,6 +66,24 @@ fn tables_are_read_with_and_without_a_header() {
 }
 
 #[test]
+fn a_drawing_with_an_arc_beyond_all_measure_is_refused_soon() {
+    let path =
+        |data: &str| format!("<svg xmlns='http://www.w3.org/2000/svg'><path d='{data}' stroke='red'/></svg>");
+    let huge = format!("M0 0 A2 2 0 1 0 {} 5 Z", "9".repeat(44));
+    for data in
+        [huge.as_str(), "M0 0A1e40 2 0 1 0-5-5", "M.5.5A2 2 0 1 0 .5.5e40,5", "M0,0a2,2,0,1,0-1E+30,5"]
+    {
+        let told = crate::formation::svg::read(path(data).as_bytes()).unwrap_err();
+        assert!(told.message.starts_with("a path of the drawing has the number"), "{data}: {}", told.message);
+    }
+    let entity = "<!DOCTYPE svg [<!ENTITY far '1e40'>]><svg xmlns='http://www.w3.org/2000/svg'><path d='M0 0 A2 2 0 1 0 &far; 5' stroke='red'/></svg>";
+    assert!(crate::formation::svg::read(entity.as_bytes()).is_err());
+    for data in ["M0 0A2 2 0 1 0 5e-40 5", "M1.5.5-2e3-4", "M 0 0 l 123456789 1"] {
+        assert!(crate::formation::svg::read(path(data).as_bytes()).is_ok(), "{data}");
+    }
+}
+
+#[test]
 fn vertices_are_read_from_text_and_binary() {
     let expected = [[1.0, 2.0, 3.0], [-1.5, 0.25, -7.0]];
     points("a.ply", TEXT_PLY.as_bytes(), &expected);
