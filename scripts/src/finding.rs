@@ -129,6 +129,7 @@ codes! {
     PlaysItself = "DB0076", Error, "a move, a sequence or a file that leads back to itself";
     UnknownSequence = "DB0077", Error, "no sequence of this name";
     WrongKind = "DB0078", Error, "a value of another kind than its parameter";
+    UnknownPath = "DB0079", Error, "no path of this name";
 }
 
 impl Code {

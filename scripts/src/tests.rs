@@ -226,6 +226,7 @@ proptest! {
     }
 }
 
+mod carried;
 mod composed;
 mod expressions;
 mod groups;

@@ -114,7 +114,11 @@ impl Compiler {
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
                 performer.cue(cue, members, time);
             }
-            let ground = perform::Ground { formations: &scenario.formations, positions: &positions };
+            let ground = perform::Ground {
+                formations: &scenario.formations,
+                paths: &scenario.paths,
+                positions: &positions,
+            };
             if times.consistent {
                 performer.groups(act, &times.members, &times.times, &ground);
             }

@@ -1,18 +1,20 @@
-//! Movements: what a track does over time, however it was written, and how it becomes steps of a device.
+//! Movements: what a track does over time, however it was written, and how it becomes steps of a device, `path` a way through space.
 //!
 //! `curve` holds the one form that all movements share, `easing` and `function` the ways between two values, `actuator` the
-//! steps of a device.
+//! steps of a device, `path` a way through space.
 
 mod actuator;
 mod curve;
 mod easing;
 mod function;
 mod held;
+mod path;
 mod spline;
 
 pub(crate) use actuator::{Actuator, Fits, Played, Value};
 pub(crate) use curve::{Between, Curve, Knot, Shape, Stretch};
 pub(crate) use easing::Easing;
-pub(crate) use function::{FormulaPart, Function, Swept};
+pub(crate) use function::{Carried, FormulaPart, Function, Swept};
 pub(crate) use held::runs;
+pub(crate) use path::{Along, Path};
 pub(crate) use spline::spline;

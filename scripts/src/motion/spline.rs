@@ -1,39 +1,67 @@
-//! The cubic spline through points that begins and ends at rest.
+//! Cubic splines through points: one that begins and ends at rest, and the natural one.
 
 /// The polynomials between the points, each in s from 0 to 1: c0 + c1 s + c2 s^2 + c3 s^3.
-///
+pub(crate) type Cubic = [f64; 4];
+
+/// How a spline begins and ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ends {
+    /// With zero slope.
+    Rest,
+    /// With zero curvature.
+    Natural,
+}
+
 /// The clamped cubic spline with zero slope at both ends: among all curves through the points that begin and end at rest,
 /// it has the least integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). Slopes m_i
 /// at the points solve m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), with
 /// h the lengths of the intervals and d their mean slopes.
-pub(crate) fn spline(times: &[f64], values: &[f64]) -> Vec<[f64; 4]> {
-    let slopes = slopes(times, values);
-    (1..times.len())
-        .map(|i| {
-            let h = times[i] - times[i - 1];
-            let (y0, y1) = (values[i - 1], values[i]);
-            let (m0, m1) = (slopes[i - 1] * h, slopes[i] * h);
-            [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1]
-        })
-        .collect()
+pub(crate) fn spline(times: &[f64], values: &[f64]) -> Vec<Cubic> {
+    between(times, values, &slopes(times, values, Ends::Rest))
+}
+
+/// The natural cubic spline, which is straight at both ends: of the equations for its slopes, the first and the last have one
+/// interval each.
+pub(super) fn natural(times: &[f64], values: &[f64]) -> Vec<Cubic> {
+    between(times, values, &slopes(times, values, Ends::Natural))
+}
+
+fn between(times: &[f64], values: &[f64], slopes: &[f64]) -> Vec<Cubic> {
+    let of =
+        |i: usize| hermite([values[i - 1], values[i]], [slopes[i - 1], slopes[i]], times[i] - times[i - 1]);
+    (1..times.len()).map(of).collect()
+}
+
+/// The cubic with these values and slopes at the two ends of an interval.
+pub(super) fn hermite([from, to]: [f64; 2], slopes: [f64; 2], length: f64) -> Cubic {
+    let [m0, m1] = slopes.map(|slope| slope * length);
+    [from, m0, 3.0 * (to - from) - 2.0 * m0 - m1, 2.0 * (from - to) + m0 + m1]
 }
 
 /// Thomas' algorithm for the tridiagonal system.
-fn slopes(times: &[f64], values: &[f64]) -> Vec<f64> {
+fn slopes(times: &[f64], values: &[f64], ends: Ends) -> Vec<f64> {
     let n = times.len();
     let mut slopes = vec![0.0; n];
     let mut above = vec![0.0; n];
-    for i in 1..n.saturating_sub(1) {
-        let (before, after) = (times[i] - times[i - 1], times[i + 1] - times[i]);
-        let right = 3.0
-            * ((values[i] - values[i - 1]) / (before * before)
-                + (values[i + 1] - values[i]) / (after * after));
-        let pivot = 2.0 * (1.0 / before + 1.0 / after) - above[i - 1] / before;
-        above[i] = 1.0 / (after * pivot);
-        slopes[i] = (right - slopes[i - 1] / before) / pivot;
+    let free = match ends {
+        Ends::Rest => 1..n.saturating_sub(1),
+        Ends::Natural => 0..n,
+    };
+    // What the interval that ends at a point adds to its equation: to the factor of its slope, and to the right side.
+    let interval = |i: usize| {
+        let length = times[i] - times[i - 1];
+        (1.0 / length, 3.0 * (values[i] - values[i - 1]) / (length * length))
+    };
+    for i in free.clone() {
+        let (before, known) = if i > 0 { interval(i) } else { (0.0, 0.0) };
+        let (after, coming) = if i + 1 < n { interval(i + 1) } else { (0.0, 0.0) };
+        let (factor, slope) = if i > 0 { (above[i - 1], slopes[i - 1]) } else { (0.0, 0.0) };
+        let pivot = 2.0 * (before + after) - factor * before;
+        above[i] = after / pivot;
+        slopes[i] = (known + coming - slope * before) / pivot;
     }
-    // The last slope is 0, as is its multiplier.
-    for i in (1..n.saturating_sub(1)).rev() {
+    // A last slope that is not free is 0, as is its multiplier.
+    for i in free.rev().filter(|i| i + 1 < n) {
         slopes[i] -= above[i] * slopes[i + 1];
     }
     slopes
@@ -62,5 +90,24 @@ mod tests {
         }
         assert_eq!(slope(&pieces[0], 0.0, lengths[0]), 0.0);
         assert!(slope(&pieces[2], 1.0, lengths[2]).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_natural_spline_is_straight_at_both_ends_and_smooth_between() {
+        let (times, values) = ([0.0, 1.0, 3.0, 3.5], [0.0, 2.0, -1.0, 4.0]);
+        let pieces = natural(&times, &values);
+        let lengths: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let rates = |c: &Cubic, s: f64, h: f64| {
+            ((c[1] + s * (2.0 * c[2] + 3.0 * s * c[3])) / h, (2.0 * c[2] + 6.0 * s * c[3]) / (h * h))
+        };
+        for i in 1..pieces.len() {
+            let (before, after) =
+                (rates(&pieces[i - 1], 1.0, lengths[i - 1]), rates(&pieces[i], 0.0, lengths[i]));
+            assert!((before.0 - after.0).abs() < 1e-9 && (before.1 - after.1).abs() < 1e-9, "{i}");
+        }
+        assert!(rates(&pieces[0], 0.0, lengths[0]).1.abs() < 1e-9);
+        assert!(rates(&pieces[2], 1.0, lengths[2]).1.abs() < 1e-9);
+        // Between two points it is a line.
+        assert_eq!(natural(&[0.0, 2.0], &[1.0, 5.0]), [[1.0, 4.0, 0.0, 0.0]]);
     }
 }

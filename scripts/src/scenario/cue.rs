@@ -17,7 +17,7 @@ use crate::node::Node;
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-pub(crate) const CUE_KEYS: [&str; 30] = [
+pub(crate) const CUE_KEYS: [&str; 31] = [
     "cue",
     "at",
     "after",
@@ -47,6 +47,7 @@ pub(crate) const CUE_KEYS: [&str; 30] = [
     "turn",
     "grow",
     "shift",
+    "along",
     "over",
 ];
 const OVERRIDE_KEYS: [&str; 9] =
@@ -90,9 +91,10 @@ pub(super) fn read(
         turn,
         grow,
         shift,
+        along,
         over,
     ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
-    let grouped = [form, turn, grow, shift].iter().any(Option::is_some);
+    let grouped = [form, turn, grow, shift, along].iter().any(Option::is_some);
     let moves = named.is_some() || tracks.is_some() || readings.is_some() || grouped;
     let cast = reader.nesting.robots.clone().filter(|_| robots.is_none() && moves);
     for (missing, key) in
@@ -131,7 +133,7 @@ pub(super) fn read(
         tolerance,
     };
     let changes = [scale, mirror, reverse, repeat, devices, overrides];
-    let mut group = form::read(reader, at, [form, turn, grow, shift, over], duration, changes);
+    let mut group = form::read(reader, at, [form, turn, grow, shift, along, over], duration, changes);
     if let Some(group) = &mut group {
         library.form_name(reader, group);
     }

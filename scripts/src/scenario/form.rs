@@ -14,6 +14,8 @@ use crate::transit::Least;
 const DEGREES_MAX: f64 = 360_000.0;
 /// Largest factor.
 const GROW_MAX: f64 = 1_000.0;
+/// Most laps of a path.
+const LAPS_MAX: u32 = 100;
 /// Furthest shift, in metres.
 const METRES_MAX: f64 = 1e6;
 
@@ -22,10 +24,11 @@ const SPARE: [(&str, Spare); 2] = [("stay", Spare::Stay), ("home", Spare::Home)]
 const THIN: [(&str, Thin); 2] = [("evenly", Thin::Evenly), ("nearest", Thin::Nearest)];
 const FORM_KEYS: [&str; 4] = ["to", "least", "spare", "thin"];
 const TURN_KEYS: [&str; 2] = ["by", "about"];
+const ALONG_KEYS: [&str; 4] = ["path", "laps", "turning", "follow"];
 
 keys! {
     /// What a cue says of its robots as a group.
-    GroupKeys, GROUP_KEYS { form, turn, grow, shift, over }
+    GroupKeys, GROUP_KEYS { form, turn, grow, shift, along, over }
 }
 
 /// What a group of bodies does together.
@@ -79,7 +82,7 @@ pub(crate) enum Thin {
 }
 
 /// A group moves as one body would, but for its size.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sweep {
     /// About the vertical, from x to y.
     pub(crate) turns: f64,
@@ -87,6 +90,22 @@ pub(crate) struct Sweep {
     pub(crate) about: Option<[f64; 2]>,
     pub(crate) grow: f64,
     pub(crate) shift: Point,
+    /// A path along which it is carried.
+    pub(crate) along: Option<Course>,
+}
+
+/// How a group goes along a path.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Course {
+    pub(crate) path: String,
+    /// How often, if the scenario says so.
+    pub(crate) laps: Option<u32>,
+    /// Whether it turns with the path, about its middle.
+    pub(crate) turning: bool,
+    /// Whether each robot follows the one before it in the cue, through its place.
+    pub(crate) follow: bool,
+    /// Where it stands in the file.
+    pub(crate) place: Place,
 }
 
 /// What a cue says of its robots as a group. `shaping` are the keys that change a movement, which no group has.
@@ -98,11 +117,11 @@ pub(super) fn read(
     shaping: [Option<At<'_>>; 6],
 ) -> Option<Together> {
     let keys = GroupKeys::of(values);
-    let sweeps = [keys.turn, keys.grow, keys.shift];
+    let sweeps = [keys.turn, keys.grow, keys.shift, keys.along];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
     let Some(first) = first else {
         let over = keys.over?;
-        let expected = "one of `form`, `turn`, `grow`, `shift` that takes so long";
+        let expected = "one of `form`, `turn`, `grow`, `shift`, `along` that takes so long";
         let hint = Some("a cue with tracks has a `duration`".to_owned());
         reader.add(Code::MissingKey, over.key_place(), "`over` in a cue without a `form`", expected, hint);
         return None;
@@ -118,7 +137,7 @@ pub(super) fn read(
             Code::UnknownKey,
             at.key_place(),
             message,
-            "`form`, `turn`, `grow` or `shift` alone",
+            "`form`, `turn`, `grow`, `shift` or `along` alone",
             hint,
         );
     }
@@ -189,7 +208,41 @@ fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
         Some(at) => numbers::<3>(reader, &at, "metres along x, y and z, as [0, 0, 1.5]", METRES_MAX)?,
         None => [0.0; 3],
     };
-    Some(Sweep { turns: turn / 360.0, about, grow, shift })
+    let along = match keys.along {
+        Some(at) => Some(read_along(reader, &at)?),
+        None => None,
+    };
+    let others = [keys.turn, keys.grow, keys.shift].into_iter().flatten();
+    if along.as_ref().is_some_and(|along| along.follow) {
+        for other in others {
+            let message = "robots that follow each other are no body that turns, grows or shifts";
+            let hint = Some("let a cue of its own follow with it".to_owned());
+            reader.add(Code::UnknownKey, other.key_place(), message, "`along` alone", hint);
+        }
+    }
+    Some(Sweep { turns: turn / 360.0, about, grow, shift, along })
+}
+
+fn read_along(reader: &mut Reader, at: &At<'_>) -> Option<Course> {
+    const EXPECTED: &str = "the name of a path";
+    let Node::Map(_) = at.node else {
+        let path = reader.name(at, EXPECTED)?;
+        return Some(Course { path, laps: None, turning: false, follow: false, place: at.place() });
+    };
+    let [path, laps, turning, follow] = reader.map(at, "`along`", ALONG_KEYS, &["path"])?;
+    let laps = match laps {
+        Some(at) => Some(reader.count(&at, 1, LAPS_MAX)?),
+        None => None,
+    };
+    let is_set = |reader: &mut Reader, at: Option<At<'_>>| at.map_or(Some(false), |at| reader.truth(&at));
+    let (is_turning, follows) = (is_set(reader, turning)?, is_set(reader, follow)?);
+    if let (true, true, Some(at)) = (is_turning, follows, turning) {
+        let message = "robots that follow each other have no middle about which they turn";
+        reader.add(Code::UnknownKey, at.key_place(), message, "`follow` or `turning`", None);
+    }
+    let path = path?;
+    let name = reader.name(&path, EXPECTED)?;
+    Some(Course { path: name, laps, turning: is_turning, follow: follows, place: path.place() })
 }
 
 fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {

@@ -375,13 +375,13 @@ fn one_of_two(reader: &mut Reader, at: &At<'_>, what: &str, keys: [&str; 2]) -> 
 }
 
 /// A length above 0 in metres.
-fn length(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+pub(super) fn length(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     let value = reader.positive(at, LENGTH)?;
     within(reader, at, value, LENGTH)
 }
 
 /// A factor above 0.
-fn factor(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+pub(super) fn factor(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "a factor above 0, up to 1000000";
     let value = reader.positive(at, expected)?;
     within(reader, at, value, expected)
@@ -397,7 +397,7 @@ fn within(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str) -> Optio
 }
 
 /// A place in metres.
-fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
+pub(super) fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     each_axis(reader, at, POINT, |reader, at| {
         let value = reader.number(at, POINT)?;
         within(reader, at, value, "a coordinate in metres, from -1000000 to 1000000")
@@ -405,7 +405,7 @@ fn point(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
 }
 
 /// One number turns about the vertical.
-fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
+pub(super) fn rotation(reader: &mut Reader, at: &At<'_>) -> Option<Point> {
     match at.node {
         Node::List(_) => each_axis(reader, at, ROTATION, |reader, at| reader.degrees(at, ROTATION)),
         _ => reader.degrees(at, ROTATION).map(|yaw| [0.0, 0.0, yaw]),

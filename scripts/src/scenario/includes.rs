@@ -166,7 +166,8 @@ fn copy<'a>(
     let node = &documents.nodes[usize::from(target)];
     let root = At::used(node, target, Some(&told));
     let known = reader.map(&root, "an included file", INCLUDE_KEYS, &[]);
-    let Some([_doc, parameters, include, variables, moves, sequences, roles, formations]) = known else {
+    let Some([_doc, parameters, include, variables, moves, sequences, roles, formations, paths]) = known
+    else {
         return;
     };
     if let Some(at) = include {
@@ -182,7 +183,7 @@ fn copy<'a>(
     library.copies.push(Copy { prefix, values: Vec::new(), used: Some(told.clone()) });
     let copy = library.copies.len() - 1;
     library.register(node, target, copy);
-    library.add_from(reader, [variables, moves, sequences, roles, formations], (target, copy));
+    library.add_from(reader, [variables, moves, sequences, roles, formations, paths], (target, copy));
     let mut files = within.files.clone();
     files.push(target);
     copies_in(reader, library, documents, &Within { copy, files, used: Some(&told) });

@@ -1,4 +1,4 @@
-//! What cues share: included files, variables, moves, roles, formations, the tempo.
+//! What cues share: included files, variables, moves, roles, formations, paths, the tempo.
 
 use std::borrow::Cow;
 use std::cell::{OnceCell, RefCell};
@@ -8,10 +8,11 @@ use std::sync::Arc;
 use super::Name;
 use super::across::is_spread;
 use super::each::Roster;
-use super::form::{Action, Form, Target, Together};
+use super::form::{Action, Course, Form, Sweep, Target, Together};
 use super::formations::{self, WrittenFormation};
 use super::includes::{self, Included};
 use super::nesting::Used;
+use super::paths::{self, WrittenPath};
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -26,7 +27,7 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 pub(super) const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 21] = [
+pub(crate) const SCENARIO_KEYS: [&str; 22] = [
     "scenario",
     "fleet",
     "include",
@@ -35,6 +36,7 @@ pub(crate) const SCENARIO_KEYS: [&str; 21] = [
     "sequences",
     "roles",
     "formations",
+    "paths",
     "tempo",
     "signature",
     "zones",
@@ -49,8 +51,8 @@ pub(crate) const SCENARIO_KEYS: [&str; 21] = [
     "cues",
     "acts",
 ];
-pub(super) const INCLUDE_KEYS: [&str; 8] =
-    ["doc", "parameters", "include", "variables", "moves", "sequences", "roles", "formations"];
+pub(super) const INCLUDE_KEYS: [&str; 9] =
+    ["doc", "parameters", "include", "variables", "moves", "sequences", "roles", "formations", "paths"];
 
 /// The scenario and its includes, as trees.
 #[derive(Debug, Default)]
@@ -134,12 +136,13 @@ pub(super) struct Copy {
     pub(super) used: Option<Arc<Use>>,
 }
 
-/// Moves, sequences, roles and formations by name, and where data files come from.
+/// Moves, sequences, roles, formations and paths by name, and where data files come from.
 pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, Shared<'a>>,
     pub(super) sequences: HashMap<String, Shared<'a>>,
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) formations: HashMap<String, WrittenFormation>,
+    pub(super) paths: HashMap<String, WrittenPath>,
     pub(super) files: &'a dyn Files,
     pub(super) copies: Vec<Copy>,
     /// How many variables all files see.
@@ -159,6 +162,7 @@ impl<'a> Library<'a> {
             sequences: HashMap::new(),
             roles: HashMap::new(),
             formations: HashMap::new(),
+            paths: HashMap::new(),
             files,
             copies: vec![Copy::default()],
             globals: 0,
@@ -202,12 +206,20 @@ impl<'a> Library<'a> {
         }
     }
 
-    /// A formation of the copy that is read by the name that it has for all.
+    /// A formation or a path of the copy that is read by the name that it has for all.
     pub(super) fn form_name(&self, reader: &Reader, group: &mut Together) {
-        let Action::Form(Form { to: Target::Formation(name), .. }) = &mut group.action else { return };
-        let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
-        if self.formations.contains_key(&own) {
-            *name = own;
+        let own = |name: &str| format!("{}{name}", self.copies[reader.nesting.copy].prefix);
+        let named = match &mut group.action {
+            Action::Form(Form { to: Target::Formation(name), .. }) => {
+                Some((self.formations.contains_key(&own(name)), name))
+            }
+            Action::Sweep(Sweep { along: Some(Course { path, .. }), .. }) => {
+                Some((self.paths.contains_key(&own(path)), path))
+            }
+            Action::Form(_) | Action::Sweep(_) => None,
+        };
+        if let Some((true, name)) = named {
+            *name = own(name);
         }
     }
 
@@ -220,18 +232,19 @@ impl<'a> Library<'a> {
     pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
         let at = At::document(node, file);
         let known = reader.map(&at, "an included file", INCLUDE_KEYS, &[]);
-        let Some([_doc, parameters, include, variables, moves, sequences, roles, formations]) = known else {
+        let Some([_doc, parameters, include, variables, moves, sequences, roles, formations, paths]) = known
+        else {
             return;
         };
         if let Some(at) = include {
             includes::check(reader, &at);
         }
         includes::defaults(reader, parameters, named);
-        self.add_from(reader, [variables, moves, sequences, roles, formations], (file, 0));
+        self.add_from(reader, [variables, moves, sequences, roles, formations, paths], (file, 0));
     }
 
     /// Takes what the scenario's own file holds.
-    pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: [Option<At<'_>>; 5]) {
+    pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: [Option<At<'_>>; 6]) {
         if let Some(at) = include {
             includes::check(reader, &at);
         }
@@ -241,7 +254,7 @@ impl<'a> Library<'a> {
     pub(super) fn add_from(
         &mut self,
         reader: &mut Reader,
-        [variables, moves, sequences, roles, formations]: [Option<At<'_>>; 5],
+        [variables, moves, sequences, roles, formations, paths]: [Option<At<'_>>; 6],
         (file, copy): (u16, usize),
     ) {
         if let Some(at) = variables {
@@ -280,6 +293,15 @@ impl<'a> Library<'a> {
                 let name = format!("{}{name}", self.copies[copy].prefix);
                 if self.formations.insert(name.clone(), formation).is_some() {
                     twice(reader, &at, "formation", &name);
+                }
+            }
+        }
+        if let Some(at) = paths {
+            for (name, at) in reader.entries(&at, "path to its points") {
+                let path = paths::read(reader, name, &at);
+                let name = format!("{}{name}", self.copies[copy].prefix);
+                if self.paths.insert(name.clone(), path).is_some() {
+                    twice(reader, &at, "path", &name);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! The scenario as written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
 //!
-//! `library` reads what cues share, `formations` places, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
+//! `library` reads what cues share, `formations` places, `paths` ways, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
 mod across;
 pub(crate) mod acts;
@@ -15,6 +15,7 @@ mod includes;
 mod library;
 mod movement;
 mod nesting;
+mod paths;
 mod play;
 mod require;
 mod sequence;
@@ -46,11 +47,12 @@ pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
-pub(crate) use form::{Action, Form, Spare, Sweep, Target, Thin, Together};
+pub(crate) use form::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 pub(crate) use formations::WrittenFormation;
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
 pub(crate) use nesting::Nesting;
+pub(crate) use paths::WrittenPath;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
@@ -72,6 +74,7 @@ pub(crate) struct Scenario {
     pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
     pub(crate) formations: HashMap<String, WrittenFormation>,
+    pub(crate) paths: HashMap<String, WrittenPath>,
     pub(crate) acts: Vec<Act>,
 }
 
@@ -336,6 +339,7 @@ pub(crate) fn read(
         sequences,
         roles,
         formations,
+        paths,
         tempo,
         signature,
         zones,
@@ -352,7 +356,7 @@ pub(crate) fn read(
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
     reader.group = Group::of(fleet);
-    let parts = [variables, moves, sequences, roles, formations];
+    let parts = [variables, moves, sequences, roles, formations, paths];
     let library = shared(reader, documents, files, fleet, (include, parts));
     library::music(reader, tempo, signature);
     let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
@@ -382,7 +386,8 @@ pub(crate) fn read(
     for name in library.unused("sequence") {
         sequence::check_unused(reader, &library, &defaults, &name);
     }
-    (scenario.roles, scenario.formations) = (library.roles, library.formations);
+    scenario.roles = library.roles;
+    (scenario.formations, scenario.paths) = (library.formations, library.paths);
     Some(scenario)
 }
 
@@ -392,7 +397,7 @@ fn shared<'a>(
     documents: &'a Documents<'_>,
     files: &'a dyn Files,
     fleet: &'a Fleet,
-    (include, parts): (Option<At<'_>>, [Option<At<'_>>; 5]),
+    (include, parts): (Option<At<'_>>, [Option<At<'_>>; 6]),
 ) -> library::Library<'a> {
     let mut library = library::Library::new(documents, files, fleet);
     let included = documents.nodes.iter().zip(&documents.names).zip(&documents.plain);
@@ -415,9 +420,15 @@ pub(crate) fn library_of<'a>(
     fleet: &'a Fleet,
 ) -> Option<library::Library<'a>> {
     let at = At::document(documents.nodes.first()?, 0);
-    let [_, _, include, variables, moves, sequences, roles, formations, ..] =
+    let [_, _, include, variables, moves, sequences, roles, formations, paths, ..] =
         reader.map(&at, "the scenario", SCENARIO_KEYS, &[])?;
-    Some(shared(reader, documents, files, fleet, (include, [variables, moves, sequences, roles, formations])))
+    Some(shared(
+        reader,
+        documents,
+        files,
+        fleet,
+        (include, [variables, moves, sequences, roles, formations, paths]),
+    ))
 }
 
 /// Scripts are sent that much ahead: what remains is for the act.

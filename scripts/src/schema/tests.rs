@@ -33,6 +33,9 @@ formations:
   word: {text: GO, size: 2}
   logo: {svg: logo.svg, size: 2}
   statue: {cloud: statue.ply, size: 2}
+paths:
+  way: {points: [[0, 0, 0], [1, 0, 0], [1, 1, 0]], closed: true, rotate: 90, scale: 2}
+  lap: {circle: {radius: 1}}
 tempo: [{at: bar 1, bpm: 120, signature: 4/4}]
 signature: 4/4
 zones: {table: auto}
@@ -84,7 +87,7 @@ acts:
         form: {to: ring, least: longest, spare: stay, thin: evenly}
         over: 2s
       - {cue: played, sequence: greet, parameters: {to: 2}}
-  - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last, robots: arm, turn: {by: 90, about: [0, 0]}, grow: 2, shift: [0, 0, 1], over: 2s}]}
+  - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last, robots: arm, turn: {by: 90, about: [0, 0]}, grow: 2, shift: [0, 0, 1], along: {path: way, laps: 2, turning: true, follow: false}, over: 2s}]}
   - {act: three, wait: {sensor: arm/s, above: 1, below: 2, within: [0, 1]}, cues: [{cue: last}]}
   - {act: four, wait: done, cues: [{cue: last}]}
 ",

@@ -47,12 +47,12 @@ fn fleet(count: usize) -> Fleet {
     Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() }
 }
 
-fn compiled(count: usize, text: &str) -> Compiled {
+pub(super) fn compiled(count: usize, text: &str) -> Compiled {
     let source = Source { name: "s.yaml".into(), text: text.to_owned() };
     compile(&source, &fleet(count), &NoFiles)
 }
 
-fn sound(count: usize, text: &str) -> Act {
+pub(super) fn sound(count: usize, text: &str) -> Act {
     let compiled = compiled(count, text);
     let mut choreography = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings));
     assert!(compiled.findings.is_empty(), "{:#?}", compiled.findings);
@@ -60,9 +60,9 @@ fn sound(count: usize, text: &str) -> Act {
 }
 
 /// The steps of each drone's x, y and z as times in milliseconds and values.
-type Steps = Vec<[Vec<(f64, f64)>; 3]>;
+pub(super) type Steps = Vec<[Vec<(f64, f64)>; 3]>;
 
-fn steps(act: &Act, count: usize) -> Steps {
+pub(super) fn steps(act: &Act, count: usize) -> Steps {
     let fleet = fleet(count);
     let of = |robot: &FleetRobot| {
         ["x", "y", "z"].map(|axis| {
@@ -92,11 +92,11 @@ fn value(steps: &[(f64, f64)], at: f64) -> f64 {
     }
 }
 
-fn places(steps: &Steps, at: f64) -> Vec<[f64; 3]> {
+pub(super) fn places(steps: &Steps, at: f64) -> Vec<[f64; 3]> {
     steps.iter().map(|axes| axes.each_ref().map(|axis| value(axis, at))).collect()
 }
 
-fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+pub(super) fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 

@@ -19,10 +19,12 @@ use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{
     Act, Action, Cue, Form, Items, Motion, Spare, Target, Thin, Together, Track, WrittenFormation,
+    WrittenPath,
 };
 use crate::space::{Body, Coordinate, Shape as BodyShape};
 use crate::transit;
 
+mod along;
 mod sweep;
 mod told;
 
@@ -35,6 +37,7 @@ const COORDINATES: [&str; 3] = ["x", "y", "z"];
 /// What groups need to know beyond their cues.
 pub(in crate::compile) struct Ground<'a> {
     pub(in crate::compile) formations: &'a HashMap<String, WrittenFormation>,
+    pub(in crate::compile) paths: &'a HashMap<String, WrittenPath>,
     /// Where devices are when the act begins.
     pub(in crate::compile) positions: &'a Positions<'a>,
 }
@@ -170,7 +173,7 @@ impl<'a> Performer<'_, 'a> {
         }
         let dancers = self.dancers(cue, group, members, time, ground)?;
         let ways = match &group.action {
-            Action::Sweep(sweep) => self.swept(group, *sweep, &dancers, cue.tolerance)?,
+            Action::Sweep(sweep) => self.swept(group, sweep, &dancers, cue.tolerance, ground)?,
             Action::Form(form) => self.formed(cue, group, form, &dancers, ground)?,
         };
         for (dancer, moved) in dancers.iter().zip(ways) {

@@ -1,0 +1,352 @@
+//! A smooth way through points in space, by how far along it one is.
+
+use std::f64::consts::TAU;
+
+use super::spline::{Cubic, hermite, natural};
+
+/// Parts of a piece between two points, each of which is a cubic of the distance along the path.
+const PARTS: usize = 32;
+/// Points of a closed path that are laid before its first and behind its last one. What a point adds to the slope at another falls by
+/// half or more with each point between them.
+const AROUND: usize = 40;
+/// Least cosine of the angle between the directions at both ends of a part.
+const BEND_MIN: f64 = 0.5;
+/// Shares of the speed along the path that a speed over the ground has at least, for a heading.
+const LEVEL_MIN: f64 = 1e-3;
+/// Places and weights of Gauss and Legendre's rule of five points, on the interval from -1 to 1 (NIST DLMF, 3.5).
+const GAUSS: [(f64, f64); 5] = [
+    (-0.906_179_845_938_664, 0.236_926_885_056_189_1),
+    (-0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
+    (0.0, 0.568_888_888_888_888_9),
+    (0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
+    (0.906_179_845_938_664, 0.236_926_885_056_189_1),
+];
+
+/// A smooth way through points in space, by how far along it one is.
+///
+/// The points are joined by a cubic spline over the square roots of their distances (Lee 1989, Choosing nodes in parametric curve
+/// interpolation): it neither stops nor has corners. It is then divided finely, and each part is the cubic with the same places
+/// and directions at its ends, as a function of the distance along the path. Open ones are straight at both ends.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Path {
+    /// What it goes through, x, y and z in metres: it follows from that, and from whether it is closed.
+    points: Vec<[f64; 3]>,
+    closed: bool,
+    /// How far along the path each part begins, in metres, and where the last one ends.
+    far: Vec<f64>,
+    /// x, y, z in metres and the heading in turns.
+    parts: Vec<[Cubic; 4]>,
+    /// Bounds of the first two derivatives of each, by metres.
+    bounds: [(f64, f64); 4],
+    has_heading: bool,
+}
+
+/// What a path moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Along {
+    X,
+    Y,
+    Z,
+    /// The direction over the ground, in turns from x to y; of a closed path it goes on from lap to lap.
+    Heading,
+}
+
+/// A path that would turn back on the spot at one of its points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TurnsBack {
+    pub(crate) point: usize,
+}
+
+impl Path {
+    /// Through two points or more, neighbours not in one place; a closed one through three or more, and back to the first.
+    ///
+    /// # Errors
+    /// The path would turn back on the spot.
+    pub(crate) fn through(points: &[[f64; 3]], closed: bool) -> Result<Self, TurnsBack> {
+        let (around, pieces) = if closed { (AROUND, points.len()) } else { (0, points.len() - 1) };
+        let count = points.len();
+        let all: Vec<[f64; 3]> = match closed {
+            true => (0..=count + 2 * around)
+                .map(|index| points[(index + count * around - around) % count])
+                .collect(),
+            false => points.to_vec(),
+        };
+        let mut times = vec![0.0];
+        for pair in all.windows(2) {
+            times.push(times[times.len() - 1] + distance(pair[0], pair[1]).sqrt());
+        }
+        let splines = [0, 1, 2].map(|axis| {
+            let values: Vec<f64> = all.iter().map(|point| point[axis]).collect();
+            natural(&times, &values)
+        });
+        let mut laid = Laid::default();
+        for piece in 0..pieces {
+            laid.add(splines.each_ref().map(|spline| spline[around + piece]), piece)?;
+        }
+        let Laid { far, parts, is_steep, .. } = laid;
+        let bounds = bounds(&far, &parts);
+        Ok(Self { points: points.to_vec(), closed, far, parts, bounds, has_heading: !is_steep })
+    }
+
+    /// In metres; of a closed path that of a lap.
+    pub(crate) fn length(&self) -> f64 {
+        self.far.last().copied().unwrap_or(0.0)
+    }
+
+    /// How far along the path a point of it is, in metres.
+    pub(crate) fn far_of(&self, point: usize) -> f64 {
+        self.far.get(point * PARTS).copied().unwrap_or_else(|| self.length())
+    }
+
+    /// What it goes through, x, y and z in metres.
+    pub(crate) fn points(&self) -> &[[f64; 3]] {
+        &self.points
+    }
+
+    /// Whether it leads back to its first point.
+    pub(crate) const fn is_closed(&self) -> bool {
+        self.closed
+    }
+
+    /// Whether it is nowhere so steep that it has no direction over the ground.
+    pub(crate) const fn has_heading(&self) -> bool {
+        self.has_heading
+    }
+
+    /// The value so far along the path, and its first two derivatives by metres. A closed path goes on in laps.
+    pub(crate) fn jet(&self, along: Along, metres: f64) -> [f64; 3] {
+        let length = self.length();
+        let laps = if self.closed { (metres / length).floor() } else { 0.0 };
+        let metres = metres - laps * length;
+        let part = self.far.partition_point(|far| *far <= metres).clamp(1, self.parts.len()) - 1;
+        let whole = self.far[part + 1] - self.far[part];
+        let cubic = &self.parts[part][along as usize];
+        let [value, slope, bend] = jet(cubic, (metres - self.far[part]) / whole);
+        let lapped = if along == Along::Heading { laps * self.turns() } else { 0.0 };
+        [value + lapped, slope / whole, bend / (whole * whole)]
+    }
+
+    /// By how many turns the heading changes from the beginning to the end.
+    fn turns(&self) -> f64 {
+        let ends = self.parts.first().zip(self.parts.last());
+        let heading = Along::Heading as usize;
+        ends.map_or(0.0, |(first, last)| jet(&last[heading], 1.0)[0] - first[heading][0])
+    }
+
+    /// Bounds of the first two derivatives by metres.
+    pub(crate) const fn bounds(&self, along: Along) -> (f64, f64) {
+        self.bounds[along as usize]
+    }
+
+    /// Everything that makes it.
+    pub(super) fn key(&self) -> impl Iterator<Item = u64> {
+        self.points.iter().flatten().map(|part| part.to_bits()).chain([u64::from(self.closed)])
+    }
+}
+
+/// What a path has of parts so far.
+#[derive(Default)]
+struct Laid {
+    far: Vec<f64>,
+    parts: Vec<[Cubic; 4]>,
+    /// Direction and heading at the end.
+    last: Option<([f64; 3], f64)>,
+    is_steep: bool,
+}
+
+impl Laid {
+    /// The parts of a piece of the spline, which begins at a point.
+    fn add(&mut self, piece: [Cubic; 3], point: usize) -> Result<(), TurnsBack> {
+        if self.far.is_empty() {
+            self.far.push(0.0);
+        }
+        let share = |index: usize| real(index) / real(PARTS);
+        for index in 0..PARTS {
+            let ends = [share(index), share(index + 1)];
+            let length = arc(&piece, ends);
+            let [from, to] = ends.map(|s| End::of(&piece, s));
+            // At the end of a piece it is the next point at which it turns.
+            let turns_back = TurnsBack { point: point + usize::from(index >= PARTS / 2) };
+            let (Some(from), Some(to)) = (from, to) else { return Err(turns_back) };
+            let before = self.last.map_or(from.direction, |(direction, _)| direction);
+            if dot(before, from.direction) < BEND_MIN || dot(from.direction, to.direction) < BEND_MIN {
+                return Err(turns_back);
+            }
+            self.is_steep |= from.is_steep || to.is_steep;
+            let heading = self.last.map_or(from.heading, |(_, heading)| nearest_turn(from.heading, heading));
+            let next = nearest_turn(to.heading, heading);
+            let axis = |axis: usize| {
+                hermite([from.at[axis], to.at[axis]], [from.direction[axis], to.direction[axis]], length)
+            };
+            let heading = hermite([heading, next], [from.turning, to.turning], length);
+            self.parts.push([axis(0), axis(1), axis(2), heading]);
+            self.far.push(self.far[self.far.len() - 1] + length);
+            self.last = Some((to.direction, next));
+        }
+        Ok(())
+    }
+}
+
+/// The path at one end of a part.
+struct End {
+    at: [f64; 3],
+    /// Of length 1.
+    direction: [f64; 3],
+    /// In turns, and how much of that a metre.
+    heading: f64,
+    turning: f64,
+    is_steep: bool,
+}
+
+impl End {
+    /// None where the spline stands still.
+    fn of(piece: &[Cubic; 3], s: f64) -> Option<Self> {
+        let [x, y, z] = piece.each_ref().map(|cubic| jet(cubic, s));
+        let speed = norm([x[1], y[1], z[1]]);
+        let level = x[1].hypot(y[1]);
+        if speed <= f64::MIN_POSITIVE {
+            return None;
+        }
+        let is_steep = level < LEVEL_MIN * speed;
+        let turning =
+            if is_steep { 0.0 } else { (x[1] * y[2] - y[1] * x[2]) / (level * level) / speed / TAU };
+        Some(Self {
+            at: [x[0], y[0], z[0]],
+            direction: [x[1] / speed, y[1] / speed, z[1] / speed],
+            heading: y[1].atan2(x[1]) / TAU,
+            turning,
+            is_steep,
+        })
+    }
+}
+
+/// The length of the way between two values of s, in metres.
+fn arc(piece: &[Cubic; 3], [from, to]: [f64; 2]) -> f64 {
+    let half = (to - from) / 2.0;
+    let speed = |s: f64| norm(piece.each_ref().map(|cubic| jet(cubic, s)[1]));
+    GAUSS.iter().map(|(place, weight)| weight * speed(from + half * (1.0 + place))).sum::<f64>() * half
+}
+
+/// Second derivatives of cubics are largest at their ends, and first ones there or where the second is 0.
+fn bounds(far: &[f64], parts: &[[Cubic; 4]]) -> [(f64, f64); 4] {
+    let mut bounds = [(0.0_f64, 0.0_f64); 4];
+    for (part, ends) in parts.iter().zip(far.windows(2)) {
+        let length = ends[1] - ends[0];
+        for (cubic, (slope, bend)) in part.iter().zip(&mut bounds) {
+            let flat = -cubic[2] / (3.0 * cubic[3]);
+            let inner = Some(flat).filter(|s| (0.0..=1.0).contains(s));
+            for s in [0.0, 1.0].into_iter().chain(inner) {
+                let [_, first, second] = jet(cubic, s);
+                (*slope, *bend) =
+                    (slope.max((first / length).abs()), bend.max((second / (length * length)).abs()));
+            }
+        }
+    }
+    bounds
+}
+
+/// A cubic and its first two derivatives.
+fn jet(&[a, b, c, d]: &Cubic, s: f64) -> [f64; 3] {
+    [a + s * (b + s * (c + s * d)), b + s * (2.0 * c + 3.0 * s * d), 2.0 * c + 6.0 * s * d]
+}
+
+/// The same direction, as few turns as possible from another.
+fn nearest_turn(heading: f64, other: f64) -> f64 {
+    heading + (other - heading).round()
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| a[axis] * b[axis]).sum()
+}
+
+fn norm(a: [f64; 3]) -> f64 {
+    dot(a, a).sqrt()
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    norm(std::array::from_fn(|axis| b[axis] - a[axis]))
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a few dozen parts")]
+const fn real(count: usize) -> f64 {
+    count as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use super::*;
+
+    const AXES: [Along; 3] = [Along::X, Along::Y, Along::Z];
+
+    fn at(path: &Path, metres: f64) -> [f64; 3] {
+        AXES.map(|axis| path.jet(axis, metres)[0])
+    }
+
+    fn circle(points: usize) -> Path {
+        let point = |index: usize| {
+            let (sine, cosine) = (TAU * real(index) / real(points)).sin_cos();
+            [2.0 * cosine, 2.0 * sine, 1.0]
+        };
+        Path::through(&(0..points).map(point).collect::<Vec<_>>(), true).unwrap()
+    }
+
+    #[test]
+    fn a_closed_path_through_points_of_a_circle_is_that_circle() {
+        let path = circle(64);
+        assert!((path.length() - 4.0 * PI).abs() < 4e-6, "{}", path.length());
+        for index in 0..1_000 {
+            // Three laps.
+            let metres = real(index) * 0.0377;
+            let (sine, cosine) = (metres / 2.0).sin_cos();
+            let place = at(&path, metres);
+            // Off by less than a millionth of the radius; the length by less than that of the whole.
+            assert!((place[0].hypot(place[1]) - 2.0).abs() < 2e-6, "{place:?}");
+            assert!(distance(place, [2.0 * cosine, 2.0 * sine, 1.0]) < 4e-6 * (1.0 + metres), "{place:?}");
+            let turns = metres / 2.0 / TAU + 0.25;
+            let [heading, turning, _] = path.jet(Along::Heading, metres);
+            assert!(
+                (heading - turns).abs() < 1e-4 && (turning * TAU - 0.5).abs() < 2e-3,
+                "{heading} {turning}"
+            );
+        }
+        assert_eq!(path.bounds(Along::Z), (0.0, 0.0));
+        assert!((path.bounds(Along::X).1 - 0.5).abs() < 2e-3);
+    }
+
+    #[test]
+    fn paths_go_through_their_points_evenly_and_rates_are_what_differences_say() {
+        let points = [[0.0, 0.0, 0.0], [1.0, 2.0, 0.5], [4.0, 2.0, 1.0], [4.5, -1.0, 0.0], [2.0, -1.5, 3.0]];
+        for closed in [false, true] {
+            let path = Path::through(&points, closed).unwrap();
+            for (index, point) in points.iter().enumerate() {
+                assert!(distance(at(&path, path.far_of(index)), *point) < 1e-9);
+            }
+            let step = path.length() / 5_000.0;
+            for index in 1..4_999 {
+                let metres = real(index) * step;
+                let gone = distance(at(&path, metres - step / 2.0), at(&path, metres + step / 2.0));
+                assert!((gone / step - 1.0).abs() < 1e-3, "{gone} of {step} at {metres}");
+                for along in [Along::X, Along::Y, Along::Z, Along::Heading] {
+                    let h = 1e-5;
+                    let [before, now, after] = [metres - h, metres, metres + h].map(|at| path.jet(along, at));
+                    let (slope, bend) = path.bounds(along);
+                    assert!((now[1] - (after[0] - before[0]) / (2.0 * h)).abs() < 1e-4);
+                    assert!(now[1].abs() <= slope && now[2].abs() <= bend);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_path_that_turns_back_is_refused_and_a_vertical_one_has_no_heading() {
+        let there_and_back = [[0.0; 3], [1.0, 0.0, 0.0], [0.0; 3]];
+        assert_eq!(Path::through(&there_and_back, false), Err(TurnsBack { point: 1 }));
+        let up = Path::through(&[[0.0; 3], [0.0, 0.0, 2.0]], false).unwrap();
+        assert!(!up.has_heading() && (up.length() - 2.0).abs() < 1e-12);
+        let level = Path::through(&[[0.0; 3], [0.0, 2.0, 0.0]], false).unwrap();
+        assert!(level.has_heading());
+        assert_eq!(level.jet(Along::Heading, 1.0), [0.25, 0.0, 0.0]);
+    }
+}

@@ -1,0 +1,126 @@
+//! The key `paths`: names with ways through space, along which groups are carried.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+use super::formations::{factor, length, point, rotation};
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place};
+use crate::formation::{Placing, Point, metres_between};
+use crate::keys::keys;
+use crate::motion::Path;
+use crate::node::{Node, shortened};
+
+/// Most points of a path.
+const POINTS_MAX: usize = 1_000;
+/// Points that are nearer to each other, in metres, are one.
+const SAME: f64 = 1e-6;
+/// Points that a circle is drawn through: the path leaves it by less than a millionth of its radius.
+const CIRCLE: u32 = 64;
+
+keys! {
+    /// What is said of a path.
+    PathKeys, PATH_KEYS { points, circle, closed, rotate, scale }
+}
+
+/// A path as written.
+#[derive(Clone, Debug)]
+pub(crate) struct WrittenPath {
+    /// None if something is wrong with it, which has been told.
+    pub(crate) path: Option<Arc<Path>>,
+}
+
+/// Points as they are written, and whether the path leads from the last to the first.
+struct Drawn {
+    points: Vec<Point>,
+    closed: bool,
+    /// Where each point stands; none if they are no list.
+    places: Vec<Place>,
+}
+
+/// Reads one path.
+pub(super) fn read(reader: &mut Reader, name: &str, at: &At<'_>) -> WrittenPath {
+    let before = reader.found.len();
+    let path = path(reader, name, at).filter(|_| reader.found.len() == before);
+    WrittenPath { path: path.map(Arc::new) }
+}
+
+fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
+    let what = format!("the path `{}`", shortened(name));
+    let keys = PathKeys::of(reader.map(at, &what, PATH_KEYS, &[])?);
+    let closed = keys.closed.map_or(Some(false), |at| reader.truth(&at));
+    let factor = keys.scale.map_or(Some(1.0), |at| factor(reader, &at));
+    let rpy = keys.rotate.map_or(Some([0.0; 3]), |at| rotation(reader, &at));
+    let drawn = match (keys.points, keys.circle) {
+        (Some(list), None) => points(reader, &list, closed?),
+        (None, Some(circle)) => {
+            if let Some(at) = keys.closed {
+                let expected = "`closed` with `points`";
+                reader.add(Code::UnknownKey, at.key_place(), "a circle is closed", expected, None);
+            }
+            round(reader, &circle)
+        }
+        (both, _) => {
+            if both.is_some() || !PATH_KEYS.iter().any(|key| reader.is_miswritten(at, key)) {
+                let code = if both.is_some() { Code::UnknownKey } else { Code::MissingKey };
+                let count = if both.is_some() { "two shapes" } else { "no shape" };
+                let hint = Some("as in `points: [[0, 0, 0], [2, 1, 0], [4, 0, 1]]`".to_owned());
+                let expected = "exactly one of `points` and `circle`";
+                reader.add(code, at.place(), format!("{what} has {count}"), expected, hint);
+            }
+            None
+        }
+    };
+    let (drawn, placing) = (drawn?, Placing::default().turned(rpy?, factor?));
+    let placed: Vec<Point> = drawn.points.iter().map(|point| placing.of(*point)).collect();
+    match Path::through(&placed, drawn.closed) {
+        Ok(path) => Some(path),
+        Err(turns) => {
+            let point = turns.point % placed.len();
+            let place = drawn.places.get(point).map_or_else(|| at.place(), Place::clone);
+            let message = format!("{what} turns back on the spot at its point {}", point + 1);
+            let hint = Some("add a point beside it, so that it becomes a bend".to_owned());
+            reader.add(Code::WrongType, place, message, "a way that can be gone without a stop", hint);
+            None
+        }
+    }
+}
+
+fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
+    let all = reader.list(at, "a list of points such as [1, 0, 2.5]");
+    let least = if closed { 3 } else { 2 };
+    if matches!(at.node, Node::List(_)) && !(least..=POINTS_MAX).contains(&all.len()) {
+        let code = if all.len() > POINTS_MAX { Code::TooMuch } else { Code::WrongType };
+        let message = format!("a path through {}", crate::counted(all.len(), "point"));
+        let expected = match closed {
+            true => format!("{least} to {POINTS_MAX} points of a closed path"),
+            false => format!("{least} to {POINTS_MAX} points"),
+        };
+        reader.add(code, at.place(), message, expected, None);
+        return None;
+    }
+    let points: Option<Vec<Point>> = all.iter().map(|at| point(reader, at)).collect();
+    let points = points.filter(|points| !points.is_empty())?;
+    let count = points.len();
+    let next = |index: usize| (index + 1) % count;
+    let steps = if closed { count } else { count - 1 };
+    let same: Vec<usize> =
+        (0..steps).filter(|index| metres_between(points[*index], points[next(*index)]) < SAME).collect();
+    for &index in &same {
+        let message = format!("points {} and {} of the path are the same", index + 1, next(index) + 1);
+        let hint = (next(index) == 0).then(|| "`closed` leads back to the first point by itself".to_owned());
+        reader.add(Code::WrongType, all[index].place(), message, "another point, or none", hint);
+    }
+    same.is_empty().then_some(Drawn { points, closed, places: all.iter().map(At::place).collect() })
+}
+
+/// `{radius: 2}`: counterclockwise, and from the x axis.
+fn round(reader: &mut Reader, at: &At<'_>) -> Option<Drawn> {
+    let [radius] = reader.map(at, "`circle`", ["radius"], &["radius"])?;
+    let radius = radius.and_then(|at| length(reader, &at))?;
+    let point = |index: u32| {
+        let (sine, cosine) = (TAU * f64::from(index) / f64::from(CIRCLE)).sin_cos();
+        [radius * cosine, radius * sine, 0.0]
+    };
+    Some(Drawn { points: (0..CIRCLE).map(point).collect(), closed: true, places: Vec::new() })
+}
