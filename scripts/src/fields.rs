@@ -110,6 +110,8 @@ pub(crate) struct Reader {
     comparisons: Cell<usize>,
     /// By severity.
     told: [Told; 2],
+    /// What is an error only if there is no other: otherwise one of the others is its cause.
+    follow_ups: Vec<Pending>,
 }
 
 /// Findings of one severity.
@@ -144,6 +146,7 @@ impl Default for Reader {
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
+            follow_ups: Vec::new(),
         }
     }
 }
@@ -210,8 +213,20 @@ impl Reader {
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
+    /// A finding that is kept back if anything else is wrong.
+    pub(crate) fn add_unless_others(&mut self, follow_up: Pending) {
+        if self.follow_ups.len() < FINDINGS_MAX {
+            self.follow_ups.push(follow_up);
+        }
+    }
+
     /// Everything that is reported; the last of very many says how many more there are.
     pub(crate) fn finish(mut self) -> Vec<Pending> {
+        if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
+            for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
+                self.add(code, place, message, expected, hint);
+            }
+        }
         for told in self.told.iter().filter(|told| told.more > 0) {
             if let Some(last) = self.found.get_mut(told.last) {
                 last.message.push_str(&format!(" (and {} more findings, which are not shown)", told.more));

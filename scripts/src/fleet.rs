@@ -20,6 +20,7 @@ use crate::tags::foreign_tags;
 
 mod body;
 mod calibration;
+mod declared;
 mod drive;
 mod joints;
 mod latency;
@@ -29,6 +30,7 @@ mod sensors;
 mod urdf;
 
 pub use calibration::{Calibration, Taken};
+pub(crate) use declared::{devices_of, limits_of};
 pub use latency::{
     DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,

@@ -20,6 +20,7 @@ mod budget;
 mod chance;
 mod compile;
 mod duration;
+mod ensemble;
 mod events;
 mod exact;
 pub mod export;

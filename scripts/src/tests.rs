@@ -233,6 +233,7 @@ mod groups;
 mod hints;
 mod numbers;
 mod patterns;
+mod rehearsed;
 mod standing;
 mod told;
 mod verified;

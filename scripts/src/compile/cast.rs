@@ -9,7 +9,7 @@ use urrcp::{ControlType, Device, RobotId, Span};
 use super::acts::Ways;
 use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
-use crate::fleet::{Fleet, FleetRobot, RateLimits};
+use crate::fleet::{Fleet, FleetRobot, RateLimits, devices_of};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
 use crate::render::counted;
@@ -238,10 +238,6 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     };
     findings.add(Code::TooMuch, place, message, format!("at most {horizon}"), hint);
     Cow::Owned(Canon::default())
-}
-
-pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {
-    robot.init.as_ref().map_or(&[], |block| &block.devices)
 }
 
 /// Where devices are left: by robot and device.

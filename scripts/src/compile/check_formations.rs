@@ -3,12 +3,9 @@
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
 use crate::fleet::Fleet;
-use crate::formation::{Point, nearest_pair};
+use crate::formation::{Point, SAME, nearest_pair};
 use crate::node::shortened;
 use crate::scenario::Scenario;
-
-/// Places that are nearer to each other, in metres, count as one.
-pub(super) const SAME: f64 = 1e-6;
 
 /// Formations that have places of their own; others depend on how many robots take part.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {

@@ -4,9 +4,10 @@ use std::collections::HashSet;
 
 use urrcp::{ControlType, Limits, Span};
 
-use super::perform::{OnDevice, limits_of, snaps};
+use super::perform::{OnDevice, snaps};
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
+use crate::fleet::limits_of;
 use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Track, Vectors};
 

@@ -32,7 +32,7 @@ use crate::budget::{Budget, KNOTS_MAX, STEPS_MAX};
 use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, devices_of};
 use crate::identify::{self, Document};
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan};
@@ -80,7 +80,7 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
 
 /// Devices that take very long scripts may be given them.
 fn knots_max(fleet: &Fleet) -> usize {
-    let devices = fleet.robots.iter().flat_map(cast::devices_of);
+    let devices = fleet.robots.iter().flat_map(devices_of);
     let longest = devices.map(perform::capacity).max().unwrap_or(0);
     longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
@@ -114,13 +114,9 @@ impl Compiler {
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
                 performer.cue(cue, members, time);
             }
-            let ground = perform::Ground {
-                formations: &scenario.formations,
-                paths: &scenario.paths,
-                positions: &positions,
-            };
             if times.consistent {
-                performer.groups(act, &times.members, &times.times, &ground);
+                let ground = perform::Ground { of_scenario: scenario.ground(fleet), positions: &positions };
+                performer.groups(act, &times.members, &times.times, ground);
             }
             let (segments, readings) = (performer.segments, performer.readings);
             // Where times contradict each other, cues would seem to overlap.

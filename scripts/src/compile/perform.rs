@@ -531,10 +531,3 @@ fn rounded_up(value: f64) -> f64 {
 pub(super) fn snaps(cue: &Cue) -> bool {
     cue.off_grid == OffGrid::Snap
 }
-
-/// The limits that values of a control type must keep: its own, and those that the script inherits.
-pub(super) fn limits_of(device: &Device, control_type: ControlType) -> impl Iterator<Item = &Limits> {
-    let own = device.available_control_types.limits(control_type);
-    let inherited = device.available_control_types.script().map(|script| &script.limits);
-    own.into_iter().chain(inherited)
-}

@@ -27,6 +27,9 @@ pub use tried::tried;
 /// Most places of a formation.
 pub(crate) const PLACES_MAX: usize = 10_000;
 
+/// Places that are nearer to each other, in metres, count as one.
+pub(crate) const SAME: f64 = 1e-6;
+
 /// A place, or a vector: x, y, z in metres.
 pub(crate) type Point = [f64; 3];
 

@@ -503,6 +503,11 @@ fn tidy_scale(granularity: f64) -> f64 {
     10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
 }
 
+/// The multiple of the granularity nearest to the value, in as few digits as it is sent.
+pub(crate) fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
+    tidy(limits.nearest(value), tidy_scale(limits.granularity))
+}
+
 /// A value on a grid without the dust of its multiplication: fewer digits on the wire.
 fn tidy(value: f64, scale: f64) -> f64 {
     let scaled = value * scale;

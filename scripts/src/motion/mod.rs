@@ -11,7 +11,7 @@ mod held;
 mod path;
 mod spline;
 
-pub(crate) use actuator::{Actuator, Fits, Played, Value};
+pub(crate) use actuator::{Actuator, Fits, Played, Value, nearest_on_grid};
 pub(crate) use curve::{Between, Curve, Knot, Shape, Stretch};
 pub(crate) use easing::Easing;
 pub(crate) use function::{Carried, FormulaPart, Function, Swept};

@@ -7,13 +7,14 @@ use std::sync::Arc;
 use urrcp::{ControlType, RobotId};
 
 use super::library::Library;
-use super::{Cue, Motion, Track};
+use super::{Cue, Motion, Together, Track};
 use crate::chance::{drawn, share};
+use crate::ensemble::{self, Asked, Dancer, Rehearsed};
 use crate::exact::{Fraction, sum, to_f64};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, names};
-use crate::fleet::{Fleet, FleetRobot};
+use crate::finding::{Code, Pending, names};
+use crate::fleet::{Fleet, FleetRobot, devices_of};
 use crate::motion::Easing;
 use crate::node::Node;
 use crate::space::Coordinate;
@@ -48,8 +49,16 @@ struct Standing {
 #[derive(Debug)]
 struct Axis {
     of: Coordinate,
-    /// In nanometres, if it is known.
-    at: Option<i128>,
+    at: Whereabouts,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Whereabouts {
+    /// In metres.
+    Known(f64),
+    Unknown,
+    /// A group moved it that has no ways, or none that is known: the compiler tells why.
+    Lost,
 }
 
 /// The order of the robots.
@@ -123,8 +132,11 @@ impl Group {
         self.shares.clear();
     }
 
-    /// Robots are where their last cue in the file leaves them.
-    pub(super) fn leave(&mut self, library: &Library<'_>, cue: &Cue) {
+    /// Robots are where their last cue in the file leaves them. The ways of those that move as a group, if it is known where they begin.
+    pub(super) fn leave(&mut self, library: &Library<'_>, cue: &Cue) -> Option<Rehearsed> {
+        if let Some(together) = &cue.group {
+            return self.rehearse(library, cue, together);
+        }
         let mut overridden = HashMap::new();
         for (name, movement) in &cue.overrides {
             let robots = library.robots(std::slice::from_ref(name));
@@ -135,44 +147,81 @@ impl Group {
                 continue;
             };
             let own = cue.own_of.get(index).copied().flatten().and_then(|own| cue.own.get(own));
-            // Which place a formation gives to which robot is known only once the cue is compiled.
-            if cue.group.is_some() {
-                axes.iter_mut().for_each(Axis::lose);
-                continue;
-            }
             let movement = own.or_else(|| overridden.get(robot).copied()).unwrap_or(&cue.movement);
             for track in &movement.tracks {
                 axes.iter_mut().for_each(|axis| axis.follow(track));
             }
         }
+        None
+    }
+
+    /// Each robot is where its way leads; the places are lost where there is none.
+    fn rehearse(&mut self, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
+        let asked = Asked { together, tolerance: cue.tolerance };
+        let dancers = self.dancers(library, cue);
+        let ways = dancers.as_ref().map(|dancers| ensemble::ways(asked, dancers, library.ground()));
+        for robot in &self.robots {
+            let axes = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut());
+            axes.into_iter().flatten().for_each(|axis| axis.at = Whereabouts::Lost);
+        }
+        let (dancers, ways) = (dancers?, ways?);
+        for (dancer, moved) in dancers.iter().zip(ways.iter().flatten()) {
+            let Some(axes) = self.fleet.get_mut(dancer.robot).and_then(|robot| robot.axes.as_mut()) else {
+                continue;
+            };
+            for ((axis, settable), end) in axes.iter_mut().zip(&dancer.axes).zip(moved.end()) {
+                axis.at = Whereabouts::Known(settable.nearest(end));
+            }
+        }
+        Some(Rehearsed::new(&dancers, ways))
+    }
+
+    /// The robots of the cue as a group, if it is known where each of them begins.
+    fn dancers<'a>(&self, library: &'a Library<'_>, cue: &Cue) -> Option<Vec<Dancer<'a>>> {
+        let dancer = |(index, robot): (usize, &usize)| {
+            let known = &library.ground().fleet.robots[*robot];
+            let body = known.body.as_ref()?;
+            let axes = ensemble::axes(body, devices_of(known))?;
+            let from = self.fleet.get(*robot)?.metres()?;
+            Some(Dancer { robot: *robot, delay: cue.canon.delay(index), body, axes, from })
+        };
+        self.robots.iter().enumerate().map(dancer).collect()
     }
 }
 
 impl Axis {
-    fn lose(&mut self) {
-        if matches!(self.of, Coordinate::Device { .. }) {
-            self.at = None;
-        }
-    }
-
     fn follow(&mut self, track: &Track) {
         let Coordinate::Device { device, scale, offset } = &self.of else { return };
         if device.as_str() != track.device {
             return;
         }
         self.at = match (&track.motion, track.control) {
-            (Motion::Curve(curve), None | Some(ControlType::Position)) => {
-                curve.knots.last().map(|last| nanometres(offset + scale * last.to))
-            }
-            _ => None,
+            (Motion::Curve(curve), None | Some(ControlType::Position)) => curve
+                .knots
+                .last()
+                .map_or(Whereabouts::Unknown, |last| Whereabouts::Known(offset + scale * last.to)),
+            _ => Whereabouts::Unknown,
         };
     }
 }
 
 impl Standing {
+    fn metres(&self) -> Option<[f64; 3]> {
+        let known = |axis: &Axis| match axis.at {
+            Whereabouts::Known(metres) => Some(metres),
+            Whereabouts::Unknown | Whereabouts::Lost => None,
+        };
+        let [x, y, z] = self.axes.as_ref()?.each_ref().map(known);
+        Some([x?, y?, z?])
+    }
+
+    fn is_lost(&self) -> bool {
+        self.axes.iter().flatten().any(|axis| axis.at == Whereabouts::Lost)
+    }
+
+    /// In nanometres.
     fn place(&self) -> Option<[i128; 3]> {
-        let [x, y, z] = self.axes.as_ref()?;
-        Some([x.at?, y.at?, z.at?])
+        Some(self.metres()?.map(nanometres))
     }
 }
 
@@ -183,12 +232,11 @@ fn axes(robot: &FleetRobot) -> Option<[Axis; 3]> {
         let metres = match coordinate {
             Coordinate::Fixed(metres) => Some(*metres),
             Coordinate::Device { device, scale, offset } => {
-                let mut devices = robot.init.iter().flat_map(|block| &block.devices);
-                let default = devices.find(|known| known.id == *device).and_then(|known| known.default_value);
-                default.map(|value| offset + scale * value)
+                let known = devices_of(robot).iter().find(|known| known.id == *device);
+                known.and_then(|known| known.default_value).map(|value| offset + scale * value)
             }
         };
-        Axis { of: coordinate.clone(), at: metres.map(nanometres) }
+        Axis { of: coordinate.clone(), at: metres.map_or(Whereabouts::Unknown, Whereabouts::Known) }
     };
     Some([x, y, z].map(axis))
 }
@@ -283,14 +331,19 @@ impl Across {
                     })
                 };
                 let found: Vec<Option<i128>> = robots.iter().map(one).collect();
-                let lost = robots.iter().zip(&found).filter(|(_, place)| place.is_none());
-                let lost: Vec<String> =
-                    lost.filter_map(|(robot, _)| Some(fleet.get(*robot)?.id.to_string())).collect();
-                if !lost.is_empty() {
-                    no_place(reader, at, &lost);
-                    return None;
+                let without = robots.iter().zip(&found).filter(|(_, place)| place.is_none());
+                let without: Vec<&Standing> = without.filter_map(|(robot, _)| fleet.get(*robot)).collect();
+                if without.is_empty() {
+                    return Some(found.into_iter().flatten().collect());
                 }
-                Some(found.into_iter().flatten().collect())
+                let pending = no_place(at, &without);
+                if without.iter().all(|robot| robot.is_lost()) {
+                    reader.add_unless_others(pending);
+                    return Some(vec![0; count]);
+                }
+                let Pending { code, place, message, expected, hint, .. } = pending;
+                reader.add(code, place, message, expected, hint);
+                None
             }
         }
     }
@@ -356,9 +409,9 @@ fn point(reader: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
     None
 }
 
-fn no_place(reader: &mut Reader, at: &At<'_>, lost: &[String]) {
-    let shown = names(lost.iter().take(NAMED_MAX).map(String::as_str));
-    let message = match lost.len() {
+fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
+    let shown = names(without.iter().take(NAMED_MAX).map(|robot| robot.id.as_str()));
+    let message = match without.len() {
         1 => format!("the place of robot {shown} is not known"),
         count if count > NAMED_MAX => {
             format!("the places of robots {shown} and {} more are not known", count - NAMED_MAX)
@@ -366,8 +419,20 @@ fn no_place(reader: &mut Reader, at: &At<'_>, lost: &[String]) {
         _ => format!("the places of robots {shown} are not known"),
     };
     let expected = "robots with a `body` in the fleet file, whose devices have a default value or are moved by a cue above this one";
-    let hint = Some("add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`".to_owned());
-    reader.add(Code::MissingKey, at.place(), message, expected, hint);
+    let hint = match without.iter().any(|robot| robot.axes.is_none()) {
+        true => "add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`",
+        false => {
+            "set the devices of the body in a cue above this one, as in `tracks: {x: [{at: 0s, to: 1}]}`, or order by `index`"
+        }
+    };
+    Pending {
+        code: Code::MissingKey,
+        place: at.place(),
+        message,
+        expected: expected.to_owned(),
+        hint: Some(hint.to_owned()),
+        related: Vec::new(),
+    }
 }
 
 /// Whether a node is meant as a value that is spread over the robots.

@@ -145,7 +145,7 @@ pub(super) fn read(
     if let Some(group) = &group {
         read.last_at_least(group.over);
     }
-    let cue = Cue {
+    let mut cue = Cue {
         name: name
             .and_then(|at| reader.name(&at, "the cue's name"))
             .unwrap_or_else(|| format!("cue {}", index + 1)),
@@ -165,10 +165,11 @@ pub(super) fn read(
         off_grid: off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
         readings: readings.map(|at| read_readings(reader, &at)).unwrap_or_default(),
         group,
+        rehearsed: None,
         tolerance,
     };
     reader.music.start = Beginning::default();
-    reader.group.leave(library, &cue);
+    cue.rehearsed = reader.group.leave(library, &cue);
     Some(cue)
 }
 

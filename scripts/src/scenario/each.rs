@@ -14,7 +14,7 @@ use crate::fleet::Fleet;
 
 /// The robots that names stand for, before they are checked.
 pub(super) struct Roster<'a> {
-    fleet: &'a Fleet,
+    pub(super) fleet: &'a Fleet,
     index_of: HashMap<&'a str, usize>,
 }
 

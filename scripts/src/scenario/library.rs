@@ -13,6 +13,7 @@ use super::formations::{self, WrittenFormation};
 use super::includes::{self, Included};
 use super::nesting::Used;
 use super::paths::{self, WrittenPath};
+use crate::ensemble::Ground;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -226,6 +227,11 @@ impl<'a> Library<'a> {
     /// The robots that names stand for, as far as they are known.
     pub(super) fn robots(&self, names: &[Name]) -> Vec<usize> {
         self.roster.robots(&self.roles, names)
+    }
+
+    /// What groups need to know.
+    pub(super) fn ground(&self) -> Ground<'_> {
+        Ground { fleet: self.roster.fleet, formations: &self.formations, paths: &self.paths }
     }
 
     /// Takes a file that is included as it is.

@@ -30,6 +30,7 @@ use std::sync::Arc;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
+use crate::ensemble::{Ground, Rehearsed};
 use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -139,6 +140,8 @@ pub(crate) struct Cue {
     pub(crate) readings: Vec<Reading>,
     /// What the robots do as a group, in space.
     pub(crate) group: Option<Together>,
+    /// The ways of the group, as far as its places were known when the cue was read.
+    pub(crate) rehearsed: Option<Rehearsed>,
     /// For its tracks without one.
     pub(crate) tolerance: Option<f64>,
 }
@@ -259,6 +262,11 @@ impl Scenario {
     /// Until when its acts have ended: a script is sent with its start and the lead added up.
     pub(crate) fn horizon(&self) -> Span {
         longest() - self.lead.unwrap_or_default().max(LEADS.1)
+    }
+
+    /// What its groups need to know.
+    pub(crate) fn ground<'a>(&'a self, fleet: &'a Fleet) -> Ground<'a> {
+        Ground { fleet, formations: &self.formations, paths: &self.paths }
     }
 }
 

@@ -6,15 +6,13 @@ use std::sync::Arc;
 use super::formations::{factor, length, point, rotation};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
-use crate::formation::{Placing, Point, metres_between};
+use crate::formation::{Placing, Point, SAME, metres_between};
 use crate::keys::keys;
 use crate::motion::Path;
 use crate::node::{Node, shortened};
 
 /// Most points of a path.
 const POINTS_MAX: usize = 1_000;
-/// Points that are nearer to each other, in metres, are one.
-const SAME: f64 = 1e-6;
 /// Points that a circle is drawn through: the path leaves it by less than a millionth of its radius.
 const CIRCLE: u32 = 64;
 

@@ -1,20 +1,20 @@
 //! What is wrong with a group, in words.
 
-use super::{COORDINATES, Dancer, Performer};
-use crate::compile::check_formations::{SAME, apart};
+use super::Performer;
+use crate::compile::check_formations::apart;
 use crate::compile::conflict::told;
 use crate::duration;
-use crate::finding::{Code, Severity};
-use crate::formation::{Point, nearest_pair};
+use crate::ensemble::{Fault, GROUP_MAX, POINTS_MAX};
+use crate::finding::{Code, Place, Severity, one_of};
 use crate::node::shortened;
 use crate::render::counted;
-use crate::scenario::{Cue, Form, Target, Together};
-use crate::space::Shape;
-use crate::transit::{Blocked, Refused};
+use crate::scenario::{Action, Course, Cue, Form, Sweep, Target, Together};
+use crate::transit::Blocked;
 use urrcp::Span;
 
-/// Metres by which two places may seem nearer than they are.
-const ROUNDING: f64 = 1e-9;
+use super::Ground;
+
+const COORDINATES: [&str; 3] = ["x", "y", "z"];
 
 impl Performer<'_, '_> {
     /// Robots that have no place in space, or none that is known.
@@ -48,102 +48,189 @@ impl Performer<'_, '_> {
         }
     }
 
-    pub(super) fn tell_homeless(&mut self, group: &Together, robots: &[usize]) {
-        let message = format!("{} no `default_value` for each of its coordinates", self.cast.have(robots));
-        let expected = "devices with a `default_value`: that is where home is";
-        let hint = Some("add `default_value` in the initialization block, or name a formation".to_owned());
-        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
-    }
-
-    pub(super) fn tell_flat(&mut self, group: &Together, what: &str, robot: usize) {
-        let message = format!("{what}, and `{}` cannot change its own", self.cast.id(robot));
-        let expected = "one height for all, or bodies whose z is a device";
-        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
-    }
-
-    pub(super) fn tell_unmoved(&mut self, group: &Together) {
-        let message = "all robots of this cue stand in the middle of the group, so nothing moves".to_owned();
-        let expected = "robots at several places, or another middle, as in `turn: {by: 90, about: [0, 0]}`";
-        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
-    }
-
-    pub(super) fn tell_count(&mut self, group: &Together, name: &str, robots: usize, places: usize) {
-        let (robots_are, places_are) = (counted(robots, "robot"), counted(places, "place"));
-        let name = shortened(name);
-        let message = format!("{robots_are} for the {places_are} of `{name}`");
-        let hint = match robots > places {
-            true => format!(
-                "`form: {{to: {name}, spare: stay}}` lets those without a place stay where they are, `spare: home` sends them home"
-            ),
-            false => format!(
-                "`form: {{to: {name}, thin: evenly}}` leaves places free at even steps, `thin: nearest` those that are far"
-            ),
-        };
-        let expected = format!("{}, or a choice", counted(places, "robot"));
-        self.findings.add(Code::PlacesCount, group.place.clone(), message, expected, Some(hint));
-    }
-
-    /// Whether two of the places are too near for any two of these bodies, which is told.
-    pub(super) fn tell_crowded(
-        &mut self,
-        group: &Together,
-        name: &str,
-        dancers: &[Dancer<'_>],
-        places: &[Point],
-    ) -> bool {
-        // Of more places than robots only some are taken.
-        let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return false };
-        let space = &self.cast.fleet.space;
-        let mut radii: Vec<f64> = dancers.iter().map(inner_radius).collect();
-        radii.sort_unstable_by(f64::total_cmp);
-        let required = space.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>();
-        if pair.distance >= required.max(SAME) - ROUNDING {
-            return false;
-        }
-        let [a, b] = pair.places.map(|place| place + 1);
-        let message = format!("places {a} and {b} of `{}` {}", shortened(name), apart(pair.distance));
-        let expected = format!(
-            "at least {required:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
-        );
-        let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
-        self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, hint);
-        true
-    }
-
-    pub(super) fn tell_refused(
+    /// What keeps a group of these robots from what it is asked.
+    pub(super) fn tell(
         &mut self,
         cue: &Cue,
         group: &Together,
-        form: &Form,
-        dancers: &[Dancer<'_>],
-        refused: &Refused,
+        robots: &[usize],
+        fault: &Fault,
+        ground: Ground<'_>,
     ) {
-        match refused {
-            Refused::TooShort { body, seconds } => {
-                self.tell_too_short(group, dancers[*body].member.robot, *seconds, Code::BodyTooFast);
+        let here = group.place.clone();
+        match fault {
+            Fault::ToldElsewhere => {}
+            Fault::TooMany => {
+                let message = format!("a group of {}", counted(robots.len(), "robot"));
+                let hint = Some("cut it into several groups".to_owned());
+                self.findings.add(Code::TooMuch, here, message, format!("at most {GROUP_MAX} robots"), hint);
             }
-            Refused::Blocked(blocked) => self.tell_blocked(cue, group, form, dancers, blocked),
+            Fault::Flat { dancer, why } => {
+                let message = format!("{why}, and `{}` cannot change its own", self.cast.id(robots[*dancer]));
+                let expected = "one height for all, or bodies whose z is a device";
+                self.findings.add(Code::NotInGroup, here, message, expected, None);
+            }
+            Fault::Homeless(homeless) => {
+                let homeless: Vec<usize> = homeless.iter().map(|dancer| robots[*dancer]).collect();
+                let message =
+                    format!("{} no `default_value` for each of its coordinates", self.cast.have(&homeless));
+                let expected = "devices with a `default_value`: that is where home is";
+                let hint =
+                    Some("add `default_value` in the initialization block, or name a formation".to_owned());
+                self.findings.add(Code::NotInGroup, here, message, expected, hint);
+            }
+            Fault::Unmoved => {
+                let message = "all robots of this cue stand in the middle of the group, so nothing moves";
+                let expected =
+                    "robots at several places, or another middle, as in `turn: {by: 90, about: [0, 0]}`";
+                self.findings.add(Code::NotInGroup, here, message, expected, None);
+            }
+            Fault::TooShort { dancer, seconds } => self.tell_too_short(group, robots[*dancer], *seconds),
+            Fault::Blocked(blocked) => self.tell_blocked(cue, group, robots, blocked),
+            Fault::UnknownFormation | Fault::Count { .. } | Fault::Crowded { .. } => {
+                if let Action::Form(Form { to: Target::Formation(name), .. }) = &group.action {
+                    self.tell_of_formation(group, name, robots.len(), fault, ground);
+                }
+            }
+            _ => {
+                if let Action::Sweep(Sweep { along: Some(course), .. }) = &group.action {
+                    self.tell_of_path(group, course, robots, fault, ground);
+                }
+            }
         }
     }
 
-    pub(super) fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64, code: Code) {
+    /// What is wrong with the places of a formation.
+    fn tell_of_formation(
+        &mut self,
+        group: &Together,
+        name: &str,
+        robots: usize,
+        fault: &Fault,
+        ground: Ground<'_>,
+    ) {
+        let here = group.place.clone();
+        match fault {
+            Fault::UnknownFormation => {
+                let named = ground.of_scenario.formations.keys().map(String::as_str);
+                self.tell_unknown(
+                    Code::UnknownFormation,
+                    "formation",
+                    name,
+                    named.chain(["home"]).collect(),
+                    here,
+                );
+            }
+            Fault::Count { places } => {
+                let (robots_are, places_are) = (counted(robots, "robot"), counted(*places, "place"));
+                let name = shortened(name);
+                let message = format!("{robots_are} for the {places_are} of `{name}`");
+                let hint = match robots > *places {
+                    true => format!(
+                        "`form: {{to: {name}, spare: stay}}` lets those without a place stay where they are, `spare: home` sends them home"
+                    ),
+                    false => format!(
+                        "`form: {{to: {name}, thin: evenly}}` leaves places free at even steps, `thin: nearest` those that are far"
+                    ),
+                };
+                let expected = format!("{}, or a choice", counted(*places, "robot"));
+                self.findings.add(Code::PlacesCount, here, message, expected, Some(hint));
+            }
+            Fault::Crowded { places, distance, required } => {
+                let [a, b] = places.map(|place| place + 1);
+                let message = format!("places {a} and {b} of `{}` {}", shortened(name), apart(*distance));
+                let expected = format!(
+                    "at least {required:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
+                );
+                let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
+                self.findings.add(Code::NoWayPast, here, message, expected, hint);
+            }
+            _ => {}
+        }
+    }
+
+    /// What is wrong with a path, or with the robots that go along it.
+    fn tell_of_path(
+        &mut self,
+        group: &Together,
+        course: &Course,
+        robots: &[usize],
+        fault: &Fault,
+        ground: Ground<'_>,
+    ) {
+        let (name, there) = (shortened(&course.path), course.place.clone());
+        let id = |dancer: &usize| self.cast.id(robots[*dancer]);
+        match fault {
+            Fault::UnknownPath => {
+                let named = ground.of_scenario.paths.keys().map(String::as_str).collect();
+                self.tell_unknown(Code::UnknownPath, "path", &course.path, named, there);
+            }
+            Fault::OpenLaps(laps) => {
+                let message = format!("{laps} laps of `{name}`, which does not end where it begins");
+                let hint = Some("write `closed: true` for the path".to_owned());
+                self.findings.add(Code::WrongType, there, message, "a closed path for laps", hint);
+            }
+            Fault::NoHeading => {
+                let message = format!("`{name}` leads straight up or down, where it has no heading");
+                let expected = "a path without upright parts, or no `turning`";
+                self.findings.add(Code::WrongType, there, message, expected, None);
+            }
+            Fault::TooManyPoints(count) => {
+                let message = format!(
+                    "{} of {} robots and all laps of `{name}`",
+                    counted(*count, "point"),
+                    robots.len()
+                );
+                let hint = Some("let several cues follow each other, with fewer laps each".to_owned());
+                self.findings.add(
+                    Code::TooMuch,
+                    there,
+                    message,
+                    format!("at most {POINTS_MAX} points"),
+                    hint,
+                );
+            }
+            Fault::SamePlace { behind, ahead } => {
+                let message = format!("`{}` stands where `{}` does, which it follows", id(behind), id(ahead));
+                self.tell_no_row(group, message);
+            }
+            Fault::TurnsBack { dancer } => {
+                let message =
+                    format!("the way of those that follow turns back on the spot at `{}`", id(dancer));
+                self.tell_no_row(group, message);
+            }
+            _ => {}
+        }
+    }
+
+    fn tell_no_row(&mut self, group: &Together, message: String) {
+        let expected =
+            "robots in a row, each behind the one that is named before it, and the path ahead of the first";
+        let hint = Some("name the robots in another order, or `form` a line first".to_owned());
+        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
+    }
+
+    fn tell_unknown(&mut self, code: Code, what: &str, name: &str, mut known: Vec<&str>, place: Place) {
+        known.sort_unstable();
+        let hint = self.findings.did_you_mean(name, known.iter().copied());
+        let expected = match known.is_empty() {
+            true => format!("a {what} that is defined under `{what}s`"),
+            false => one_of(known),
+        };
+        self.findings.add(code, place, format!("no {what} `{}`", shortened(name)), expected, hint);
+    }
+
+    fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64) {
         let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
         let needed = duration::written(needed);
         let message =
             format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
         let expected = format!("`over: {needed}` or more");
-        self.findings.add(code, group.over_place.clone(), message, expected, None);
+        self.findings.add(Code::BodyTooFast, group.over_place.clone(), message, expected, None);
     }
 
-    fn tell_blocked(
-        &mut self,
-        cue: &Cue,
-        group: &Together,
-        form: &Form,
-        dancers: &[Dancer<'_>],
-        blocked: &Blocked,
-    ) {
-        let [a, b] = blocked.pair.map(|index| self.cast.id(dancers[index].member.robot));
+    fn tell_blocked(&mut self, cue: &Cue, group: &Together, robots: &[usize], blocked: &Blocked) {
+        let [a, b] = blocked.pair.map(|index| self.cast.id(robots[index]));
         let at = Span::from_millis_f64((blocked.at * 1_000.0).round());
         let more = match blocked.pairs {
             1 => String::new(),
@@ -159,22 +246,12 @@ impl Performer<'_, '_> {
             "at least {:.3} m, with what steps may be off; delays and arcs were tried",
             blocked.required
         );
-        let hint = match form.to {
-            Target::Home => {
+        let hint = match &group.action {
+            Action::Form(Form { to: Target::Home, .. }) => {
                 "give it more time, let them begin one after another with `canon`, or form a row first"
             }
-            Target::Formation(_) => {
-                "give it more time, make the formation larger, or form another one on the way"
-            }
+            _ => "give it more time, make the formation larger, or form another one on the way",
         };
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
-    }
-}
-
-/// Half of what a body is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
-fn inner_radius(dancer: &Dancer<'_>) -> f64 {
-    match dancer.body.shape {
-        Shape::Ball { radius } => radius,
-        Shape::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
     }
 }

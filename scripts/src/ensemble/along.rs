@@ -1,0 +1,88 @@
+//! A group that goes along a path: carried as one body, or each robot behind the one before it.
+
+use std::sync::Arc;
+
+use super::{Dancer, Fault, Ground};
+use crate::formation::{Point, SAME, metres_between};
+use crate::motion::{Along, Carried, Path};
+use crate::scenario::Course;
+
+/// Most points of all laps together, and of the robots that follow.
+pub(crate) const POINTS_MAX: usize = 10_000;
+
+/// A path on which every robot has its place.
+pub(super) struct Carrier {
+    path: Arc<Path>,
+    /// How far each robot goes, in metres.
+    length: f64,
+    turning: bool,
+    /// How far along the path each robot begins, in metres.
+    begins: Vec<f64>,
+}
+
+impl Carrier {
+    /// x, y and z of a robot.
+    pub(super) fn carried(&self, robot: usize) -> [Carried; 3] {
+        [Along::X, Along::Y, Along::Z].map(|along| Carried {
+            path: self.path.clone(),
+            along,
+            gain: 1.0,
+            from: self.begins[robot],
+            length: self.length,
+            turning: self.turning && along != Along::Z,
+        })
+    }
+
+    pub(super) const fn is_turning(&self) -> bool {
+        self.turning
+    }
+
+    /// Whether it leads up or down.
+    pub(super) fn climbs(&self) -> bool {
+        self.path.bounds(Along::Z).0 > 0.0
+    }
+}
+
+/// The path of a group that goes along one.
+pub(super) fn carrier(course: &Course, dancers: &[Dancer<'_>], ground: Ground<'_>) -> Result<Carrier, Fault> {
+    let written = ground.paths.get(&course.path).ok_or(Fault::UnknownPath)?;
+    let path = written.path.as_ref().ok_or(Fault::ToldElsewhere)?;
+    let laps = course.laps.unwrap_or(1);
+    if laps > 1 && !path.is_closed() {
+        return Err(Fault::OpenLaps(laps));
+    }
+    if course.turning && !path.has_heading() {
+        return Err(Fault::NoHeading);
+    }
+    if course.follow {
+        return trail(path, laps, dancers);
+    }
+    let length = path.length() * f64::from(laps);
+    Ok(Carrier { path: path.clone(), length, turning: course.turning, begins: vec![0.0; dancers.len()] })
+}
+
+/// The way through the places of all robots, from the last to the first, and then along the path.
+fn trail(path: &Path, laps: u32, dancers: &[Dancer<'_>]) -> Result<Carrier, Fault> {
+    let own = path.points();
+    let mut trail: Vec<Point> = dancers.iter().rev().map(|dancer| dancer.from).collect();
+    let count = own.len() * laps as usize;
+    if count + trail.len() > POINTS_MAX {
+        return Err(Fault::TooManyPoints(count + trail.len()));
+    }
+    let Some(last) = dancers.len().checked_sub(1) else { return Err(Fault::Unmoved) };
+    if let Some(index) = (0..last).find(|index| metres_between(trail[*index], trail[index + 1]) < SAME) {
+        return Err(Fault::SamePlace { behind: last - index, ahead: last - index - 1 });
+    }
+    let leader = dancers[0].from;
+    let ahead = own.iter().cycle().take(count + usize::from(path.is_closed())).skip(1);
+    trail.extend(
+        ahead.map(|point| -> Point {
+            std::array::from_fn(|axis| leader[axis] + (point[axis] - own[0][axis]))
+        }),
+    );
+    let path = Path::through(&trail, false)
+        .map_err(|turns| Fault::TurnsBack { dancer: last.saturating_sub(turns.point) })?;
+    let begins: Vec<f64> = (0..=last).map(|robot| path.far_of(last - robot)).collect();
+    let length = path.length() - begins[0];
+    Ok(Carrier { path: Arc::new(path), length, turning: false, begins })
+}

@@ -1,0 +1,155 @@
+//! A robot of a group, with the devices that are the coordinates of its body.
+
+use urrcp::{ControlType, Device, Limits, Span};
+
+use crate::fleet::{Fleet, limits_of};
+use crate::formation::Point;
+use crate::motion::nearest_on_grid;
+use crate::space::{Body, Coordinate, Shape};
+use crate::transit;
+
+/// A coordinate of a body.
+#[derive(Clone, Copy)]
+pub(crate) enum Axis<'a> {
+    Fixed(f64),
+    Moved {
+        /// Of the robot.
+        index: usize,
+        device: &'a Device,
+        /// Metres in one unit.
+        scale: f64,
+        offset: f64,
+    },
+}
+
+impl<'a> Axis<'a> {
+    fn limits(&self) -> Option<impl Iterator<Item = &'a Limits>> {
+        match self {
+            Self::Fixed(_) => None,
+            Self::Moved { device, .. } => Some(limits_of(device, ControlType::Position)),
+        }
+    }
+
+    /// The place nearest to one in metres to which the device can be set.
+    pub(crate) fn nearest(&self, metres: f64) -> f64 {
+        match *self {
+            Self::Fixed(value) => value,
+            Self::Moved { scale, offset, .. } => {
+                let value = (metres - offset) / scale;
+                let limits = self.limits().and_then(|mut limits| limits.next());
+                offset + scale * limits.map_or(value, |limits| nearest_on_grid(limits, value))
+            }
+        }
+    }
+
+    /// Where the device is in its default state, in metres.
+    pub(super) fn home(&self) -> Option<f64> {
+        match *self {
+            Self::Fixed(value) => Some(value),
+            Self::Moved { device, scale, offset, .. } => {
+                device.default_value.map(|value| offset + scale * value)
+            }
+        }
+    }
+
+    /// Metres in one unit, where its zero is, and its granularity.
+    pub(super) fn grid(&self) -> Option<[f64; 3]> {
+        let Self::Moved { scale, offset, .. } = *self else { return None };
+        let limits = self.limits().and_then(|mut limits| limits.next());
+        Some([scale, offset, limits.map_or(0.0, |limits| limits.granularity)])
+    }
+
+    /// How far its steps may be off, in metres.
+    pub(super) fn error(&self, tolerance: Option<f64>) -> f64 {
+        let Self::Moved { scale, .. } = self else { return 0.0 };
+        let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
+        let own = || self.limits().into_iter().flatten().map(own).fold(0.0, f64::max);
+        scale.abs() * tolerance.unwrap_or_else(own)
+    }
+
+    /// The least and the largest coordinate that the device reaches, in metres.
+    pub(super) fn ends(&self) -> Option<[f64; 2]> {
+        let Self::Moved { scale, offset, .. } = *self else { return None };
+        let all = self.limits()?;
+        let (least, most) = all.fold((f64::NEG_INFINITY, f64::INFINITY), |(least, most), limits| {
+            (least.max(limits.min_value), most.min(limits.max_value))
+        });
+        let ends = [offset + scale * least, offset + scale * most];
+        Some(if scale < 0.0 { [ends[1], ends[0]] } else { ends })
+    }
+}
+
+/// A robot of a group.
+pub(crate) struct Dancer<'a> {
+    /// Its index in the fleet.
+    pub(crate) robot: usize,
+    /// How much later than the cue it begins.
+    pub(crate) delay: Span,
+    pub(crate) body: &'a Body,
+    pub(crate) axes: [Axis<'a>; 3],
+    /// Where it is when it begins, in metres.
+    pub(crate) from: Point,
+}
+
+impl Dancer<'_> {
+    /// How much later than the cue it begins, in seconds.
+    pub(super) fn delay_seconds(&self) -> f64 {
+        self.delay.as_millis_f64() / 1_000.0
+    }
+
+    /// Which robot it is, when and where it begins.
+    pub(super) fn begin(&self) -> (usize, f64, Point) {
+        (self.robot, self.delay_seconds(), self.from)
+    }
+
+    /// Of the ball about its middle that holds it, in metres.
+    pub(super) fn radius(&self) -> f64 {
+        match self.body.shape {
+            Shape::Ball { radius } => radius,
+            Shape::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
+        }
+    }
+
+    /// Half of what it is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
+    pub(super) fn inner_radius(&self) -> f64 {
+        match self.body.shape {
+            Shape::Ball { radius } => radius,
+            Shape::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
+        }
+    }
+
+    /// Whether it cannot change its height.
+    pub(super) const fn is_flat(&self) -> bool {
+        matches!(self.axes[2], Axis::Fixed(_))
+    }
+
+    /// How fast it may be along each axis, and altogether.
+    pub(super) fn limits(&self, fleet: &Fleet) -> transit::Limits {
+        let of_axis = |axis: &Axis<'_>| {
+            let Axis::Moved { device, scale, .. } = axis else { return [f64::INFINITY; 2] };
+            let given = fleet.robots[self.robot].limits.get(device.id.as_str()).copied().unwrap_or_default();
+            let limits = given.or_declared(device, ControlType::Position);
+            [limits.speed, limits.acceleration]
+                .map(|limit| limit.map_or(f64::INFINITY, |limit| limit * scale.abs()))
+        };
+        let body = [self.body.speed, self.body.acceleration].map(|limit| limit.unwrap_or(f64::INFINITY));
+        transit::Limits { axes: self.axes.each_ref().map(of_axis), body }
+    }
+}
+
+/// x, y and z of a body; none if x or y is no device, or if speeds drive it.
+pub(crate) fn axes<'a>(body: &Body, devices: &'a [Device]) -> Option<[Axis<'a>; 3]> {
+    if body.drive.is_some() {
+        return None;
+    }
+    let axis = |coordinate: &Coordinate| match coordinate {
+        Coordinate::Fixed(value) => Some(Axis::Fixed(*value)),
+        Coordinate::Device { device, scale, offset } => {
+            let index = devices.iter().position(|other| other.id == *device)?;
+            Some(Axis::Moved { index, device: &devices[index], scale: *scale, offset: *offset })
+        }
+    };
+    let [x, y, z, _] = &body.coordinates;
+    let axes = [axis(x)?, axis(y)?, axis(z)?];
+    axes[..2].iter().all(|axis| matches!(axis, Axis::Moved { .. })).then_some(axes)
+}

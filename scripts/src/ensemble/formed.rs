@@ -1,0 +1,165 @@
+//! A group that moves into a formation, or home.
+
+use std::cmp::Ordering;
+
+use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
+use crate::formation::{Point, SAME, nearest_pair};
+use crate::motion::Swept;
+use crate::node::shortened;
+use crate::scenario::{Form, Spare, Target, Thin};
+use crate::transit::{self, Refused, Way};
+
+/// Metres by which two places may seem nearer than they are.
+const ROUNDING: f64 = 1e-9;
+
+/// The way of each robot into a formation.
+pub(super) fn formed(
+    asked: Asked<'_>,
+    form: &Form,
+    dancers: &[Dancer<'_>],
+    ground: Ground<'_>,
+) -> Result<Vec<Moved>, Fault> {
+    let (goals, own) = match &form.to {
+        Target::Home => (homes(dancers)?, true),
+        Target::Formation(name) => {
+            let places = places(form, dancers.len(), ground)?;
+            reached(name, dancers, &places)?;
+            let places = settable(level(places, dancers), dancers);
+            uncrowded(dancers, &places, ground)?;
+            (places, false)
+        }
+    };
+    let spare = match form.spare {
+        Some(Spare::Home) if !own && goals.len() < dancers.len() => homes(dancers)?,
+        _ => dancers.iter().map(|dancer| dancer.from).collect(),
+    };
+    let bodies = bodies(asked, dancers, &goals, ground);
+    let goals = if own { transit::Goals::Own(&goals) } else { transit::Goals::Any(&goals, &spare) };
+    let crossing = transit::Crossing { bodies: &bodies, goals, least: form.least, over: asked.seconds() };
+    let ways = transit::cross(&crossing).map_err(|refused| match refused {
+        Refused::TooShort { body, seconds } => Fault::TooShort { dancer: body, seconds },
+        Refused::Blocked(blocked) => Fault::Blocked(blocked),
+    })?;
+    Ok(ways.iter().zip(dancers).map(|(way, dancer)| Moved::of_way(way, dancer)).collect())
+}
+
+/// The places of a formation, as many as there are robots or a choice is made; none for home.
+pub(super) fn places(form: &Form, robots: usize, ground: Ground<'_>) -> Result<Vec<Point>, Fault> {
+    let Target::Formation(name) = &form.to else { return Ok(Vec::new()) };
+    let written = ground.formations.get(name).ok_or(Fault::UnknownFormation)?;
+    // What is wrong with a formation or makes it too large is told where it stands.
+    let formation = written.formation.as_ref().ok_or(Fault::ToldElsewhere)?;
+    let places = formation.places(robots).map_err(|_| Fault::ToldElsewhere)?;
+    match (places.len().cmp(&robots), form.spare, form.thin) {
+        (Ordering::Less, None, _) | (Ordering::Greater, _, None) => {
+            Err(Fault::Count { places: places.len() })
+        }
+        (Ordering::Greater, _, Some(Thin::Evenly)) => {
+            Ok((0..robots).map(|index| places[index * places.len() / robots]).collect())
+        }
+        _ => Ok(places),
+    }
+}
+
+/// Whether all robots can be at the heights of the places.
+fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), Fault> {
+    let differ = |height: f64| places.iter().any(|place| (place[2] - height).abs() > LEVEL);
+    let all_flat = dancers.iter().all(Dancer::is_flat);
+    // Robots that are all flat take a level formation to their own height.
+    let cannot = |dancer: &Dancer<'_>| {
+        let height = if all_flat { places[0][2] } else { dancer.from[2] };
+        dancer.is_flat() && differ(height)
+    };
+    let Some(dancer) = dancers.iter().position(cannot) else { return Ok(()) };
+    let why = match differ(places[0][2]) {
+        true => format!("the places of `{}` differ in height", shortened(name)),
+        false => format!("the places of `{}` are at another height", shortened(name)),
+    };
+    Err(Fault::Flat { dancer, why })
+}
+
+/// Whether any two of these bodies could stand at the two places that are nearest to each other.
+fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Result<(), Fault> {
+    // Of more places than robots only some are taken.
+    let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
+    let mut radii: Vec<f64> = dancers.iter().map(Dancer::inner_radius).collect();
+    radii.sort_unstable_by(f64::total_cmp);
+    let required = ground.fleet.space.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>();
+    match pair.distance >= required.max(SAME) - ROUNDING {
+        true => Ok(()),
+        false => Err(Fault::Crowded { places: pair.places, distance: pair.distance, required }),
+    }
+}
+
+/// Where the devices of each robot are in its default state.
+fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
+    let home = |dancer: &Dancer<'_>| match dancer.axes.each_ref().map(Axis::home) {
+        [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+        _ => None,
+    };
+    let homes: Vec<Option<Point>> = dancers.iter().map(home).collect();
+    let homeless: Vec<usize> = (0..homes.len()).filter(|dancer| homes[*dancer].is_none()).collect();
+    match homeless.is_empty() {
+        true => Ok(homes.into_iter().flatten().collect()),
+        false => Err(Fault::Homeless(homeless)),
+    }
+}
+
+fn bodies(
+    asked: Asked<'_>,
+    dancers: &[Dancer<'_>],
+    goals: &[Point],
+    ground: Ground<'_>,
+) -> Vec<transit::Body> {
+    let space = &ground.fleet.space;
+    let apart = space.distance.unwrap_or(0.0) / 2.0;
+    let heights = dancers.iter().map(|dancer| dancer.from[2]).chain(goals.iter().map(|goal| goal[2]));
+    let lowest = heights.fold(f64::INFINITY, f64::min);
+    let body = |dancer: &Dancer<'_>| {
+        let radius = dancer.radius();
+        let [x, y, z] = dancer.axes.each_ref().map(|axis| axis.error(asked.tolerance));
+        let keep_in = space.keep_in.as_ref().map_or(f64::INFINITY, |volume| volume.most[2] - radius);
+        transit::Body {
+            from: dancer.from,
+            keep: apart + radius + x.hypot(y).hypot(z),
+            begin: dancer.delay_seconds(),
+            limits: dancer.limits(ground.fleet),
+            heights: dancer.axes[2].ends().map(|[low, high]| [low.max(lowest), high.min(keep_in)]),
+        }
+    };
+    dancers.iter().map(body).collect()
+}
+
+/// The places at the height of the robots, if none of these can change it.
+fn level(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
+    if let Some(first) = dancers.first()
+        && dancers.iter().all(|dancer| dancer.is_flat())
+    {
+        places.iter_mut().for_each(|place| place[2] = first.from[2]);
+    }
+    places
+}
+
+/// The places to which the devices can be set, if they are the same for all robots: ways are judged to where they end.
+fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
+    let grids = |dancer: &Dancer<'_>| dancer.axes.each_ref().map(Axis::grid);
+    let Some(first) = dancers.first() else { return places };
+    if dancers.iter().all(|dancer| grids(dancer) == grids(first)) {
+        for place in &mut places {
+            *place = std::array::from_fn(|axis| first.axes[axis].nearest(place[axis]));
+        }
+    }
+    places
+}
+
+impl Moved {
+    fn of_way(way: &Way, dancer: &Dancer<'_>) -> Self {
+        let lifts = [0.0, 0.0, 4.0 * way.lift];
+        let axes = std::array::from_fn(|axis| {
+            let (from, lift) = (way.from[axis], lifts[axis]);
+            let to = dancer.axes[axis].nearest(way.to[axis]);
+            Swept { line: [from, to - from + lift, -lift], ..Swept::default() }
+        });
+        Self { begin: way.begin, length: way.length, axes }
+    }
+}

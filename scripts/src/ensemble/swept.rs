@@ -1,0 +1,138 @@
+//! A group that turns, grows, shifts and is carried as one.
+
+use super::along::{Carrier, carrier};
+use super::{Asked, Dancer, Fault, Ground, LEVEL, Moved};
+use crate::formation::{Point, SAME};
+use crate::motion::Swept;
+use crate::scenario::Sweep;
+
+/// How each robot moves with the group.
+pub(super) fn swept(
+    asked: Asked<'_>,
+    sweep: &Sweep,
+    dancers: &[Dancer<'_>],
+    ground: Ground<'_>,
+) -> Result<Vec<Moved>, Fault> {
+    let mut center = middle(dancers);
+    let carrier = match &sweep.along {
+        Some(course) => Some(carrier(course, dancers, ground)?),
+        None => None,
+    };
+    if let Some((dancer, why)) = left_behind(sweep, carrier.as_ref(), dancers, center[2]) {
+        return Err(Fault::Flat { dancer, why: why.to_owned() });
+    }
+    if let Some([x, y]) = sweep.about {
+        (center[0], center[1]) = (x, y);
+    }
+    let stays = carrier.is_none() && sweep.shift == [0.0; 3];
+    if stays && dancers.iter().all(|dancer| is_center(dancer.from, center, sweep)) {
+        return Err(Fault::Unmoved);
+    }
+    let length = asked.seconds();
+    let turning = carrier.as_ref().is_some_and(Carrier::is_turning);
+    let moved = |(index, dancer): (usize, &Dancer<'_>)| {
+        let mut axes = axes(dancer.from, center, sweep, turning);
+        let carried = carrier.iter().flat_map(|carrier| carrier.carried(index));
+        for (swept, carried) in axes.iter_mut().zip(carried) {
+            swept.carried = Some(carried);
+        }
+        Moved { begin: dancer.delay_seconds(), length, axes }
+    };
+    let all: Vec<Moved> = dancers.iter().enumerate().map(moved).collect();
+    let times: Vec<Needed> =
+        all.iter().zip(dancers).map(|(moved, dancer)| Needed::of(moved, dancer, asked, ground)).collect();
+    let slowest = (0..times.len()).max_by(|a, b| times[*a].shortest.total_cmp(&times[*b].shortest));
+    match slowest {
+        Some(dancer) if times[dancer].shortest > length * (1.0 + 1e-9) => {
+            let seconds = times.iter().map(|needed| needed.sure).fold(0.0, f64::max);
+            Err(Fault::TooShort { dancer, seconds })
+        }
+        _ => Ok(all),
+    }
+}
+
+/// The time that a robot needs, in seconds.
+struct Needed {
+    shortest: f64,
+    /// What is enough for its steps as well.
+    sure: f64,
+}
+
+impl Needed {
+    fn of(moved: &Moved, dancer: &Dancer<'_>, asked: Asked<'_>, ground: Ground<'_>) -> Self {
+        let limits = dancer.limits(ground.fleet);
+        let (speed, acceleration) = Swept::together(&moved.axes);
+        let own = moved.axes.iter().zip(limits.axes);
+        let own = own
+            .map(|(swept, limits)| time(Swept::together(std::slice::from_ref(swept)), limits))
+            .fold(0.0, f64::max);
+        let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
+        // The axes of a body have their steps at different times. Where its way bends, the mean speeds of two steps that overlap
+        // are then higher together than the speed at any moment, by about so much.
+        let stepped = (speed + (error * acceleration / 2.0).sqrt(), acceleration);
+        let [shortest, sure] =
+            [(speed, acceleration), stepped].map(|whole| time(whole, limits.body).max(own));
+        Self { shortest, sure }
+    }
+}
+
+/// Whether turning and growing leave it where it is: it stands in the middle.
+fn is_center(from: Point, center: Point, sweep: &Sweep) -> bool {
+    let axes = if sweep.grow == 1.0 { 2 } else { 3 };
+    (0..axes).all(|axis| (from[axis] - center[axis]).abs() < SAME)
+}
+
+/// A robot that cannot follow, because it cannot change its height. Where none can, a group grows on its level.
+fn left_behind(
+    sweep: &Sweep,
+    carrier: Option<&Carrier>,
+    dancers: &[Dancer<'_>],
+    middle: f64,
+) -> Option<(usize, &'static str)> {
+    let mut flat = (0..dancers.len()).filter(|dancer| dancers[*dancer].is_flat());
+    if sweep.shift[2] != 0.0 {
+        return Some((flat.next()?, "the group is shifted in height"));
+    }
+    if carrier.is_some_and(Carrier::climbs) {
+        return Some((flat.next()?, "the path leads up or down"));
+    }
+    let grows = sweep.grow != 1.0 && dancers.iter().any(|dancer| !dancer.is_flat());
+    let off = flat.find(|dancer| grows && (dancers[*dancer].from[2] - middle).abs() > LEVEL)?;
+    Some((off, "the group grows in height too"))
+}
+
+/// The shortest time for a movement with these largest derivatives by its share of time.
+fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
+    (slope / speed).max((curvature / acceleration).sqrt())
+}
+
+/// The mean of all places.
+#[expect(clippy::cast_precision_loss, reason = "groups are small")]
+fn middle(dancers: &[Dancer<'_>]) -> Point {
+    let count = dancers.len().max(1) as f64;
+    std::array::from_fn(|axis| dancers.iter().map(|dancer| dancer.from[axis]).sum::<f64>() / count)
+}
+
+/// x, y and z of a body that is at a place when the group begins.
+fn axes(from: Point, center: Point, sweep: &Sweep, turning: bool) -> [Swept; 3] {
+    let [x, y, z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);
+    let more = sweep.grow - 1.0;
+    let line = |center: f64, shift: f64| [center, shift, 0.0];
+    if sweep.turns == 0.0 && !turning {
+        let axis = |axis: usize, off: f64| Swept {
+            line: [from[axis], more * off + sweep.shift[axis], 0.0],
+            ..Swept::default()
+        };
+        return [axis(0, x), axis(1, y), axis(2, z)];
+    }
+    let (radius, phase) = (x.hypot(y), y.atan2(x) / std::f64::consts::TAU);
+    let about = |axis: usize, phase: f64| Swept {
+        line: line(center[axis], sweep.shift[axis]),
+        radius: [radius, more * radius],
+        phase,
+        turns: sweep.turns,
+        carried: None,
+    };
+    let up = Swept { line: [from[2], more * z + sweep.shift[2], 0.0], ..Swept::default() };
+    [about(0, phase + 0.25), about(1, phase), up]
+}

@@ -1,0 +1,98 @@
+//! Patterns by place after movements of groups: judged by positions sampled from the steps of the plan.
+
+use super::groups::{compiled, places, sound, steps};
+
+const COUNT: usize = 8;
+const WAYS: &str = "scenario: s
+off_grid: snap
+formations:
+  ring: {circle: {radius: 1.5}, at: [2, 0, 1.5]}
+  small: {points: [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1]], at: [2, 0, 1.5]}
+paths:
+  bow: {points: [[0, 0, 0], [2, 1, 0.5], [4, 0, 0]]}
+cues:
+";
+/// Movements of a group of eight that begins in a row.
+const FIRST: [&str; 9] = [
+    "form: ring, over: 8s",
+    "form: {to: small, spare: stay}, over: 8s",
+    "form: {to: ring, least: longest}, over: 8s, canon: 500ms",
+    "turn: 50, over: 8s",
+    "grow: 1.7, over: 8s",
+    "shift: [1, 2, 3], over: 8s",
+    "along: bow, over: 8s",
+    "along: {path: bow, turning: true}, over: 8s",
+    "turn: {by: 30, about: [3, 3]}, grow: 1.3, shift: [0, 0, 1], over: 8s",
+];
+
+/// When each robot begins to rise, in milliseconds, and where it is then.
+fn begins(text: &str) -> Vec<(f64, [f64; 3])> {
+    let act = sound(COUNT, text);
+    let begin = act.cues.last().unwrap().start.as_millis_f64();
+    let steps = steps(&act, COUNT);
+    let places = places(&steps, begin);
+    // At half of its time each has risen by half.
+    let late = |index: usize| {
+        let height = |at: f64| self::places(&steps, begin + at)[index][2];
+        (0..40_000).map(f64::from).find(|at| height(*at) > places[index][2] + 0.5).unwrap() - 2_000.0
+    };
+    (0..COUNT).map(|index| (late(index), places[index])).collect()
+}
+
+/// Later robots begin as much later as they are farther along x, at 0.5 m/s.
+fn assert_in_order_of_x(text: &str) {
+    let begins = begins(text);
+    let least = begins.iter().map(|(_, [x, ..])| *x).fold(f64::INFINITY, f64::min);
+    assert!(begins.iter().any(|(_, [x, ..])| x - least > 0.5), "{begins:?}");
+    for (late, [x, ..]) in &begins {
+        // Steps come within their error of where the movement ends.
+        assert!((late - (x - least) / 0.5 * 1_000.0).abs() < 15.0, "{late} at {x}: {text}");
+    }
+}
+
+#[test]
+fn a_canon_by_place_knows_where_a_group_has_gone() {
+    for first in FIRST {
+        assert_in_order_of_x(&format!(
+            "{WAYS}  - {{cue: first, robots: all, {first}}}\n  - {{after: first + 1s, robots: all, canon: {{speed: 0.5, by: x}}, shift: [0, 0, 1], over: 4s}}\n"
+        ));
+    }
+}
+
+#[test]
+fn a_canon_by_place_knows_where_several_groups_have_gone_one_after_another() {
+    let cues: String = FIRST
+        .iter()
+        .enumerate()
+        .map(|(index, first)| {
+            format!("  - {{cue: c{index}, after: c{}, robots: all, {first}}}\n", index.saturating_sub(1))
+        })
+        .collect();
+    let cues = cues.replacen(", after: c0", "", 1);
+    assert_in_order_of_x(&format!(
+        "{WAYS}{cues}  - {{after: c8 + 1s, robots: all, canon: {{speed: 0.5, by: x}}, shift: [0, 0, 1], over: 4s}}\n"
+    ));
+}
+
+#[test]
+fn values_are_spread_by_where_a_group_has_gone() {
+    let text = format!(
+        "{WAYS}  - {{cue: first, robots: all, form: ring, over: 8s}}\n  - {{after: first, robots: all, tracks: {{z: [{{at: 4s, to: {{from: 2, to: 3, across: group, by: y}}}}]}}}}\n"
+    );
+    let act = compiled(COUNT, &text).choreography.unwrap().acts.remove(0);
+    let steps = steps(&act, COUNT);
+    for ([_, y, _], [_, _, z]) in places(&steps, 8_000.0).iter().zip(places(&steps, 12_000.0)) {
+        assert!((z - (2.5 + y / 3.0)).abs() < 0.005, "{y} {z}");
+    }
+}
+
+#[test]
+fn places_are_not_known_after_a_group_that_cannot_move() {
+    let text = format!(
+        "{WAYS}  - {{cue: first, robots: all, form: ring, over: 100ms}}\n  - {{after: first + 1s, robots: all, canon: {{speed: 0.5, by: x}}, shift: [0, 0, 1], over: 4s}}\n"
+    );
+    let told: Vec<String> =
+        compiled(COUNT, &text).findings.iter().map(|found| found.message.clone()).collect();
+    assert_eq!(told.len(), 1, "{told:?}");
+    assert!(told[0].contains("for its way"), "{told:?}");
+}
