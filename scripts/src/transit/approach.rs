@@ -73,6 +73,17 @@ fn time_of(u: f64) -> f64 {
 
 /// Of any two ways, by halving their time where bounds of their speeds leave room for a closer approach.
 fn searched(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+    // Seen from a body with the same time law, the other is on one way: bodies in equal arcs are as far apart all the time.
+    if (a.begin, a.length) == (b.begin, b.length) {
+        let seen = |a: Point, b: Point| -> Point { std::array::from_fn(|axis| b[axis] - a[axis]) };
+        let other = Way { from: seen(a.from, b.from), to: seen(a.to, b.to), lift: b.lift - a.lift, ..*a };
+        let still = Way { from: [0.0; 3], to: [0.0; 3], lift: 0.0, ..*a };
+        return halved(&other, &still, enough);
+    }
+    halved(a, b, enough)
+}
+
+fn halved(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let best = Approach { distance: f64::INFINITY, at: from };
     let mut search = Search { a, b, enough, best, left: LOOKS_MAX };

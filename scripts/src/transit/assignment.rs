@@ -41,20 +41,42 @@ pub(crate) fn cheapest(starts: &[Point], places: &[Point], price: Price) -> Assi
     if rows.is_empty() {
         return vec![None; starts.len()];
     }
+    let kept = within_reach(rows, columns);
+    let columns: Vec<Point> = kept.iter().map(|column| columns[*column]).collect();
     let ways = rows.iter().flat_map(|row| columns.iter().map(|column| metres_between(*row, *column)));
     let ways: Vec<f64> = ways.collect();
     let longest = ways.iter().copied().filter(|way| *way <= price.longest).fold(f64::MIN_POSITIVE, f64::max);
     let price_of = |(row, column)| cost(ways[row * columns.len() + column], longest, price);
     let costs = Matrix::from_fn(rows.len(), columns.len(), price_of);
     let (_, column_of) = kuhn_munkres_min(&costs);
+    let column_of = column_of.into_iter().map(|column| kept[column]);
     match swapped {
-        false => column_of.into_iter().map(Some).collect(),
+        false => column_of.map(Some).collect(),
         true => {
             let mut assignment = vec![None; starts.len()];
-            column_of.into_iter().enumerate().for_each(|(place, start)| assignment[start] = Some(place));
+            column_of.enumerate().for_each(|(place, start)| assignment[start] = Some(place));
             assignment
         }
     }
+}
+
+/// The columns that a row may be given: one of as many as there are rows, those nearest to it. A farther one is never better, for
+/// the other rows leave one of these free.
+fn within_reach(rows: &[Point], columns: &[Point]) -> Vec<usize> {
+    if rows.len() == columns.len() {
+        return (0..columns.len()).collect();
+    }
+    let mut kept = vec![false; columns.len()];
+    for row in rows {
+        let mut nearest: Vec<(f64, usize)> = columns
+            .iter()
+            .enumerate()
+            .map(|(column, place)| (metres_between(*row, *place), column))
+            .collect();
+        nearest.select_nth_unstable_by(rows.len() - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        nearest[..rows.len()].iter().for_each(|(_, column)| kept[*column] = true);
+    }
+    (0..columns.len()).filter(|column| kept[*column]).collect()
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "at most COST_MAX, but for ways that are too long")]
@@ -68,10 +90,14 @@ fn cost(way: f64, longest: f64, price: Price) -> i64 {
 /// The least length, in metres, such that every start (or every place, if these are fewer) has a way no longer than that.
 pub(crate) fn shortest_longest(starts: &[Point], places: &[Point]) -> f64 {
     let (rows, columns) = if starts.len() > places.len() { (places, starts) } else { (starts, places) };
+    if rows.is_empty() {
+        return 0.0;
+    }
+    let columns: Vec<Point> = within_reach(rows, columns).into_iter().map(|column| columns[column]).collect();
     let mut row_of: Vec<Option<usize>> = vec![None; columns.len()];
     let mut bound = 0.0f64;
     for first in 0..rows.len() {
-        bound = augment(rows, columns, &mut row_of, first, bound);
+        bound = augment(rows, &columns, &mut row_of, first, bound);
     }
     bound
 }

@@ -20,7 +20,7 @@ const WAITS_MAX: u8 = 5;
 /// Most layers above and below the straight way.
 const LAYERS_MAX: u8 = 4;
 /// How often all ways that come too close are looked at.
-const ROUNDS_MAX: usize = 8;
+const ROUNDS_MAX: usize = 40;
 /// Most pairs that are looked at in the search for detours.
 const PAIRS_MAX: usize = 5_000_000;
 /// What rounding may take from a distance, in metres.
@@ -220,50 +220,72 @@ impl Crossing<'_> {
         near
     }
 
-    fn is_clear(&self, ways: &[Way], body: usize) -> bool {
-        let mut others = (0..ways.len()).filter(|other| *other != body);
-        others.all(|other| !meet(&ways[body], &ways[other], self.required(ways, body, other)))
+    /// How many others come too close to a body, counted up to so many.
+    fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
+        let others = (0..ways.len()).filter(|other| *other != body);
+        others
+            .filter(|other| meet(&ways[body], &ways[*other], self.required(ways, body, *other)))
+            .take(most)
+            .count()
     }
 
-    /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest.
+    /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest. Each that comes too
+    /// close to others takes the way on which it does to the fewest (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX);
-        for _ in 0..ROUNDS_MAX {
+        let mut fewest = (near.clone(), ways.to_vec());
+        for round in 0..ROUNDS_MAX {
             let mut crowded = vec![0usize; ways.len()];
             near.iter().flat_map(|near| near.pair).for_each(|body| crowded[body] += 1);
             let mut bodies: Vec<usize> = (0..ways.len()).filter(|body| crowded[*body] > 0).collect();
             bodies.sort_by_key(|body| (std::cmp::Reverse(crowded[*body]), *body));
-            let mut moved = false;
             for body in bodies {
-                if self.is_clear(ways, body) {
-                    continue;
-                }
-                let kept = ways[body];
-                let straight = Way::straight(kept.from, kept.to, self.bodies[body].begin, self.over);
-                let found = self.alternatives(&straight, body).into_iter().find(|way| {
-                    ways[body] = *way;
-                    room.take(ways.len()) && self.is_clear(ways, body)
-                });
-                ways[body] = found.unwrap_or(kept);
-                moved |= found.is_some();
+                self.avoid(ways, body, round, &mut room);
             }
             near = self.near(ways);
             if near.is_empty() {
                 return None;
             }
-            if !moved || room.is_overdrawn() {
+            if near.len() < fewest.0.len() {
+                fewest = (near.clone(), ways.to_vec());
+            }
+            if room.is_overdrawn() {
                 break;
             }
         }
+        let (near, ways) = fewest;
         let worst = near.iter().min_by(|a, b| a.approach.distance.total_cmp(&b.approach.distance))?;
         let [a, b] = worst.pair;
         Some(Blocked {
             pair: worst.pair,
             at: worst.approach.at,
             distance: worst.approach.distance,
-            required: self.required(ways, a, b),
+            required: self.required(&ways, a, b),
             pairs: near.len(),
         })
+    }
+
+    /// Leads a body on the way on which it comes too close to the fewest others. In later rounds one that is no better will do as well,
+    /// another one in each round: so a body leaves a place from which no single step leads on.
+    fn avoid(&self, ways: &mut [Way], body: usize, round: usize, room: &mut Budget) {
+        let mut best = ways[body];
+        let mut fewest = self.conflicts(ways, body, usize::MAX);
+        let straight = Way::straight(best.from, best.to, self.bodies[body].begin, self.over);
+        let mut alternatives = self.alternatives(&straight, body);
+        let turned = round % alternatives.len().max(1);
+        alternatives.rotate_left(turned);
+        for way in alternatives {
+            if fewest == 0 || !room.take(ways.len()) {
+                break;
+            }
+            let enough = if round > 1 { fewest + 1 } else { fewest };
+            ways[body] = way;
+            let conflicts = self.conflicts(ways, body, enough);
+            if conflicts < enough && way != best {
+                (best, fewest) = (way, conflicts);
+            }
+        }
+        ways[body] = best;
     }
 
     /// Other ways to the same place: later or earlier within its time, then over or below the others, then both.

@@ -155,6 +155,32 @@ fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways
     assert!(is_least(&starts, &places, &order_of(&cheapest(&starts, &places, WAYS))));
 }
 
+#[test]
+fn bodies_in_equal_arcs_are_as_far_apart_all_the_time() {
+    let way = |x: f64| Way { lift: 3.0, ..Way::straight([x, 0.0, 0.0], [x + 5.0, 2.0, 1.0], 0.0, 4.0) };
+    let found = closest(&way(0.0), &way(0.5), 0.6).unwrap();
+    // A search that gives up states a bound far below.
+    assert!((found.distance - 0.5).abs() <= SLACK + 1e-9, "{found:?}");
+    assert!(closest(&way(0.0), &way(0.5), 0.4).is_none());
+}
+
+#[test]
+fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way() {
+    let starts: Vec<Point> =
+        (0..300).map(|index| [(index % 20) as f64 * 1.5, (index / 20) as f64 * 1.5, 0.0]).collect();
+    let turn = |index: usize| {
+        let angle = std::f64::consts::TAU * index as f64 / 300.0;
+        [70.0 * angle.cos(), 80.0 + 70.0 * angle.sin(), 10.0]
+    };
+    let places: Vec<Point> = (0..300).map(turn).collect();
+    let bodies: Vec<Body> = starts.iter().map(|start| body(*start, 0.6)).collect();
+    let goals = Goals::Any(&places, &starts);
+    let ways = cross(&Crossing { bodies: &bodies, goals, least: Least::Longest, over: 30.0 }).unwrap();
+    for (index, a) in ways.iter().enumerate() {
+        assert!(ways[index + 1..].iter().all(|b| closest(a, b, 1.2 - SLACK).is_none()), "{index}");
+    }
+}
+
 proptest! {
     #[test]
     fn the_least_sum_and_the_shortest_longest_way_are_those_of_all_orders(all in (1usize..=7).prop_flat_map(|n| points(2 * n))) {
@@ -172,11 +198,26 @@ proptest! {
     }
 
     #[test]
-    fn with_fewer_places_or_bodies_each_place_is_taken_once(starts in points(0..12), places in points(0..12)) {
+    fn with_fewer_places_or_bodies_those_are_taken_that_make_the_least_sum(
+        starts in points(0..6), places in points(0..6), more in points(0..3), many: bool,
+    ) {
+        let (starts, places) = if many { (starts, [places, more].concat()) } else { ([starts, more].concat(), places) };
         let assignment = cheapest(&starts, &places, WAYS);
         prop_assert_eq!(assignment.len(), starts.len());
-        let taken: Vec<Option<usize>> = assignment.into_iter().filter(Option::is_some).collect();
+        let taken: Vec<Option<usize>> = assignment.iter().copied().filter(Option::is_some).collect();
         prop_assert_eq!(order_of(&taken).len(), starts.len().min(places.len()));
+        let total = |assignment: &[Option<usize>]| {
+            let ways = starts.iter().zip(assignment).filter_map(|(start, place)| Some(metres_between(*start, places[(*place)?])));
+            ways.sum::<f64>()
+        };
+        // Places that are not there are taken in any order, and cost nothing.
+        let most = starts.len().max(places.len());
+        let every = orders(most);
+        let least = every.iter().map(|order| {
+            total(&order[..starts.len()].iter().map(|place| Some(*place).filter(|place| *place < places.len())).collect::<Vec<_>>())
+        });
+        let least = least.fold(f64::INFINITY, f64::min);
+        prop_assert!(total(&assignment) <= least + 1e-6, "{} {least}", total(&assignment));
     }
 
     #[test]
