@@ -25,6 +25,8 @@ pub(crate) struct Nesting {
     all_plays: Budget,
     /// Cues that sequences make.
     pub(super) cues: Budget,
+    /// Cues that sequences make which nothing uses.
+    unused_cues: usize,
     /// Sequences that are being read.
     pub(super) sequences: usize,
     /// Robots for cues of a sequence that name none.
@@ -41,6 +43,7 @@ impl Default for Nesting {
             plays: Budget::new(PLAYS_MAX),
             all_plays: Budget::new(PLAYS_IN_ALL_MAX),
             cues: Budget::new(SEQUENCE_CUES_MAX),
+            unused_cues: 0,
             sequences: 0,
             robots: None,
             began: Beginning::default(),
@@ -52,6 +55,21 @@ impl Nesting {
     /// Whether cues of a sequence are being read.
     pub(super) const fn is_in_sequence(&self) -> bool {
         self.sequences > 0
+    }
+
+    /// Room for a sequence that nothing uses: its cues are none of the scenario. Returns the room that is left for those; none if enough
+    /// unused ones have been looked at.
+    pub(super) fn unused_sequence(&mut self) -> Option<Budget> {
+        if self.unused_cues > SEQUENCE_CUES_MAX {
+            return None;
+        }
+        Some(std::mem::replace(&mut self.cues, Budget::new(SEQUENCE_CUES_MAX)))
+    }
+
+    /// Its cues have been read.
+    pub(super) fn end_unused(&mut self, room: Budget) {
+        let unused = std::mem::replace(&mut self.cues, room);
+        self.unused_cues += unused.most() - unused.left();
     }
 
     /// For the movement that is read next.

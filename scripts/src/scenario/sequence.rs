@@ -11,7 +11,7 @@ use super::library::Library;
 use super::nesting::{self, Used, within};
 use super::when::{Anchor, Relation};
 use super::{Bounds, Cue, nothing};
-use crate::exact::{Beginning, Exact};
+
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
@@ -179,11 +179,11 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, defaults:
     if nesting::is_complete(part.node)
         || !entries.iter().all(|(key, _)| SEQUENCE_KEYS.contains(&key.as_str()))
     {
+        let Some(room) = reader.nesting.unused_sequence() else { return };
         let own = Node::Text(name.to_owned());
         reader.nesting.robots = Some([].into());
-        reader.origin = Beginning(None);
         drop(played(reader, library, defaults, [Some(at.entry("cues", 0, &own)), None]));
         reader.nesting.robots = None;
-        reader.origin = Beginning(Some(Exact::ZERO));
+        reader.nesting.end_unused(room);
     }
 }

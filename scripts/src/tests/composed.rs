@@ -509,3 +509,28 @@ fn files_that_include_themselves_under_names_are_found() {
     let codes: Vec<_> = compiled_with(text, &[("a.yaml", file)]).findings.iter().map(|f| f.code).collect();
     assert_eq!(codes, [Code::PlaysItself]);
 }
+
+#[test]
+fn a_sequence_that_nothing_uses_is_read_as_if_it_began_at_0_s() {
+    let text = "scenario: s
+tempo: [{at: bar 1, bpm: 120}, {at: bar 5, bpm: 60}]
+sequences:
+  part: {cues: [{at: 2 beats, robots: left, tracks: {a: [{at: 0 beats, to: 0}, {at: 2 beats, to: 10}]}}]}
+cues: [{robots: left, tracks: {a: [{at: 0s, to: 0}]}}]
+";
+    assert_eq!(compiled(text).findings, Vec::new());
+}
+
+#[test]
+fn cues_of_sequences_that_nothing_uses_are_not_counted_among_those_of_the_scenario() {
+    let cue = "{robots: left, tracks: {a: [{at: 0s, to: 0}]}}, ".repeat(100);
+    let play = |other: &str, times: u32| format!("{{sequence: {other}}}, ").repeat(times as usize);
+    let text = format!(
+        "sequences:\n  hundred: {{cues: [{cue}]}}\n  b: {{cues: [{}]}}\n  c: {{cues: [{}]}}\ncues: [{}]\n",
+        play("hundred", 120),
+        play("hundred", 120),
+        play("hundred", 120)
+    );
+    let found = compiled(&text).findings;
+    assert!(found.iter().all(|found| found.code != Code::TooMuch), "{found:?}");
+}

@@ -559,3 +559,36 @@ cues:
         }
     }
 }
+
+#[test]
+fn a_late_robot_begins_where_a_group_has_led_it_meanwhile() {
+    // d1 goes to the left and back to the right before its turn in the canon comes.
+    let text = "scenario: s
+cues:
+  - {robots: [d0, d1], canon: 10s, shift: [0, 0, 2], over: 4s}
+  - {cue: aside, at: 1s, robots: d1, shift: [3, 1, 0], over: 4s}
+";
+    let act = sound(2, text);
+    let steps = steps(&act, 2);
+    assert!(apart(&places(&steps, 10_000.0)[1], &[3.7, 1.0, 0.0]) < 0.005);
+    let mut before = places(&steps, 0.0)[1];
+    for index in 1..=2_800 {
+        let now = places(&steps, f64::from(index) * 5.0)[1];
+        assert!(apart(&before, &now) < 0.02, "{index} {before:?} {now:?}");
+        before = now;
+    }
+}
+
+#[test]
+fn groups_that_wait_for_each_other_are_found() {
+    let text = "scenario: s
+cues:
+  - {cue: a, robots: [d0, d1], canon: 10s, shift: [0, 0, 2], over: 4s}
+  - {cue: b, at: 1s, robots: [d1, d0], canon: 10s, shift: [3, 1, 0], over: 4s}
+";
+    let found = compiled(2, text).findings;
+    assert_eq!(
+        found.iter().map(|found| (found.code, found.line)).collect::<Vec<_>>(),
+        [(Code::NotInGroup, 3)]
+    );
+}

@@ -1,6 +1,6 @@
 //! What the robots of a cue do as a group becomes a movement of each device that is a coordinate of a body. `ensemble` finds the ways.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Span};
@@ -24,6 +24,58 @@ pub(in crate::compile) struct Ground<'g> {
     pub(in crate::compile) positions: &'g Positions<'g>,
 }
 
+/// A cue that moves a group, with its robots and its time.
+#[derive(Clone, Copy)]
+struct Grouped<'g> {
+    cue: &'g Cue,
+    group: &'g Together,
+    members: &'g Members,
+    time: &'g CueTime,
+}
+
+/// A group whose turn it is.
+struct Turn<'g> {
+    grouped: Grouped<'g>,
+    /// Whether each group that moves one of its robots before it has had its turn.
+    is_known: bool,
+}
+
+/// The groups one after another: of those that share a robot, first the one in which it begins first.
+fn in_turn(mut groups: Vec<Grouped<'_>>) -> Vec<Turn<'_>> {
+    groups.sort_by_key(|grouped| grouped.time.start);
+    let mut of_robot: HashMap<usize, Vec<(Span, usize)>> = HashMap::new();
+    for (index, grouped) in groups.iter().enumerate() {
+        for member in &grouped.members.all {
+            of_robot.entry(member.robot).or_default().push((grouped.time.start + member.delay, index));
+        }
+    }
+    let mut before = vec![0usize; groups.len()];
+    let mut after = vec![Vec::new(); groups.len()];
+    for turns in of_robot.values_mut() {
+        turns.sort_unstable();
+        for pair in turns.windows(2).filter(|pair| pair[0].1 != pair[1].1) {
+            before[pair[1].1] += 1;
+            after[pair[0].1].push(pair[1].1);
+        }
+    }
+    let mut waiting: BTreeSet<usize> = (0..groups.len()).collect();
+    let mut ready: BTreeSet<usize> = (0..groups.len()).filter(|index| before[*index] == 0).collect();
+    let mut turns = Vec::with_capacity(groups.len());
+    while let Some(index) = ready.pop_first().or_else(|| waiting.first().copied()) {
+        if !waiting.remove(&index) {
+            continue;
+        }
+        turns.push(Turn { grouped: groups[index], is_known: before[index] == 0 });
+        for next in std::mem::take(&mut after[index]) {
+            before[next] = before[next].saturating_sub(1);
+            if before[next] == 0 {
+                ready.insert(next);
+            }
+        }
+    }
+    turns
+}
+
 impl<'a> Performer<'_, 'a> {
     /// The groups of an act, in the order of time: each begins where the movements before it end.
     pub(in crate::compile) fn groups(
@@ -34,16 +86,20 @@ impl<'a> Performer<'_, 'a> {
         ground: Ground<'_>,
     ) {
         let cues = act.cues.iter().zip(members).zip(times);
-        let mut groups: Vec<_> = cues.filter(|((cue, _), _)| cue.group.is_some()).collect();
-        groups.sort_by_key(|(_, time)| time.start);
+        let groups = cues.filter_map(|((cue, members), time)| {
+            Some(Grouped { cue, group: cue.group.as_ref()?, members, time })
+        });
         // Robots of a group that could not move: where later groups find them is not known.
         let mut lost: HashSet<usize> = HashSet::new();
-        for ((cue, members), time) in groups {
-            let Some(group) = &cue.group else { continue };
+        for Turn { grouped, is_known } in in_turn(groups.collect()) {
+            let Grouped { cue, group, members, .. } = grouped;
             let robots: Vec<usize> = members.all.iter().map(|member| member.robot).collect();
-            let danced = match robots.iter().any(|robot| lost.contains(robot)) {
-                false => self.group(cue, group, members, time, ground),
-                true => {
+            if !is_known {
+                self.tell_entangled(cue, group);
+            }
+            let danced = match is_known && !robots.iter().any(|robot| lost.contains(robot)) {
+                true => self.group(grouped, ground),
+                false => {
                     if let Err(fault) = ensemble::places(group, robots.len(), ground.of_scenario) {
                         self.tell(cue, group, &robots, &fault, ground);
                     }
@@ -57,15 +113,9 @@ impl<'a> Performer<'_, 'a> {
     }
 
     /// Whether it can be done.
-    fn group(
-        &mut self,
-        cue: &Cue,
-        group: &Together,
-        members: &Members,
-        time: &CueTime,
-        ground: Ground<'_>,
-    ) -> bool {
-        let Some(dancers) = self.dancers(cue, group, members, time, ground) else { return false };
+    fn group(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> bool {
+        let Some(dancers) = self.dancers(grouped, ground) else { return false };
+        let Grouped { cue, group, time, .. } = grouped;
         let asked = Asked { together: group, tolerance: cue.tolerance };
         let rehearsed = cue.rehearsed.as_ref().and_then(|rehearsed| rehearsed.of(&dancers));
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
@@ -84,14 +134,8 @@ impl<'a> Performer<'_, 'a> {
     }
 
     /// The robots with where they are when the cue begins for each of them.
-    fn dancers(
-        &mut self,
-        cue: &Cue,
-        group: &Together,
-        members: &Members,
-        time: &CueTime,
-        ground: Ground<'_>,
-    ) -> Option<Vec<Dancer<'a>>> {
+    fn dancers(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> Option<Vec<Dancer<'a>>> {
+        let Grouped { cue, group, members, time } = grouped;
         let cast = self.cast;
         let (mut dancers, mut without, mut unknown) = (Vec::new(), Vec::new(), Vec::new());
         for member in &members.all {

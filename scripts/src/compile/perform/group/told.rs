@@ -48,6 +48,17 @@ impl Performer<'_, '_> {
         }
     }
 
+    /// Two groups of which each has to know where the other leaves a robot.
+    pub(super) fn tell_entangled(&mut self, cue: &Cue, group: &Together) {
+        let name = shortened(&cue.name);
+        let message = format!(
+            "`{name}` begins for one robot before another group moves it, and for another robot after that"
+        );
+        let expected = "groups that follow each other for all robots that they share";
+        let hint = Some("let one of them begin later, or with a shorter `canon`".to_owned());
+        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
+    }
+
     /// What keeps a group of these robots from what it is asked.
     pub(super) fn tell(
         &mut self,
