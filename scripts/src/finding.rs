@@ -309,7 +309,13 @@ pub(crate) fn nearest<'a>(
     // In a short word, every second letter may differ by chance.
     let near = 1.max(length / 3);
     let first = wrong.chars().next();
-    let compared = known.into_iter().take(*left).inspect(|_| *left -= 1);
+    let mut written_out = None;
+    let compared = known.into_iter().take(*left).inspect(|name| {
+        *left -= 1;
+        if is_short_for(&wrong, name) {
+            written_out.get_or_insert(*name);
+        }
+    });
     // Names differ by no less than their lengths do.
     let like = compared.filter(|name| name.len() <= 4 * (length + near));
     let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
@@ -323,9 +329,15 @@ pub(crate) fn nearest<'a>(
         let close = name.chars().next() == first || letters(name) == letters(&wrong);
         if close { near } else { length / 4 }
     };
-    let (_, name) =
-        scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance)?;
-    Some(did_you_mean_this(name))
+    let like =
+        scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance);
+    Some(did_you_mean_this(like.map(|(_, name)| name).or(written_out)?))
+}
+
+/// Whether a word, or its singular, is the beginning of a name, as `forms` of `formations`.
+fn is_short_for(word: &str, name: &str) -> bool {
+    let begin = word.strip_suffix('s').unwrap_or(word);
+    begin.chars().count() >= 4 && name.starts_with(begin)
 }
 
 pub(crate) fn did_you_mean_this(name: &str) -> String {

@@ -1,6 +1,6 @@
 //! Bodies that come too close to each other, leave their space, or move too fast.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use urrcp::Span;
 
@@ -43,6 +43,8 @@ pub(super) struct Stage<'a> {
     pub(super) robots: &'a [RobotPlan],
     pub(super) devices: &'a [DeviceUse],
     pub(super) positions: &'a Positions<'a>,
+    /// Robots of which a movement is missing, in this act or before: nothing is said of their bodies.
+    pub(super) incomplete: &'a HashSet<usize>,
     pub(super) standing: &'a Standing<'a>,
 }
 
@@ -50,6 +52,7 @@ pub(super) struct Stage<'a> {
 pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses) {
     let fleet = stage.cast.fleet;
     let bodies = fleet.robots.iter().enumerate();
+    let bodies = bodies.filter(|(robot, _)| !stage.incomplete.contains(robot));
     let bodies: Vec<(usize, &Body)> =
         bodies.filter_map(|(i, robot)| Some((i, robot.body.as_ref()?))).collect();
     let (mut in_space, mut left) = (InSpace::default(), Poses::new());

@@ -24,7 +24,7 @@ mod segment;
 mod together;
 mod vectors;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use urrcp::Span;
 
@@ -103,6 +103,7 @@ impl Compiler {
         let mut known = self.first_times(&scenario, &cast).into_iter();
         let mut fits = ahead::fits(&timed(&scenario, known.as_slice()), &cast, horizon);
         let (mut rests, mut poses) = (HashMap::new(), HashMap::new());
+        let mut incomplete = HashSet::new();
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
         let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
@@ -119,6 +120,7 @@ impl Compiler {
                 performer.groups(act, &times.members, &times.times, ground);
             }
             let (segments, readings) = (performer.segments, performer.readings);
+            incomplete.extend(performer.incomplete);
             // Where times contradict each other, cues would seem to overlap.
             if !times.consistent {
                 acts.push(None);
@@ -134,6 +136,7 @@ impl Compiler {
                 robots: &robots,
                 devices: &devices,
                 positions: &positions,
+                incomplete: &incomplete,
                 standing: &courses::Standing::after((index > 0).then_some(before.as_slice()), &poses),
             };
             let (in_space, left) = check_space::check(&mut self.findings, &stage);

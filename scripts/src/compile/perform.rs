@@ -3,7 +3,7 @@
 mod group;
 
 use std::borrow::Cow;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use urrcp::{ControlParameters, ControlType, Device, Limits, Span};
@@ -42,6 +42,8 @@ pub(super) struct Performer<'c, 'a> {
     /// By robot and device, in the order of both.
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
+    /// Robots of which a movement is missing, as something is wrong with it: where they are is not known.
+    pub(super) incomplete: HashSet<usize>,
     /// For all movements of the act, each counted once for all robots that share it.
     steps: Budget,
     /// For what `segments` holds.
@@ -87,7 +89,8 @@ impl<'c, 'a> Performer<'c, 'a> {
     ) -> Self {
         let (segments, readings) = (std::collections::BTreeMap::new(), Vec::new());
         let (steps, uses) = (Budget::new(STEPS_MAX), Budget::new(USES_MAX));
-        Self { findings, cast, fits, horizon, segments, readings, steps, uses }
+        let incomplete = HashSet::new();
+        Self { findings, cast, fits, horizon, segments, readings, incomplete, steps, uses }
     }
 
     /// Steps so far, in steps of one value.
@@ -140,6 +143,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         for (track, groups) in missing {
             let members = groups.iter().flat_map(|group| &group.members);
             let robots: Vec<usize> = members.map(|member| member.robot).collect();
+            self.incomplete.extend(&robots);
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
             let hint = self.findings.did_you_mean(&track.device, known());
@@ -155,10 +159,11 @@ impl<'c, 'a> Performer<'c, 'a> {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
                 let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
-                let Some(part) = self.part(&on, time.stretch) else { continue };
-                if !self.used(cue, class.members.len()) {
-                    return;
-                }
+                let part = if self.uses.is_overdrawn() { None } else { self.part(&on, time.stretch) };
+                let Some(part) = part.filter(|_| self.used(cue, class.members.len())) else {
+                    self.incomplete.extend(robots);
+                    continue;
+                };
                 let part = Arc::new(part);
                 for member in class.members {
                     let segment = Segment {

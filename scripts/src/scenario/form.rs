@@ -172,10 +172,17 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
         return Some(Form { to: target(reader, at)?, least: Least::Total, spare: None, thin: None });
     };
     let [to, least, spare, thin] = reader.map(at, "`form`", FORM_KEYS, &["to"])?;
+    let target = target(reader, &to?)?;
+    if matches!(target, Target::Home) {
+        for choice in [least, spare, thin].into_iter().flatten() {
+            let message = "a choice of places where each robot has its own";
+            reader.add(Code::UnknownKey, choice.key_place(), message, "`form: home`", None);
+        }
+    }
     let least = least.and_then(|at| reader.word(&at, &LEAST)).unwrap_or_default();
     let spare = spare.and_then(|at| reader.word(&at, &SPARE));
     let thin = thin.and_then(|at| reader.word(&at, &THIN));
-    Some(Form { to: target(reader, &to?)?, least, spare, thin })
+    Some(Form { to: target, least, spare, thin })
 }
 
 fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {

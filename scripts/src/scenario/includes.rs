@@ -62,7 +62,14 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
         };
         let Some([file, name, _]) = reader.map(&item, "an include", ENTRY_KEYS, &["file"]) else { continue };
         file.and_then(|at| reader.text(&at, "the path of a file").map(drop));
-        name.and_then(|at| reader.name(&at, "the name of this copy").map(drop));
+        if let Some(at) = name
+            && let Some(name) = reader.name(&at, "the name of this copy")
+            && name.contains('.')
+        {
+            let message = format!("`{}` has a point", shortened(&name));
+            let expected = "a name without one: the names of this copy follow it after a point";
+            reader.add(Code::WrongType, at.place(), message, expected, None);
+        }
     }
 }
 
@@ -102,6 +109,7 @@ fn copies_in<'a>(
 ) {
     let Some(file) = within.files.last().copied() else { return };
     let root = At::used(&documents.nodes[usize::from(file)], file, within.used);
+    let mut seen: Vec<(String, String)> = Vec::new();
     each(&root, |item| {
         let Node::Map(entries) = item.node else { return };
         let value = |key: &str| entries.iter().find(|(known, _)| known == key).map(|(_, node)| node);
@@ -113,6 +121,16 @@ fn copies_in<'a>(
         }
         let own = own.and_then(|node| reader.name(&item.entry("as", 0, node), "the name of this copy"));
         let given = given.map(|node| item.entry("parameters", 0, node));
+        if let Some(own) = &own {
+            let both = (name.clone(), own.clone());
+            if seen.contains(&both) {
+                let message = format!("`{}` is included as `{}` twice", shortened(name), shortened(own));
+                let hint = Some("give one of them another name, or take it out".to_owned());
+                reader.add(Code::NameTwice, item.place(), message, "each file once under a name", hint);
+                return;
+            }
+            seen.push(both);
+        }
         let target = u16::try_from(index).unwrap_or(u16::MAX);
         if let Some(refused) = refused(within, library, target, name) {
             let (code, message, hint) = refused;

@@ -534,3 +534,21 @@ fn cues_of_sequences_that_nothing_uses_are_not_counted_among_those_of_the_scenar
     let found = compiled(&text).findings;
     assert!(found.iter().all(|found| found.code != Code::TooMuch), "{found:?}");
 }
+
+#[test]
+fn names_of_copies_are_plain_and_different() {
+    let found = |include: &str| -> Vec<(Code, usize)> {
+        let text = format!(
+            "scenario: s\ninclude:\n{include}cues: [{{robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]\n"
+        );
+        let nods = "moves: {nod: {tracks: {a: [{at: 0s, to: 0}]}}}\n";
+        compiled_with(&text, &[("f.yaml", nods)])
+            .findings
+            .iter()
+            .map(|found| (found.code, found.line))
+            .collect()
+    };
+    assert_eq!(found("  - {file: f.yaml, as: r}\n  - {file: f.yaml, as: l}\n"), []);
+    assert_eq!(found("  - {file: f.yaml, as: r}\n  - {file: f.yaml, as: r}\n"), [(Code::NameTwice, 4)]);
+    assert_eq!(found("  - {file: f.yaml, as: r.x}\n"), [(Code::WrongType, 3)]);
+}

@@ -592,3 +592,32 @@ cues:
         [(Code::NotInGroup, 3)]
     );
 }
+
+#[test]
+fn home_leaves_nothing_to_choose() {
+    for choice in ["spare: home", "spare: stay", "thin: evenly", "least: longest"] {
+        let text = format!(
+            "scenario: s\ncues:\n  - {{cue: up, robots: all, shift: [0, 0, 1], over: 4s}}\n  - {{after: up, robots: all, form: {{to: home, {choice}}}, over: 4s}}\n"
+        );
+        let found = compiled(2, &text).findings;
+        let found: Vec<_> = found.iter().map(|found| (found.code, found.line)).collect();
+        assert_eq!(found, [(Code::UnknownKey, 4)], "{choice}");
+    }
+}
+
+#[test]
+fn of_robots_whose_movement_is_missing_nothing_follows() {
+    let codes =
+        |text: &str| -> Vec<Code> { compiled(2, text).findings.iter().map(|found| found.code).collect() };
+    let next = "  - {cue: next, at: 1s, robots: d1, tracks: {x: [{at: 0s, to: 0.7}, {at: 4s, to: -1}]}}\n";
+    let through = format!("scenario: s\ncues:\n{next}");
+    assert_eq!(codes(&through), [Code::TooClose]);
+    for up in [
+        "robots: d0, shift: [0, 0, 5], over: 100ms",
+        "robots: d0, tracks: {zz: [{at: 0s, to: 5}]}",
+        "robots: d0, form: sky, over: 1s",
+    ] {
+        let found = codes(&format!("scenario: s\ncues:\n  - {{cue: up, at: 0s, {up}}}\n{next}"));
+        assert!(found.len() == 1 && found != [Code::TooClose], "{up}: {found:?}");
+    }
+}

@@ -1,6 +1,6 @@
 //! What the robots of a cue do as a group becomes a movement of each device that is a coordinate of a body. `ensemble` finds the ways.
 
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Span};
@@ -89,15 +89,13 @@ impl<'a> Performer<'_, 'a> {
         let groups = cues.filter_map(|((cue, members), time)| {
             Some(Grouped { cue, group: cue.group.as_ref()?, members, time })
         });
-        // Robots of a group that could not move: where later groups find them is not known.
-        let mut lost: HashSet<usize> = HashSet::new();
         for Turn { grouped, is_known } in in_turn(groups.collect()) {
             let Grouped { cue, group, members, .. } = grouped;
             let robots: Vec<usize> = members.all.iter().map(|member| member.robot).collect();
             if !is_known {
                 self.tell_entangled(cue, group);
             }
-            let danced = match is_known && !robots.iter().any(|robot| lost.contains(robot)) {
+            let danced = match is_known && !robots.iter().any(|robot| self.incomplete.contains(robot)) {
                 true => self.group(grouped, ground),
                 false => {
                     if let Err(fault) = ensemble::places(group, robots.len(), ground.of_scenario) {
@@ -107,7 +105,7 @@ impl<'a> Performer<'_, 'a> {
                 }
             };
             if !danced {
-                lost.extend(robots);
+                self.incomplete.extend(robots);
             }
         }
     }
@@ -193,10 +191,11 @@ impl<'a> Performer<'_, 'a> {
             let track = track(cue, group, device, curve(swept.in_units(scale, offset), length));
             let robots = [dancer.robot];
             let on = OnDevice { cue, track: &track, device, robots: &robots, cast: self.cast };
-            let Some(part) = self.part(&on, Stretch { from: length, to: length }) else { continue };
-            if !self.used(cue, 1) {
-                return;
-            }
+            let part = self.part(&on, Stretch { from: length, to: length });
+            let Some(part) = part.filter(|_| self.used(cue, 1)) else {
+                self.incomplete.insert(dancer.robot);
+                continue;
+            };
             let segment = Segment {
                 begin: time.start + begin,
                 cue: cue.name.as_str().into(),
