@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use downbeat_scripts::{
-    Address, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Source,
+    Address, Body, Coordinate, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Shape, Source, Space,
     compile, render, sarif,
 };
 use libfuzzer_sys::fuzz_target;
@@ -24,6 +24,34 @@ const ROVER: &str = r#"{"id": "rover", "api_version": "1", "devices": [
   {"id": "c", "name": "c", "available_control_types": {"custom_1": {},
      "script": {"min_value": -1, "max_value": 1, "granularity": 1, "max_number_of_steps": 64}}}]}"#;
 
+/// Bodies of these go into formations.
+const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
+  {"id": "x", "name": "x", "default_value": 0, "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
+     "script": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_number_of_steps": 256}}},
+  {"id": "y", "name": "y", "default_value": 0, "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
+     "script": {"min_value": -50, "max_value": 50, "granularity": 0.01, "max_number_of_steps": 256}}},
+  {"id": "z", "name": "z", "default_value": 0, "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_error": 0.01},
+     "script": {"min_value": 0, "max_value": 50, "granularity": 0.01, "max_number_of_steps": 256}}}]}"#;
+
+/// A drone that stands so many metres along x.
+fn drone(name: &str, along: f64) -> FleetRobot {
+    let mut init: urrcp::InitializationBlock = serde_json::from_str(DRONE).unwrap();
+    init.id = urrcp::RobotId::new(name).unwrap();
+    let device = |id: &str, offset: f64| Coordinate::Device { device: id.parse().unwrap(), scale: 1.0, offset };
+    let coordinates = [device("x", along), device("y", 0.0), device("z", 0.0), Coordinate::Fixed(0.0)];
+    let body = Body {
+        coordinates,
+        shape: Shape::Ball { radius: 0.1 },
+        speed: Some(5.0),
+        acceleration: Some(8.0),
+        ..Body::default()
+    };
+    FleetRobot { body: Some(body), ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
+}
+
 static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     let robot = |name: &str, block: &str| {
         let mut init: urrcp::InitializationBlock = serde_json::from_str(block).unwrap();
@@ -32,9 +60,13 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
             BTreeMap::from([("d".to_owned(), RateLimits { speed: None, acceleration: Some(500.0) })]);
         FleetRobot { limits, ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
     };
-    let robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
-    let groups = BTreeMap::from([("ab".to_owned(), vec![robots[0].id.clone(), robots[1].id.clone()])]);
-    Fleet { robots, groups, ..Fleet::default() }
+    let mut robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
+    robots.extend([drone("e", 0.0), drone("f", 1.0), drone("g", 2.0), drone("h", 3.0)]);
+    let ids = |robots: &[FleetRobot]| robots.iter().map(|robot| robot.id.clone()).collect();
+    let groups =
+        BTreeMap::from([("ab".to_owned(), ids(&robots[..2])), ("drones".to_owned(), ids(&robots[3..]))]);
+    let space = Space { distance: Some(0.2), ..Space::default() };
+    Fleet { robots, groups, space, ..Fleet::default() }
 });
 
 fuzz_target!(|text: &str| {

@@ -229,7 +229,7 @@ impl Function {
         }
     }
 
-    /// The largest first and second derivative among many samples; of a wave its bounds.
+    /// The largest first and second derivative: of a polynomial where it is, of a formula among many samples, of a wave its bounds.
     pub(crate) fn peak_rates(&self) -> (f64, f64) {
         if let Self::Formula(part) = self {
             let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
@@ -241,10 +241,6 @@ impl Function {
         let Self::Polynomial(coefficients) = self else { return (self.slope_max(), self.curvature_max()) };
         let slope = derivative(coefficients);
         let curvature = derivative(&slope);
-        let largest = |coefficients: &[f64]| {
-            let at = |i: u32| horner(coefficients, f64::from(i) / 256.0).abs();
-            (0..=256).map(at).fold(0.0, f64::max)
-        };
         (largest(&slope), largest(&curvature))
     }
 
@@ -257,6 +253,30 @@ impl Function {
             Self::Swept(swept) => swept.curvature_max(),
         }
     }
+}
+
+/// The largest value of a polynomial from 0 to 1, whatever its sign: at an end, or where its derivative changes its sign between two of
+/// 257 places.
+fn largest(coefficients: &[f64]) -> f64 {
+    let slope = derivative(coefficients);
+    let at = |i: u32| f64::from(i) / 256.0;
+    let value = |s: f64| horner(coefficients, s).abs();
+    let ends = (0..=256).map(|i| value(at(i)));
+    let turns = (0..256).filter_map(|i| turning(&slope, at(i), at(i + 1))).map(value);
+    ends.chain(turns).fold(0.0, f64::max)
+}
+
+/// Where a polynomial goes through 0 between two places, if its signs there differ: by halving.
+fn turning(coefficients: &[f64], mut from: f64, mut to: f64) -> Option<f64> {
+    let rises = horner(coefficients, to) > 0.0;
+    if (horner(coefficients, from) > 0.0) == rises {
+        return None;
+    }
+    for _ in 0..40 {
+        let middle = f64::midpoint(from, to);
+        if (horner(coefficients, middle) > 0.0) == rises { to = middle } else { from = middle }
+    }
+    Some(f64::midpoint(from, to))
 }
 
 fn horner(coefficients: &[f64], s: f64) -> f64 {
@@ -276,6 +296,19 @@ fn weighted(coefficients: &[f64], weight: impl Fn(f64) -> f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_peaks_of_a_polynomial_are_where_they_are() {
+        let coefficients = vec![1.0, -3.0, 40.0, -170.0, 290.0, -214.0, 57.0];
+        let (slope, curvature) = Function::Polynomial(coefficients.clone().into()).peak_rates();
+        let (first, second) = (derivative(&coefficients), derivative(&derivative(&coefficients)));
+        let sampled = |coefficients: &[f64]| {
+            (0..=1_000_000).map(|i| horner(coefficients, f64::from(i) / 1e6).abs()).fold(0.0, f64::max)
+        };
+        let (fastest, hardest) = (sampled(&first), sampled(&second));
+        assert!(slope >= fastest && slope <= fastest * (1.0 + 1e-9), "{slope} {fastest}");
+        assert!(curvature >= hardest && curvature <= hardest * (1.0 + 1e-9), "{curvature} {hardest}");
+    }
 
     #[test]
     fn the_largest_speed_and_acceleration_with_turns_are_bounds_and_close_ones() {
