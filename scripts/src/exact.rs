@@ -106,7 +106,12 @@ pub(crate) struct Laps {
 impl Laps {
     /// When the lap of this number begins, counted from 0.
     pub(crate) fn begin(&self, lap: u32) -> Span {
-        self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))))
+        self.within(lap, Exact::ZERO)
+    }
+
+    /// So much later than a lap begins.
+    pub(crate) fn within(&self, lap: u32, later: Exact) -> Span {
+        self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))).plus(later))
     }
 }
 

@@ -27,6 +27,9 @@ pub(crate) use reading::{Robot, Robots};
 pub use tried::tried;
 pub(crate) use unit::Unit;
 
+/// What a written number is cut at; it has as many digits as a number may have.
+const DIGITS: i128 = 10i128.pow(17);
+
 /// What an expression may amount to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Quantity {
@@ -95,8 +98,16 @@ impl Amount {
 fn fraction(value: Fraction) -> String {
     let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
     match size.is_integer() {
-        true => format!("({sign}{})", size.numer()),
-        false => format!("({sign}{} / {})", size.numer(), size.denom()),
+        true => format!("({sign}{})", whole(*size.numer())),
+        false => format!("({sign}{} / {})", whole(*size.numer()), whole(*size.denom())),
+    }
+}
+
+/// A number may have more digits than one that is read.
+fn whole(value: i128) -> String {
+    match (value / DIGITS, value % DIGITS) {
+        (0, rest) => rest.to_string(),
+        (more, rest) => format!("({more} * {DIGITS} + {rest})"),
     }
 }
 

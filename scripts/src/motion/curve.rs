@@ -5,7 +5,7 @@ use std::sync::Arc;
 use urrcp::Span;
 
 use super::{Easing, Function};
-use crate::exact::Laps;
+use crate::exact::{Exact, Laps};
 
 /// One length that becomes another, and everything in it with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -225,17 +225,19 @@ impl Curve {
         }
     }
 
-    /// The movement `times` times, a new one every lap. Where it does not end as it begins, it jumps.
-    pub(crate) fn repeat(&mut self, times: u32, laps: &Laps) {
+    /// The movement, which lasts `length` before it is laid on the clock, `times` times, a new one every lap. Where it does not end as
+    /// it begins, it jumps.
+    pub(crate) fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
         let cycle = laps.begin(1);
         let once = self.knots.clone();
         let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
         self.knots.reserve_exact(self.added_by_repeating(times, cycle));
         let (waits, joined) = Self::seam(&first, &last, cycle);
         for turn in 1..times {
-            let (begin, end) = (laps.begin(turn), laps.begin(turn.saturating_add(1)));
+            let begin = laps.begin(turn);
             // Laps differ by a nanosecond.
-            let lay = |at: Span| if at == cycle { end } else { (begin + at).min(end) };
+            let end = if waits { laps.within(turn, length) } else { laps.begin(turn.saturating_add(1)) };
+            let lay = |at: Span| if at == last.at { end } else { (begin + at).min(end) };
             if waits {
                 self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
             }
@@ -342,10 +344,10 @@ mod tests {
     #[test]
     fn a_closed_movement_repeats_without_a_seam_and_an_open_one_jumps() {
         let mut closed = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own), (20, 0.0, Shape::Own)]);
-        closed.repeat(2, &Span::from_millis(20).into());
+        closed.repeat(2, &Span::from_millis(20).into(), closed.length().into());
         assert_eq!(shown(&closed), [(0.0, 0.0), (10.0, 5.0), (20.0, 0.0), (30.0, 5.0), (40.0, 0.0)]);
         let mut open = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own)]);
-        open.repeat(2, &Span::from_millis(15).into());
+        open.repeat(2, &Span::from_millis(15).into(), open.length().into());
         assert_eq!(shown(&open), [(0.0, 0.0), (10.0, 5.0), (15.0, 5.0), (15.0, 0.0), (25.0, 5.0)]);
     }
 

@@ -1,5 +1,6 @@
 //! What a cue's movement is made of: a move with its parameters, tracks, and what is done with them.
 
+use super::across::is_spread;
 use super::cue::name_list;
 use super::library::Library;
 use super::nesting::{self, within};
@@ -238,7 +239,7 @@ fn aim(reader: &mut Reader, about: Option<At<'_>>, devices: Option<At<'_>>) -> A
 
 fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let (factor, aim) = match at.node {
-        Node::Map(_) => {
+        Node::Map(_) if !is_spread(at.node) => {
             let Some([by, about, devices]) = reader.map(at, "`scale`", ["by", "about", "devices"], &["by"])
             else {
                 return;
@@ -332,8 +333,8 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
     for track in tracks {
         let from = Beginning(laps.from.0.map(|start| start.plus(track.begin)));
-        let laps = Laps { from, ..laps };
-        curves(std::slice::from_mut(track), at, reader, |curve| curve.repeat(times, &laps));
+        let (laps, once) = (Laps { from, ..laps }, track.length);
+        curves(std::slice::from_mut(track), at, reader, |curve| curve.repeat(times, &laps, once));
         (track.length, track.turns) = (track.motion.length().into(), times);
     }
 }
@@ -346,9 +347,9 @@ struct Turns {
 
 /// A number of times, or as many whole turns as fit.
 fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
-    let Node::Map(_) = at.node else {
+    if is_spread(at.node) || !matches!(at.node, Node::Map(_)) {
         return reader.count(at, 1, REPEATS_MAX).map(|times| Turns { times, cycle: once });
-    };
+    }
     let [times, every, until, during] =
         reader.map(at, "`repeat`", ["times", "every", "until", "for"], &[])?;
     let cycle = every.map_or(Some(once), |every| cycle(reader, &every, once));

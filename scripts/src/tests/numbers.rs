@@ -103,6 +103,20 @@ fn as_many_bars_as_fit_are_all_played() {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
+#[test]
+fn turns_with_waits_end_where_the_next_beat_begins() {
+    let mut wrong = Vec::new();
+    for bpm in 60..=200 {
+        let act = act(&format!(
+            "tempo: {bpm}\ncues:\n  - {{at: bar 2, robots: bot, repeat: {{times: 3, every: 3 beats}}, tracks: {{arm: [{{at: 0s, to: 0}}, {{at: 1 beat, to: 0.5}}]}}}}\n  - {{at: bar 3 beat 4, robots: bot, tracks: {{arm: [{{at: 0s, to: 0.5}}, {{at: 1 beat, to: 0}}]}}}}\n"
+        ));
+        if act.cues[0].end != act.cues[1].start {
+            wrong.push((bpm, act.cues[1].start - act.cues[0].end));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:?}");
+}
+
 /// A number with up to two decimals, as text and in hundredths.
 fn decimal(range: std::ops::Range<i128>) -> impl Strategy<Value = (String, i128)> {
     range.prop_map(|hundredths| (format!("{}.{:02}", hundredths / 100, hundredths % 100), hundredths))

@@ -316,6 +316,32 @@ fn a_value_is_spread_from_the_first_robot_to_the_last() {
 }
 
 #[test]
+fn a_parameter_may_be_a_fraction_of_many_digits() {
+    let tracks = |to: &str| {
+        format!("tracks: {{d: {{tolerance: 0.1, keyframes: [{{at: 0s, to: 0}}, {{at: 1s, to: {to}}}]}}}}")
+    };
+    let value = "'-13.5 + -15.75 * random(46, $index)'";
+    same(
+        &format!(
+            "off_grid: snap\nmoves: {{m: {{parameters: {{to: 0}}, {}}}}}\ncues: [{{robots: four, move: m, parameters: {{to: {value}}}}}]\n",
+            tracks("$to")
+        ),
+        &format!("off_grid: snap\ncues: [{{robots: four, {}}}]\n", tracks(value)),
+    );
+}
+
+#[test]
+fn a_scale_and_a_number_of_turns_are_spread() {
+    let tracks = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
+    same(
+        &format!(
+            "cues: [{{robots: left, scale: {{from: 1, to: 2, across: group}}, repeat: {{from: 1, to: 3, across: group}}, {tracks}}}]\n"
+        ),
+        &format!("cues: [{{robots: left, overrides: {{b: {{scale: 2, repeat: 3}}}}, {tracks}}}]\n"),
+    );
+}
+
+#[test]
 fn parameters_and_times_are_spread_as_well() {
     same(
         "

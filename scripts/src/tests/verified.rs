@@ -85,14 +85,43 @@ pub(super) struct Change {
     shift: f64,
     pub(super) backwards: bool,
     pub(super) turns: u32,
+    /// Milliseconds from a turn's end to the next one, if that is written.
+    pub(super) pause: Option<f64>,
     /// Milliseconds.
     pub(super) duration: Option<f64>,
 }
 
+/// Stands for the time from turn to turn.
+pub(super) const EVERY: &str = "EVERY";
+
 impl Change {
     /// None at all.
     pub(super) fn none() -> Self {
-        Self { yaml: String::new(), factor: 1.0, shift: 0.0, backwards: false, turns: 1, duration: None }
+        Self {
+            yaml: String::new(),
+            factor: 1.0,
+            shift: 0.0,
+            backwards: false,
+            turns: 1,
+            pause: None,
+            duration: None,
+        }
+    }
+
+    /// With the values scaled before all else.
+    pub(super) fn scaled(&self, by: f64, about: f64) -> Self {
+        let shift = self.shift + self.factor * about * (1.0 - by);
+        Self { factor: self.factor * by, shift, ..self.clone() }
+    }
+
+    /// From turn to turn of a movement that lasts so long.
+    fn cycle(&self, once: f64) -> f64 {
+        once + self.pause.unwrap_or(0.0)
+    }
+
+    /// All turns, as written.
+    pub(super) fn whole(&self, once: f64) -> f64 {
+        self.cycle(once) * f64::from(self.turns) - self.pause.unwrap_or(0.0)
     }
 
     /// What becomes of a value.
@@ -102,30 +131,29 @@ impl Change {
 }
 
 impl Movement {
-    /// A track of keyframes with values, which a device plays as they are written; their times are set later.
-    pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(i64, f64)]) -> Self {
+    /// A track of keyframes, milliseconds and values, which a device plays as they are written.
+    pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(f64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
-        let way =
-            |pair: &[(i64, f64)]| Way { begin: 0.0, end: 0.0, form: Form::Eased(ease, pair[0].1, pair[1].1) };
+        let way = |pair: &[(f64, f64)]| {
+            let form = Form::Eased(ease, pair[0].1, pair[1].1);
+            Way { begin: pair[0].0, end: pair[1].0, form }
+        };
         Self { yaml: yaml.to_owned(), csv: String::new(), ways: keyframes.windows(2).map(way).collect() }
-    }
-
-    /// With its keyframes at these times.
-    pub(super) fn at_times(&mut self, millis: &[f64]) {
-        for (way, pair) in self.ways.iter_mut().zip(millis.windows(2)) {
-            (way.begin, way.end) = (pair[0], pair[1]);
-        }
     }
 }
 
 /// A value at a time of a movement after all changes; before or after a jump at that time.
 pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     let once = length(&movement.ways);
-    let whole = once * f64::from(change.turns);
-    let stretch = change.duration.map_or(1.0, |duration| duration / whole);
+    let cycle = change.cycle(once);
+    let stretch = change.duration.map_or(1.0, |duration| duration / change.whole(once));
     let written = millis / stretch;
-    let turn = (written / once).floor().min(f64::from(change.turns) - 1.0);
-    let within = written - turn * once;
+    let turn = (written / cycle).floor().min(f64::from(change.turns) - 1.0);
+    let within = written - turn * cycle;
+    // Until the next turn it stays where it is.
+    if within > once {
+        return final_value(movement, change);
+    }
     let at = if change.backwards { once - within } else { within };
     let way =
         movement.ways.iter().find(|way| at <= way.end).unwrap_or(&movement.ways[movement.ways.len() - 1]);
@@ -160,7 +188,8 @@ pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
 pub(super) fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
     let whole = steps[steps.len() - 1].0;
     let once = length(&movement.ways);
-    let stretch = change.duration.map_or(1.0, |duration| duration / (once * f64::from(change.turns)));
+    let (cycle, all_turns) = (change.cycle(once), change.whole(once));
+    let stretch = change.duration.map_or(1.0, |duration| duration / all_turns);
     let mut times: Vec<f64> = (0..400).map(|i| whole * (f64::from(i) + 0.37) / 400.0).collect();
     let parts = |way: &Way| {
         let (begin, length) = (way.begin, way.end - way.begin);
@@ -169,7 +198,7 @@ pub(super) fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64
     let bounds = movement.ways.iter().flat_map(parts);
     let bounds = bounds.map(|at| if change.backwards { once - at } else { at });
     let all = (0..change.turns)
-        .flat_map(|turn| bounds.clone().map(move |at| (at + once * f64::from(turn)) * stretch));
+        .flat_map(|turn| bounds.clone().map(move |at| (at + cycle * f64::from(turn)) * stretch));
     times.extend(all.chain(steps.iter().map(|step| step.0)).flat_map(|at| [at - NEAR, at + NEAR]));
     times.retain(|at| *at > 0.0 && *at < whole);
     times
@@ -412,8 +441,9 @@ pub(super) fn changes() -> impl Strategy<Value = Change> {
     let scale = prop_oneof![3 => Just(None), 1 => (-8i32..9, -10i32..11).prop_map(Some)];
     let duration = prop_oneof![3 => Just(None), 1 => (700i64..20_000).prop_map(Some)];
     let mirror = prop_oneof![5 => Just(None), 1 => Just(Some(None)), 1 => (-10i32..11).prop_map(|about| Some(Some(about)))];
-    let shape = (scale, mirror, prop::bool::weighted(0.25), 1u32..4, duration);
-    shape.prop_map(|(scale, mirror, backwards, turns, duration)| {
+    let pause = prop_oneof![2 => Just(None), 1 => (0i64..900).prop_map(Some)];
+    let shape = (scale, mirror, prop::bool::weighted(0.25), 1u32..4, pause, duration);
+    shape.prop_map(|(scale, mirror, backwards, turns, pause, duration)| {
         let (mut yaml, mut factor, mut shift) = (String::new(), 1.0, 0.0);
         if let Some((quarters, about)) = scale {
             let by = f64::from(quarters) / 4.0;
@@ -426,9 +456,14 @@ pub(super) fn changes() -> impl Strategy<Value = Change> {
             (factor, shift) = (-factor, 2.0 * f64::from(about.unwrap_or(0)) - shift);
         }
         yaml.push_str(if backwards { ", reverse: true" } else { "" });
-        yaml.push_str(&if turns > 1 { format!(", repeat: {turns}") } else { String::new() });
+        yaml.push_str(&match pause {
+            Some(_) => format!(", repeat: {{times: {turns}, every: {EVERY}}}"),
+            None if turns > 1 => format!(", repeat: {turns}"),
+            None => String::new(),
+        });
         yaml.push_str(&duration.map_or(String::new(), |duration| format!(", duration: {duration}ms")));
-        Change { yaml, factor, shift, backwards, turns, duration: duration.map(|millis| millis as f64) }
+        let [pause, duration] = [pause, duration].map(|millis| millis.map(|millis| millis as f64));
+        Change { yaml, factor, shift, backwards, turns, pause, duration }
     })
 }
 
@@ -444,7 +479,7 @@ fn verify(
     let steps: Vec<(f64, f64)> =
         steps(act, device).into_iter().map(|(at, v)| (at as f64 / 1e6, v[0])).collect();
     let used = used(act, device);
-    let whole = change.duration.unwrap_or(length(&movement.ways) * f64::from(change.turns));
+    let whole = change.duration.unwrap_or(change.whole(length(&movement.ways)));
     prop_assert!(
         (steps[steps.len() - 1].0 - whole).abs() < 2e-6,
         "{} ms, not {whole}",
@@ -512,9 +547,11 @@ fn with_so_many(
     }
     let once: Vec<f64> = movement.ways.iter().map(|way| change.of(way.form.at(0.0, 0.0))).collect();
     let turn = || if change.backwards { once.iter().rev().copied().collect() } else { once.clone() };
-    let levels: Vec<f64> = (0..change.turns).flat_map(|_| turn()).collect();
-    let grid = |value: f64| (value / granularity).round() * granularity;
     let end = final_value(movement, change);
+    let waits = |turn: u32| turn + 1 < change.turns && change.pause.is_some_and(|pause| pause > 0.0);
+    let levels = (0..change.turns).flat_map(|number| turn().into_iter().chain(waits(number).then_some(end)));
+    let levels: Vec<f64> = levels.collect();
+    let grid = |value: f64| (value / granularity).round() * granularity;
     // The last step is where the movement ends.
     let least = least_error(&levels, most - 1, granularity).max((grid(end) - end).abs());
     prop_assert!(used.worst_error <= least * (1.0 + 1e-6) + 1e-6, "off by {}, not {least}", used.worst_error);
@@ -561,7 +598,8 @@ proptest! {
         wish.push_str(&most.map_or(String::new(), |most| format!("max_steps: {most}, ")));
         let text = format!(
             "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{{device}: {{{wish}{}}}}}{}}}]\n",
-            movement.yaml, change.yaml
+            movement.yaml,
+            change.yaml.replace(EVERY, &format!("{}ms", change.cycle(length(&movement.ways)))),
         );
         let csv: &'static str = Box::leak(movement.csv.clone().into_boxed_str());
         let compiled = compiled_with(&text, csv);

@@ -3,25 +3,54 @@
 use proptest::prelude::*;
 
 use super::super::verified::{Change, Movement, changes, movements};
-use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, Relation, Show, Tempo, When, Word};
+use super::spread::{By, Direction, Each, Ease, Share};
+use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, ROBOTS, Relation, Show, Tempo, When, Word};
+
+/// Where a robot stands among those of its cue may be asked for in several ways.
+fn orders() -> impl Strategy<Value = (By, Direction)> {
+    let by = prop_oneof![2 => Just(By::Index), 1 => Just(By::X), 1 => (-9i64..15).prop_map(|x| By::Point(100 * x))];
+    let directions = [Direction::Forward, Direction::Backward, Direction::Outward, Direction::Inward];
+    (by, prop::sample::select(directions.to_vec()))
+}
+
+/// A number that differs from robot to robot. Times are fractions short enough for everything that is calculated with them.
+fn differing(range: std::ops::Range<i64>, is_time: bool) -> impl Strategy<Value = Each> {
+    let shares = prop_oneof![
+        Just(Share::Index),
+        Just(Share::Part),
+        Just(Share::Left),
+        (0u64..99).prop_map(Share::Random)
+    ];
+    let eases = [Ease::Linear, Ease::Step, Ease::Smooth, Ease::Cubic];
+    let eases = prop::sample::select(eases[..if is_time { 2 } else { 4 }].to_vec());
+    let seeds = prop_oneof![4 => Just(None), 1 => (0u64..99).prop_map(Some)];
+    let expression = (range.clone(), range.clone(), shares).prop_map(move |(from, by, share)| {
+        let share = if is_time && matches!(share, Share::Random(_)) { Share::Index } else { share };
+        Each::Expression { from, by, share }
+    });
+    let spread = (range.clone(), range, orders(), eases, seeds).prop_map(
+        move |(from, to, (by, direction), ease, seed)| match seed {
+            Some(seed) if !is_time => {
+                Each::Spread { from, to, by: By::Random(seed), direction, ease: Ease::Linear }
+            }
+            _ => Each::Spread { from, to, by, direction, ease },
+        },
+    );
+    prop_oneof![1 => expression, 2 => spread]
+}
 
 /// Keyframes at quarters of a beat, played as they are written.
-fn musical(moves: bool) -> impl Strategy<Value = (Movement, Option<Vec<(i64, f64)>>)> {
-    prop::collection::vec((1i64..9, -80i32..80), 2..7).prop_map(move |all| {
-        let mut now = 0;
-        let mut keyframes = Vec::new();
-        for (index, (after, quarters)) in all.into_iter().enumerate() {
+fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
+    let value = prop_oneof![3 => (-80i64..80).prop_map(Each::Same), 1 => differing(-80..80, false)];
+    let last = prop_oneof![4 => (1i64..9).prop_map(Each::Same), 1 => differing(1..9, true)];
+    (prop::collection::vec((1i64..9, value.clone()), 1..6), last, value).prop_map(|(all, last, value)| {
+        let (mut now, mut keyframes) = (0, Vec::new());
+        for (index, (after, value)) in all.into_iter().enumerate() {
             now += if index == 0 { 0 } else { after };
-            keyframes.push((now, f64::from(quarters) / 4.0));
+            keyframes.push((Each::Same(now), value));
         }
-        let text: Vec<String> = keyframes
-            .iter()
-            .map(|(at, to)| format!("{{at: {} beats, to: {to}}}", *at as f64 / 4.0))
-            .collect();
-        (
-            Movement::of_keyframes(&format!("keyframes: [{}]", text.join(", ")), moves, &keyframes),
-            Some(keyframes),
-        )
+        keyframes.push((last.plus(now), value));
+        keyframes
     })
 }
 
@@ -37,10 +66,8 @@ fn colourful() -> impl Strategy<Value = (Movement, Vec<(i64, [f64; 3])>)> {
         }
         let text: Vec<String> =
             colours.iter().map(|(at, to)| format!("{{at: {at}ms, to: {to:?}}}")).collect();
-        let first: Vec<(i64, f64)> = colours.iter().map(|(at, to)| (*at, to[0])).collect();
-        let mut movement =
-            Movement::of_keyframes(&format!("keyframes: [{}]", text.join(", ")), false, &first);
-        movement.at_times(&first.iter().map(|(at, _)| *at as f64).collect::<Vec<_>>());
+        let first: Vec<(f64, f64)> = colours.iter().map(|(at, to)| (*at as f64, to[0])).collect();
+        let movement = Movement::of_keyframes(&format!("keyframes: [{}]", text.join(", ")), false, &first);
         (movement, colours)
     })
 }
@@ -112,7 +139,8 @@ fn cue() -> impl Strategy<Value = Cue> {
     let moving = device.prop_flat_map(|device| {
         let moves = DEVICES[device].1;
         let any = movements(moves).prop_map(|movement| (movement, None, None));
-        let musical = musical(moves).prop_map(|(movement, beats)| (movement, beats, None));
+        let nothing = Movement::of_keyframes("", moves, &[]);
+        let musical = musical().prop_map(move |beats| (nothing.clone(), Some(beats), None));
         let movement = match device {
             LAMP => colourful().prop_map(|(movement, colours)| (movement, None, Some(colours))).boxed(),
             _ => prop_oneof![any.boxed(), musical.boxed()].boxed(),
@@ -131,19 +159,21 @@ fn cue() -> impl Strategy<Value = Cue> {
     let stretch = prop_oneof![4 => Just(None), 1 => (700i64..20_000, 0i64..2).prop_map(|(least, more)| Some((least, least + more * 2_000)))];
     let tolerance = prop_oneof![2 => Just(None), 1 => (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))];
     let canon = prop_oneof![2 => Just(None), 1 => canons().prop_map(Some)];
-    let late = prop_oneof![3 => Just(None), 1 => (0usize..3, 0i64..900).prop_map(Some)];
+    let late = prop_oneof![3 => Just(None), 1 => (0usize..ROBOTS.len(), 0i64..900).prop_map(Some)];
     let zone = prop_oneof![2 => Just(None), 1 => (0usize..2).prop_map(Some)];
+    let pause = prop_oneof![2 => (0i64..900).prop_map(Each::Same), 1 => differing(0..900, true)];
+    let scale = prop_oneof![3 => Just(None), 1 => (differing(-8..9, false), -10i64..11).prop_map(Some)];
     let apart = prop_oneof![6 => Just(None), 1 => (0usize..6).prop_map(Some)];
     (
         (0..NAMES.len(), moving, changes(), tolerance),
-        (canon, late, stretch, when),
-        (relations(), zone, apart, (prop::bool::weighted(0.4), any::<bool>()), reads),
+        (canon, late, stretch, when, (pause, scale)),
+        (relations(), zone, apart, (prop::bool::weighted(0.4), any::<bool>(), any::<Option<bool>>()), reads),
     )
         .prop_map(
             |(
                 (who, (device, (movement, beats, colours)), change, tolerance),
-                (canon, late, stretch, when),
-                (relations, zone, apart, (by_move, composed), reads),
+                (canon, late, stretch, when, (pause, scale)),
+                (relations, zone, apart, (by_move, composed, parameters), reads),
             )| {
                 let mut change = change;
                 // The length is the cue's here.
@@ -153,6 +183,7 @@ fn cue() -> impl Strategy<Value = Cue> {
                 if colours.is_some() {
                     change = Change::none();
                 }
+                let scale = scale.filter(|_| colours.is_none() && !change.yaml.contains("scale"));
                 let relation = |(word, other, end, lag)| Relation { word, other, end, lag };
                 let relations = relations.into_iter().map(relation).collect();
                 let late = late.filter(|(robot, _)| NAMES[who].1.contains(robot));
@@ -164,6 +195,8 @@ fn cue() -> impl Strategy<Value = Cue> {
                     colours,
                     reads,
                     change,
+                    pause,
+                    scale,
                     tolerance,
                     canon,
                     late,
@@ -174,6 +207,7 @@ fn cue() -> impl Strategy<Value = Cue> {
                     apart,
                     by_move,
                     composed,
+                    parameters,
                 }
             },
         )
@@ -206,14 +240,6 @@ pub(super) fn shows() -> impl Strategy<Value = Show> {
             for (index, cue) in acts.iter_mut().flatten().enumerate() {
                 if probe.tempos.len() > 1 {
                     with_fixed_start(cue, 1 + index as i64 % 6);
-                }
-                let start = cue.start(&probe);
-                if let Some(keyframes) = &cue.beats {
-                    let millis = |quarters: i64| {
-                        let exact = probe.beats(start, quarters);
-                        *exact.numer() as f64 / *exact.denom() as f64 / 1e6
-                    };
-                    cue.movement.at_times(&keyframes.iter().map(|(at, _)| millis(*at)).collect::<Vec<_>>());
                 }
             }
             Show { acts, ..probe }

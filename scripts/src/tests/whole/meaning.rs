@@ -2,10 +2,20 @@
 
 use num_rational::Ratio;
 
+use super::super::verified::{Change, Movement};
+use super::spread::Each;
 use super::{Canon, Cue, DEVICES, MS, NAMES, Nanos, PLACES, Show, Tempo, When};
 
 pub(super) fn rounded(time: Ratio<i128>) -> Nanos {
     (time + Ratio::new(1, 2)).floor().to_integer()
+}
+
+fn double(value: Ratio<i128>) -> f64 {
+    *value.numer() as f64 / *value.denom() as f64
+}
+
+fn millis(millis: i64) -> Ratio<i128> {
+    Ratio::from_integer(i128::from(millis) * MS)
 }
 
 /// Where a length from a cue's start ends, from there on.
@@ -65,9 +75,8 @@ impl Show {
     }
 
     /// Nanoseconds of this many quarters of a beat from a time on; where the tempo never changes, from any.
-    pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: i64) -> Ratio<i128> {
+    pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: Ratio<i128>) -> Ratio<i128> {
         let start = start.unwrap_or_default();
-        let quarters = Ratio::from_integer(i128::from(quarters));
         self.of_beats(self.beats_at(start) + quarters) - start
     }
 }
@@ -80,32 +89,87 @@ fn quarter(bpm: i64) -> Ratio<i128> {
 impl Cue {
     pub(super) fn start(&self, show: &Show) -> Option<Ratio<i128>> {
         match self.when {
-            When::At(millis) | When::Each(millis, _) => Some(Ratio::from_integer(i128::from(millis) * MS)),
+            When::At(millis) | When::Each(millis, _) => Some(self::millis(millis)),
             When::Bar(bar) => Some(show.bar(bar)),
             _ => None,
         }
     }
 
+    pub(super) fn robots(&self) -> &'static [usize] {
+        NAMES[self.who].1
+    }
+
+    /// All numbers of it that differ from robot to robot.
+    pub(super) fn differing(&self) -> Vec<Each> {
+        let keyframes = self.beats.iter().flatten().flat_map(|(at, to)| [*at, *to]);
+        let all = keyframes.chain(self.scale.map(|(by, _)| by)).chain(self.change.pause.map(|_| self.pause));
+        all.filter(|each| each.differs()).collect()
+    }
+
+    /// The keyframes of the robot of this index: quarters of a beat, and values.
+    fn own_keyframes(&self, index: usize) -> Option<Vec<(Ratio<i128>, f64)>> {
+        let own = |(at, to): &(Each, Each)| {
+            (at.of(self.robots(), index), double(to.of(self.robots(), index)) / 4.0)
+        };
+        Some(self.beats.as_ref()?.iter().map(own).collect())
+    }
+
+    /// What the robot of this index does, before it is changed.
+    pub(super) fn movement(&self, show: &Show, index: usize) -> Movement {
+        let Some(keyframes) = self.own_keyframes(index) else { return self.movement.clone() };
+        let millis = |quarters: Ratio<i128>| double(show.beats(self.start(show), quarters)) / 1e6;
+        let keyframes: Vec<_> = keyframes.into_iter().map(|(at, to)| (millis(at), to)).collect();
+        Movement::of_keyframes("", DEVICES[self.device].1, &keyframes)
+    }
+
+    /// What is done with that.
+    pub(super) fn change(&self, show: &Show, index: usize) -> Change {
+        let mut change = match self.scale {
+            Some((by, about)) => self.change.scaled(double(by.of(self.robots(), index)) / 4.0, about as f64),
+            None => self.change.clone(),
+        };
+        let pause = self.cycle(show, index) - self.lap(show, index);
+        change.pause = change.pause.map(|_| double(pause) / 1e6);
+        change
+    }
+
     /// One turn of its movement.
-    fn lap(&self, show: &Show) -> Ratio<i128> {
-        match &self.beats {
+    fn lap(&self, show: &Show, index: usize) -> Ratio<i128> {
+        match self.own_keyframes(index) {
             Some(keyframes) => show.beats(self.start(show), keyframes[keyframes.len() - 1].0),
-            None => {
-                let millis = self.movement.ways[self.movement.ways.len() - 1].end;
-                Ratio::from_integer(millis.round() as i128 * MS)
-            }
+            None => millis(self.movement.ways[self.movement.ways.len() - 1].end.round() as i64),
         }
     }
 
-    /// Its length as written, with its turns.
+    /// From turn to turn.
+    fn cycle(&self, show: &Show, index: usize) -> Ratio<i128> {
+        if self.change.pause.is_none() {
+            return self.lap(show, index);
+        }
+        let longest = match &self.beats {
+            Some(keyframes) => {
+                let quarters = keyframes[keyframes.len() - 1].0.most();
+                show.beats(self.start(show), Ratio::from_integer(i128::from(quarters)))
+            }
+            None => self.lap(show, index),
+        };
+        longest + self.pause.of(self.robots(), index) * MS
+    }
+
+    /// How long the robot of this index moves as written, with its turns.
+    pub(super) fn own_length(&self, show: &Show, index: usize) -> Nanos {
+        let waits = Ratio::from_integer(i128::from(self.change.turns) - 1);
+        laid(self.start(show), self.cycle(show, index) * waits + self.lap(show, index))
+    }
+
+    /// The longest of its robots.
     pub(super) fn length(&self, show: &Show) -> Nanos {
-        let turns = Ratio::from_integer(i128::from(self.change.turns));
-        laid(self.start(show), self.lap(show) * turns)
+        (0..self.robots().len()).map(|index| self.own_length(show, index)).max().unwrap_or(0)
     }
 
     /// How much later each of its robots begins.
     pub(super) fn delays(&self, show: &Show) -> Vec<(usize, Nanos)> {
-        let robots = NAMES[self.who].1;
+        let robots = self.robots();
         let delay = |(index, robot): (usize, &usize)| {
             let own = self.late.filter(|(late, _)| late == robot).map_or(0, |(_, millis)| i128::from(millis));
             let each = match self.when {
@@ -122,27 +186,48 @@ impl Cue {
         self.delays(show).iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
-    /// Its steps from its start, where the device plays it as written; with what is written for each.
-    pub(super) fn as_written(&self, show: &Show) -> Option<Vec<(Nanos, f64, f64)>> {
-        let keyframes = self.beats.as_ref()?;
+    /// Else it is not known which way they round a value in the middle between two of the grid.
+    fn is_held_by_doubles(&self, index: usize) -> bool {
+        let values = self.beats.iter().flatten().map(|(_, to)| *to);
+        let mut all = values.chain(self.scale.map(|(by, _)| by));
+        all.all(|each| each.of(self.robots(), index).denom().count_ones() == 1)
+    }
+
+    /// The steps of the robot of this index from its start, where the device plays it as written; with what is written for each.
+    pub(super) fn as_written(&self, show: &Show, index: usize) -> Option<Vec<(Nanos, f64, f64)>> {
+        let keyframes = self.own_keyframes(index)?;
         let (_, moves, granularity, _) = DEVICES[self.device];
         if self.tolerance.is_some() || self.change.backwards {
             return None;
         }
         let start = self.start(show);
-        let (cycle, whole) = (self.lap(show), self.length(show));
+        let (lap, cycle) = (self.lap(show, index), self.cycle(show, index));
+        let change = self.change(show, index);
+        let on_grid = |written: f64| (written / granularity).round() * granularity;
+        let is_held = self.is_held_by_doubles(index);
         let mut steps: Vec<(Nanos, f64, f64)> = Vec::new();
         for turn in 0..self.change.turns {
             let begin = laid(start, cycle * i128::from(turn));
-            let end = laid(start, cycle * i128::from(turn + 1));
+            let end = laid(start, cycle * i128::from(turn) + lap);
+            // One that moves does not creep to its next turn.
+            if let Some(last) = steps.last().copied()
+                && moves
+                && begin > last.0
+                && on_grid(change.of(keyframes[0].1)) != last.1
+            {
+                steps.push((begin, last.1, last.2));
+            }
             for (index, (quarters, value)) in keyframes.iter().enumerate() {
                 let at = match index + 1 == keyframes.len() {
                     true => end,
                     // Turns differ by a nanosecond.
                     false => (begin + laid(start, show.beats(start, *quarters))).min(end),
                 };
-                let written = self.change.of(*value);
-                let set = (written / granularity).round() * granularity;
+                let written = change.of(*value);
+                if !is_held && ((written / granularity).rem_euclid(1.0) - 0.5).abs() < 1e-9 {
+                    return None;
+                }
+                let set = on_grid(written);
                 let before = steps.last().copied();
                 let seam = before.is_some_and(|before| before.0 == at);
                 match before {
@@ -163,7 +248,7 @@ impl Cue {
             }
             let to = i128::from(least) * MS;
             for step in &mut steps {
-                step.0 = rounded(Ratio::new(step.0 * to, whole));
+                step.0 = rounded(Ratio::new(step.0 * to, self.length(show)));
             }
         }
         Some(steps)

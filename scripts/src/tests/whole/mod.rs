@@ -1,11 +1,13 @@
 //! The second reading for whole scenarios: acts, groups, cues that relate to each other, zones, tempos, readings, values one or
-//! several at a time, and what is done with movements. Times are whole numbers and fractions, solved by the plainest way there is; movements are evaluated point by
-//! point, and step by step where a device plays them as they are written.
+//! several at a time, numbers that differ from robot to robot, and what is done with movements. Times are whole numbers and
+//! fractions, solved by the plainest way there is; movements are evaluated point by point, and step by step where a device plays
+//! them as they are written.
 //!
 //! It looks at 500 scenarios, with `DOWNBEAT_SCENARIOS` at as many.
 
 mod draw;
 mod meaning;
+mod spread;
 mod steps;
 mod times;
 mod written;
@@ -18,6 +20,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 
 use self::draw::shows;
+use self::spread::Each;
 use self::steps::compare;
 use super::robot;
 use super::verified::{Change, Movement};
@@ -41,18 +44,19 @@ const DEVICES: [(&str, bool, f64, usize); 7] = [
 const LAMP: usize = 6;
 /// What every robot reads.
 const SENSOR: &str = "eye";
-const ROBOTS: [&str; 3] = ["a", "b", "c"];
+const ROBOTS: [&str; 4] = ["a", "b", "c", "d"];
 /// Where they stand, in millimetres along x.
-const PLACES: [i128; 3] = [700, -500, 700];
+const PLACES: [i128; 4] = [700, -500, 700, 1_300];
 /// Names that stand for robots.
-const NAMES: [(&str, &[usize]); 7] = [
+const NAMES: [(&str, &[usize]); 8] = [
     ("a", &[0]),
     ("b", &[1]),
     ("c", &[2]),
     ("pair", &[2, 0]),
-    ("all", &[0, 1, 2]),
+    ("all", &[0, 1, 2, 3]),
     ("cast", &[1, 2]),
     ("[c, a]", &[2, 0]),
+    ("[d, b, a]", &[3, 1, 0]),
 ];
 
 /// A cue with one movement.
@@ -61,13 +65,17 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as written.
-    beats: Option<Vec<(i64, f64)>>,
+    /// Where each keyframe lies in quarters of a beat, and its value in quarters: then it is played as written.
+    beats: Option<Vec<(Each, Each)>>,
     /// Keyframes of three values at once: milliseconds, and the values.
     colours: Option<Vec<(i64, [f64; 3])>>,
     /// When its robots read their sensor, in milliseconds from its start.
     reads: Vec<i64>,
     change: Change,
+    /// Milliseconds that `every` is longer than the longest movement of its robots, where it is written.
+    pause: Each,
+    /// Instead of a `scale` of the change: in quarters, and about what.
+    scale: Option<(Each, i64)>,
     tolerance: Option<f64>,
     canon: Option<Canon>,
     late: Option<(usize, i64)>,
@@ -80,6 +88,8 @@ struct Cue {
     by_move: bool,
     /// Such a move plays others: at a fixed start two of them, which share its keyframes.
     composed: bool,
+    /// What differs in it are its parameters, by their defaults or not.
+    parameters: Option<bool>,
 }
 
 /// How much later robots begin, in milliseconds; `Speed` is in quarters of a metre a second.
@@ -207,7 +217,8 @@ fn fleet() -> Fleet {
     };
     let robots: Vec<FleetRobot> = ROBOTS.iter().map(bot).collect();
     let group = |members: &[usize]| members.iter().map(|robot| robots[*robot].id.clone()).collect();
-    let groups = BTreeMap::from([("pair".to_owned(), group(&[2, 0])), ("all".to_owned(), group(&[0, 1, 2]))]);
+    let groups =
+        BTreeMap::from([("pair".to_owned(), group(&[2, 0])), ("all".to_owned(), group(&[0, 1, 2, 3]))]);
     Fleet { robots, groups, ..Fleet::default() }
 }
 
@@ -233,6 +244,10 @@ struct Tally {
     readings: usize,
     colours: usize,
     tempo_changes: usize,
+    /// Numbers spread over the robots and calculated for each of them, and cues with `every`.
+    spreads: usize,
+    expressions: usize,
+    everys: usize,
 }
 
 impl Tally {
@@ -253,8 +268,15 @@ impl Tally {
             self.slack += act.cues.iter().filter(|cue| cue.slack > urrcp::Span::ZERO).count();
             self.devices += act.devices.len();
             self.steps += act.devices.iter().map(|used| used.steps).sum::<usize>();
-            let known = written.iter().filter(|cue| cue.as_written(show).is_some());
-            self.to_the_step += known.map(|cue| NAMES[cue.who].1.len()).sum::<usize>();
+            for cue in written {
+                let known = (0..cue.robots().len()).filter(|index| cue.as_written(show, *index).is_some());
+                self.to_the_step += known.count();
+                let differing = cue.differing();
+                self.spreads += differing.iter().filter(|each| matches!(each, Each::Spread { .. })).count();
+                self.expressions +=
+                    differing.iter().filter(|each| matches!(each, Each::Expression { .. })).count();
+                self.everys += usize::from(cue.change.pause.is_some());
+            }
         }
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use num_rational::Ratio;
 use proptest::prelude::*;
 
-use super::super::verified::{Change, NEAR, as_far_off, final_value, looked_at, meant, played};
+use super::super::verified::{Change, Movement, NEAR, as_far_off, final_value, looked_at, meant, played};
 use super::meaning::rounded;
 use super::times::{Times, timings};
 use super::{Cue, DEVICES, LAMP, MS, Nanos, ROBOTS, Show};
@@ -14,7 +14,10 @@ use crate::{Act, Code, Compiled, Severity};
 /// What one cue does with one device.
 struct Segment<'a> {
     cue: &'a Cue,
+    /// The number of the robot in it.
+    index: usize,
     begin: Nanos,
+    movement: Movement,
     /// Its change, with the length that it is stretched to.
     change: Change,
     length: Nanos,
@@ -23,17 +26,20 @@ struct Segment<'a> {
 /// Everything that each device does, in order.
 fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usize), Vec<Segment<'a>>> {
     let mut lanes: BTreeMap<(usize, usize), Vec<Segment<'_>>> = BTreeMap::new();
-    for (index, cue) in act.iter().enumerate() {
-        let length = times.ends[index] - times.starts[index] - cue.delay(show);
-        let mut change = cue.change.clone();
-        change.duration = (length != cue.length(show)).then_some(length as f64 / 1e6);
-        for (robot, delay) in cue.delays(show) {
-            let begin = times.starts[index] + delay;
+    for (number, cue) in act.iter().enumerate() {
+        let start = times.starts[number];
+        let (written, length) = (cue.length(show), times.ends[number] - start - cue.delay(show));
+        for (index, (robot, delay)) in cue.delays(show).into_iter().enumerate() {
+            let own = rounded(Ratio::new(cue.own_length(show, index) * length, written));
+            let mut change = cue.change(show, index);
+            change.duration = (length != written).then_some(own as f64 / 1e6);
             lanes.entry((robot, cue.device)).or_default().push(Segment {
                 cue,
-                begin,
-                change: change.clone(),
-                length,
+                index,
+                begin: start + delay,
+                movement: cue.movement(show, index),
+                change,
+                length: own,
             });
         }
     }
@@ -109,17 +115,17 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
         let length = segment.length as f64 / 1e6;
         let within: Vec<(f64, f64)> =
             own.iter().copied().filter(|(at, _)| *at > -NEAR && *at < length + NEAR).collect();
-        for at in looked_at(&segment.cue.movement, &segment.change, &within) {
+        for at in looked_at(&segment.movement, &segment.change, &within) {
             let crowded = own.iter().filter(|step| (step.0 - at).abs() < 2.0 * NEAR).count() > 2;
             if !crowded && at > NEAR && at < length - NEAR {
-                let wanted = meant(&segment.cue.movement, &segment.change, at);
+                let wanted = meant(&segment.movement, &segment.change, at);
                 seen((played(&own, moves, at) - wanted).abs(), begin + at);
             }
         }
         // Until the next cue it stays where it is.
         let next = segments.get(index + 1).map_or(f64::INFINITY, |next| next.begin as f64 / 1e6);
         let end = begin + length;
-        let written = final_value(&segment.cue.movement, &segment.change);
+        let written = final_value(&segment.movement, &segment.change);
         if next > end + 4.0 * NEAR {
             for part in [0.0, 0.3, 0.7, 1.0] {
                 let at = end + 2.0 * NEAR + (next.min(end + 5_000.0) - end - 4.0 * NEAR) * part;
@@ -220,7 +226,7 @@ fn as_written(
     let mut expected: Vec<(Nanos, f64)> = Vec::new();
     let mut worst: f64 = 0.0;
     for segment in segments {
-        let Some(own) = segment.cue.as_written(show) else { return Ok(()) };
+        let Some(own) = segment.cue.as_written(show, segment.index) else { return Ok(()) };
         // One that moves does not creep to the next cue.
         if let Some((at, value)) = expected.last().copied()
             && moves

@@ -1,5 +1,7 @@
 //! When everything takes place: bounds between events, relaxed until nothing changes, for every order of a zone's cues.
 
+use num_rational::Ratio;
+
 use super::meaning::rounded;
 use super::{Cue, Lag, MS, Nanos, Relation, Show, When, Word};
 
@@ -69,7 +71,9 @@ fn bounds(show: &Show, act: &[Cue]) -> Vec<Bound> {
         }
         for Relation { word, other, end: which, lag } in &cue.relations {
             let other = |default: bool| event(*other, which.unwrap_or(default));
-            let beats = |quarters: i64| show.beats(None, quarters).floor().to_integer();
+            let beats = |quarters: i64| {
+                show.beats(None, Ratio::from_integer(i128::from(quarters))).floor().to_integer()
+            };
             let (least, largest) = match (lag, word) {
                 (Lag::None, Word::With) => (0, Some(0)),
                 (Lag::None, _) => (0, None),

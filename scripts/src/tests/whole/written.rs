@@ -1,11 +1,22 @@
 //! What is written: a drawn show as the text of a scenario.
 
 use std::collections::HashMap;
+use std::ops::Range;
 
+use super::super::verified::EVERY;
+use super::spread::Each;
 use super::{Canon, Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, Word};
 
 /// The cue that plays a sequence.
 pub(super) const SEQUENCE: &str = "q";
+
+fn quarters(value: i64) -> String {
+    (value as f64 / 4.0).to_string()
+}
+
+fn beats(quarters: i64) -> String {
+    format!("{} beats", self::quarters(quarters))
+}
 
 fn name(cue: usize) -> String {
     format!("c{cue}")
@@ -86,43 +97,104 @@ impl Cue {
             let times: Vec<String> = self.reads.iter().map(|millis| format!("{millis}ms")).collect();
             yaml.push_str(&format!(", read: {{{SENSOR}: [{}]}}", times.join(", ")));
         }
-        yaml.push_str(&self.change.yaml);
-        let csv = format!("{}.csv", csvs.len());
-        let written = self.movement.yaml.replace("c.csv", &csv);
-        csvs.insert(csv, self.movement.csv.clone());
-        let wish = self.tolerance.map_or(String::new(), |tolerance| format!("tolerance: {tolerance}, "));
-        let tracks = format!("{{{}: {{{wish}{written}}}}}", DEVICES[self.device].0);
-        if self.by_move {
-            let own = format!("m{}", csvs.len());
-            moves.push_str(&match self.halves() {
-                _ if !self.composed => format!("  {own}: {{tracks: {tracks}}}\n"),
-                None => format!("  {own}: {{play: [{{move: {own} inner}}]}}\n  {own} inner: {{tracks: {tracks}}}\n"),
-                Some(halves) => {
-                    let [one, other] = halves.map(|half| format!("{{{}: {{{wish}{half}}}}}", DEVICES[self.device].0));
-                    format!(
-                        "  {own}: {{play: [{{move: {own} one}}, {{move: {own} other}}]}}\n  {own} one: {{tracks: {one}}}\n  {own} other: {{tracks: {other}}}\n"
-                    )
-                }
+        if let Some((by, about)) = self.scale {
+            let by = by.yaml("", quarters);
+            yaml.push_str(&match about {
+                0 => format!(", scale: {by}"),
+                _ => format!(", scale: {{by: {by}, about: {about}}}"),
             });
-            yaml.push_str(&format!(", move: {own}"));
+        }
+        yaml.push_str(&self.change.yaml.replace(EVERY, &self.every()));
+        let csv = format!("{}.csv", csvs.len());
+        csvs.insert(csv.clone(), self.movement.csv.clone());
+        let wish = self.tolerance.map_or(String::new(), |tolerance| format!("tolerance: {tolerance}, "));
+        let tracks = |some: Range<usize>| {
+            let written = match &self.beats {
+                Some(_) => self.keyframes(some),
+                None => self.movement.yaml.replace("c.csv", &csv),
+            };
+            format!("{{{}: {{{wish}{written}}}}}", DEVICES[self.device].0)
+        };
+        let all = 0..self.beats.as_ref().map_or(0, Vec::len);
+        if !self.by_move {
+            yaml.push_str(&format!(", tracks: {}", tracks(all)));
+            return yaml;
+        }
+        let own = format!("m{}", csvs.len());
+        let given = |name: &str, value: &str| format!("{name}: {value}");
+        let unset = |name: &str, _: &str| format!("{name}: ~");
+        let passed = |name: &str, _: &str| format!("{name}: ${name}");
+        let outer = match self.parameters {
+            Some(true) => self.needed(all.clone(), given),
+            _ => self.needed(all.clone(), unset),
+        };
+        if self.parameters == Some(false) {
+            yaml.push_str(&format!(", {}move: {own}", self.needed(all.clone(), given)));
         } else {
-            yaml.push_str(&format!(", tracks: {tracks}"));
+            yaml.push_str(&format!(", move: {own}"));
+        }
+        if !self.composed {
+            moves.push_str(&format!("  {own}: {{{outer}tracks: {}}}\n", tracks(all)));
+            return yaml;
+        }
+        let parts = match self.halves() {
+            Some([one, other]) => vec![("one", one), ("other", other)],
+            None => vec![("inner", all)],
+        };
+        let play = parts
+            .iter()
+            .map(|(name, part)| format!("{{{}move: {own} {name}}}", self.needed(part.clone(), passed)));
+        moves.push_str(&format!("  {own}: {{{outer}play: [{}]}}\n", play.collect::<Vec<_>>().join(", ")));
+        for (name, part) in parts {
+            let parameters = self.needed(part.clone(), unset);
+            moves.push_str(&format!("  {own} {name}: {{{parameters}tracks: {}}}\n", tracks(part)));
         }
         yaml
     }
 
+    /// From turn to turn, as long as the longest movement and the pause.
+    fn every(&self) -> String {
+        let longest = match &self.beats {
+            Some(keyframes) => beats(keyframes[keyframes.len() - 1].0.most()),
+            None => format!("{}ms", self.movement.ways[self.movement.ways.len() - 1].end),
+        };
+        self.pause.yaml(&format!("{longest} + "), |millis| format!("{millis}ms"))
+    }
+
+    /// Some of the keyframes in beats, from the first of them on.
+    fn keyframes(&self, some: Range<usize>) -> String {
+        let keyframes = self.beats.as_deref().unwrap_or_default();
+        let from = keyframes[some.start].0.most();
+        let is_parameter = |each: Each| self.by_move && self.parameters.is_some() && each.differs();
+        let text = |index: usize| {
+            let (at, to) = keyframes[index];
+            let at = if is_parameter(at) { format!("$t{index}") } else { at.plus(-from).yaml("", beats) };
+            let to = if is_parameter(to) { format!("$p{index}") } else { to.yaml("", quarters) };
+            format!("{{at: {at}, to: {to}}}")
+        };
+        format!("keyframes: [{}]", some.map(text).collect::<Vec<_>>().join(", "))
+    }
+
+    /// The parameters that some of its keyframes need.
+    fn needed(&self, some: Range<usize>, text: impl Fn(&str, &str) -> String) -> String {
+        let keyframes = self.beats.as_deref().filter(|_| self.parameters.is_some()).unwrap_or_default();
+        let of = |index: usize| {
+            let (at, to) = *keyframes.get(index)?;
+            let at = at.differs().then(|| text(&format!("t{index}"), &at.yaml("", beats)));
+            let to = to.differs().then(|| text(&format!("p{index}"), &to.yaml("", quarters)));
+            Some(at.into_iter().chain(to))
+        };
+        let all: Vec<String> = some.filter_map(of).flatten().collect();
+        if all.is_empty() { String::new() } else { format!("parameters: {{{}}}, ", all.join(", ")) }
+    }
+
     /// The keyframes of a movement in beats as those of two, which meet at one of them. Without a fixed start each of the two
     /// would be laid on the clock by itself.
-    fn halves(&self) -> Option<[String; 2]> {
+    fn halves(&self) -> Option<[Range<usize>; 2]> {
         let keyframes = self.beats.as_ref().filter(|_| matches!(self.when, When::At(_) | When::Bar(_)))?;
         let middle = keyframes.len() / 2;
-        let half = |keyframes: &[(i64, f64)]| {
-            let from = keyframes[0].0;
-            let text =
-                |(at, to): &(i64, f64)| format!("{{at: {} beats, to: {to}}}", (at - from) as f64 / 4.0);
-            format!("keyframes: [{}]", keyframes.iter().map(text).collect::<Vec<_>>().join(", "))
-        };
-        Some([half(&keyframes[..=middle]), half(&keyframes[middle..])])
+        let is_fixed = !keyframes[keyframes.len() - 1].0.differs();
+        is_fixed.then_some([0..middle + 1, middle..keyframes.len()])
     }
 }
 
