@@ -56,12 +56,16 @@ fn fleet(count: usize) -> Fleet {
 }
 
 fn formed(count: usize) -> String {
-    let word = 15.0 * (count as f64).sqrt();
+    // Of a thousand robots a text would be a kilometre wide.
+    let word = match count {
+        ..=300 => format!("{{text: DOWNBEAT, size: {}, at: [0, 0, 100]}}", 18.0 * (count as f64).sqrt()),
+        _ => "{sphere: {radius: 40}, at: [0, 0, 100]}".to_owned(),
+    };
     format!(
         "scenario: formed
 formations:
   ring: {{circle: {{spacing: 2}}, at: [0, 0, 60]}}
-  word: {{text: DOWNBEAT, size: {word}, at: [0, 0, 100]}}
+  word: {word}
   block: {{grid: {{spacing: 2}}, at: [0, 0, 60]}}
 cues:
   - {{cue: ring, at: 0s, robots: all, form: ring, over: 300s}}
@@ -79,9 +83,13 @@ fn tracks(act: &Act, fleet: &Fleet) -> BTreeMap<(String, String), Vec<(f64, f64)
             let track = tracks.entry((plan.robot.to_string(), script.device.to_string())).or_default();
             let home = || home(fleet, plan.robot.as_str(), script.device.as_str());
             let before = track.last().map_or_else(home, |(_, to)| *to);
-            track.push((script.start.get(), before));
-            for step in script.script.steps().iter().filter(|step| step.offset.get() > 0.0) {
-                track.push((script.start.get() + step.offset.get(), step.setpoint.value));
+            let own = script.script.steps().iter();
+            let own = own.map(|step| (script.start.get() + step.offset.get(), step.setpoint.value));
+            for (at, to) in std::iter::once((script.start.get(), before)).chain(own) {
+                // Scripts that meet share a value.
+                if track.last().is_none_or(|(until, _)| at > until + 1e-3) {
+                    track.push((at, to));
+                }
             }
         }
     }
@@ -153,7 +161,7 @@ fn nearest_first(from: &[Place], to: &[Place]) -> f64 {
 
 fn main() {
     println!(
-        "a circle, a text, a grid     formed  written out   ratio   closest   ways of nearest first to these"
+        "a circle, a text, a grid (1,000: a circle, a sphere, a grid)\n                         formed  written out   ratio   closest   ways of nearest first to these"
     );
     for (count, times) in GROUPS {
         let fleet = fleet(count);
