@@ -3,7 +3,7 @@
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
 use crate::fleet::Fleet;
-use crate::formation::{Point, SAME, nearest_pair};
+use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::node::shortened;
 use crate::scenario::Scenario;
 
@@ -28,11 +28,20 @@ pub(super) fn apart(metres: f64) -> String {
     }
 }
 
-/// A warning about the two places that are nearest to each other, if that is nearer than two bodies may be.
+/// What is expected of two places at which bodies stand that have to be so many metres apart.
+pub(super) fn between(metres: f64) -> String {
+    format!(
+        "at least {metres:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
+    )
+}
+
+/// A warning about the two places that are nearest to each other, if that is nearer than any two bodies of the fleet may be.
 pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[Point], fleet: &Fleet) {
     let Some(pair) = nearest_pair(places) else { return };
-    let least = fleet.space.distance.unwrap_or(0.0);
-    if pair.distance >= least.max(SAME) {
+    let bodies = || fleet.robots.iter().filter_map(|robot| robot.body.as_ref());
+    // Without a distance, nothing is said of bodies that touch.
+    let least = fleet.space.distance.map(|_| fleet.space.between_middles(bodies()));
+    if pair.distance >= least.unwrap_or(0.0).max(SAME) - ROUNDING {
         return;
     }
     let [a, b] = pair.places;
@@ -44,10 +53,7 @@ pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[P
         b + 1,
         shortened(name)
     );
-    let expected = match fleet.space.distance {
-        Some(least) => format!("at least {least} m, the `distance` of the fleet's `space`"),
-        None => "every place once".to_owned(),
-    };
+    let expected = least.map_or_else(|| "every place once".to_owned(), between);
     let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
     findings.add(Code::NearPlaces, place.clone(), message, expected, hint);
 }

@@ -5,7 +5,7 @@ use urrcp::{ControlType, Device, Limits, Span};
 use crate::fleet::{Fleet, limits_of};
 use crate::formation::Point;
 use crate::motion::nearest_on_grid;
-use crate::space::{Body, Coordinate, Shape};
+use crate::space::{Body, Coordinate};
 use crate::transit;
 
 /// A coordinate of a body.
@@ -100,22 +100,6 @@ impl Dancer<'_> {
     /// Which robot it is, when and where it begins.
     pub(super) fn begin(&self) -> (usize, f64, Point) {
         (self.robot, self.delay_seconds(), self.from)
-    }
-
-    /// Of the ball about its middle that holds it, in metres.
-    pub(super) fn radius(&self) -> f64 {
-        match self.body.shape {
-            Shape::Ball { radius } => radius,
-            Shape::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
-        }
-    }
-
-    /// Half of what it is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
-    pub(super) fn inner_radius(&self) -> f64 {
-        match self.body.shape {
-            Shape::Ball { radius } => radius,
-            Shape::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
-        }
     }
 
     /// Whether it cannot change its height.

@@ -3,14 +3,11 @@
 use std::cmp::Ordering;
 
 use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
-use crate::formation::{Point, SAME, nearest_pair};
+use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
 use crate::node::shortened;
 use crate::scenario::{Form, Spare, Target, Thin};
 use crate::transit::{self, Refused, Way};
-
-/// Metres by which two places may seem nearer than they are.
-const ROUNDING: f64 = 1e-9;
 
 /// The way of each robot into a formation.
 pub(super) fn formed(
@@ -82,9 +79,7 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
 fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Result<(), Fault> {
     // Of more places than robots only some are taken.
     let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
-    let mut radii: Vec<f64> = dancers.iter().map(Dancer::inner_radius).collect();
-    radii.sort_unstable_by(f64::total_cmp);
-    let required = ground.fleet.space.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>();
+    let required = ground.fleet.space.between_middles(dancers.iter().map(|dancer| dancer.body));
     match pair.distance >= required.max(SAME) - ROUNDING {
         true => Ok(()),
         false => Err(Fault::Crowded { places: pair.places, distance: pair.distance, required }),
@@ -116,7 +111,7 @@ fn bodies(
     let heights = dancers.iter().map(|dancer| dancer.from[2]).chain(goals.iter().map(|goal| goal[2]));
     let lowest = heights.fold(f64::INFINITY, f64::min);
     let body = |dancer: &Dancer<'_>| {
-        let radius = dancer.radius();
+        let radius = dancer.body.shape.outer_radius();
         let [x, y, z] = dancer.axes.each_ref().map(|axis| axis.error(asked.tolerance));
         let keep_in = space.keep_in.as_ref().map_or(f64::INFINITY, |volume| volume.most[2] - radius);
         transit::Body {

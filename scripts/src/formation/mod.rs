@@ -29,6 +29,8 @@ pub(crate) const PLACES_MAX: usize = 10_000;
 
 /// Places that are nearer to each other, in metres, count as one.
 pub(crate) const SAME: f64 = 1e-6;
+/// Metres by which two places may seem nearer than they are.
+pub(crate) const ROUNDING: f64 = 1e-9;
 
 /// A place, or a vector: x, y, z in metres.
 pub(crate) type Point = [f64; 3];

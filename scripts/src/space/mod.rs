@@ -163,6 +163,24 @@ pub enum Shape {
     },
 }
 
+impl Shape {
+    /// Of the ball about its middle that holds it, in metres.
+    pub(crate) fn outer_radius(&self) -> f64 {
+        match *self {
+            Self::Ball { radius } => radius,
+            Self::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
+        }
+    }
+
+    /// Half of what it is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
+    pub(crate) fn inner_radius(&self) -> f64 {
+        match *self {
+            Self::Ball { radius } => radius,
+            Self::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
+        }
+    }
+}
+
 /// What the bodies of an act do, where the fleet file describes bodies.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InSpace {
@@ -233,6 +251,13 @@ impl Space {
     #[must_use]
     pub fn is_checked(&self) -> bool {
         self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
+    }
+
+    /// How near the middles of any two of these bodies may come at most, in metres: with the radii of the two smallest.
+    pub(crate) fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
+        let mut radii: Vec<f64> = bodies.map(|body| body.shape.inner_radius()).collect();
+        radii.sort_unstable_by(f64::total_cmp);
+        self.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>()
     }
 }
 

@@ -445,10 +445,10 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     );
     let findings = compiled(3, &text).findings;
     let codes: Vec<Code> = findings.iter().map(|finding| finding.code).collect();
-    assert_eq!(codes, [Code::NoWayPast], "{findings:#?}");
-    assert_eq!(findings[0].message, "places 1 and 2 of `near` are 0.390 m apart");
-    assert!(findings[0].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
-    let hint = findings[0].hint.as_deref().unwrap();
+    assert_eq!(codes, [Code::NearPlaces, Code::NoWayPast], "{findings:#?}");
+    assert_eq!(findings[1].message, "places 1 and 2 of `near` are 0.390 m apart");
+    assert!(findings[1].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
+    let hint = findings[1].hint.as_deref().unwrap();
     assert!(hint.contains("larger") && !hint.contains("time"), "{hint}");
     // Without bodies and distances, two robots still cannot be at one place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
@@ -619,5 +619,17 @@ fn of_robots_whose_movement_is_missing_nothing_follows() {
     ] {
         let found = codes(&format!("scenario: s\ncues:\n  - {{cue: up, at: 0s, {up}}}\n{next}"));
         assert!(found.len() == 1 && found != [Code::TooClose], "{up}: {found:?}");
+    }
+}
+
+#[test]
+fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
+    // Bodies of 0.1 m that keep 0.2 m apart.
+    for (gap, expected) in [(0.39, vec![Code::NearPlaces]), (0.4, vec![])] {
+        let text = format!(
+            "scenario: s\nformations: {{two: {{points: [[0, 0, 1], [{gap}, 0, 1]]}}}}\ncues: [{{robots: d0, shift: [0, 0, 1], over: 4s}}]\n"
+        );
+        let found: Vec<Code> = compiled(2, &text).findings.iter().map(|found| found.code).collect();
+        assert_eq!(found, expected, "{gap}");
     }
 }

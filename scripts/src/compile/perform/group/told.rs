@@ -1,7 +1,7 @@
 //! What is wrong with a group, in words.
 
 use super::Performer;
-use crate::compile::check_formations::apart;
+use crate::compile::check_formations::{apart, between};
 use crate::compile::conflict::told;
 use crate::duration;
 use crate::ensemble::{Fault, GROUP_MAX, POINTS_MAX};
@@ -150,9 +150,7 @@ impl Performer<'_, '_> {
             Fault::Crowded { places, distance, required } => {
                 let [a, b] = places.map(|place| place + 1);
                 let message = format!("places {a} and {b} of `{}` {}", shortened(name), apart(*distance));
-                let expected = format!(
-                    "at least {required:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
-                );
+                let expected = between(*required);
                 let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
                 self.findings.add(Code::NoWayPast, here, message, expected, hint);
             }
