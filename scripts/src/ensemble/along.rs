@@ -7,7 +7,7 @@ use crate::formation::{Point, SAME, metres_between};
 use crate::motion::{Along, Carried, Path};
 use crate::scenario::Course;
 
-/// Most points of all laps together, and of the robots that follow.
+/// Most points of all laps together, and of the places of robots that follow.
 pub(crate) const POINTS_MAX: usize = 10_000;
 
 /// A path on which every robot has its place.
@@ -56,6 +56,10 @@ pub(super) fn carrier(course: &Course, dancers: &[Dancer<'_>], ground: Ground<'_
     }
     if course.follow {
         return trail(path, laps, dancers);
+    }
+    let count = path.points().len() * laps as usize;
+    if count > POINTS_MAX {
+        return Err(Fault::TooManyPoints(count));
     }
     let length = path.length() * f64::from(laps);
     Ok(Carrier { path: path.clone(), length, turning: course.turning, begins: vec![0.0; dancers.len()] })

@@ -25,13 +25,13 @@ pub(super) fn swept(
         (center[0], center[1]) = (x, y);
     }
     let stays = carrier.is_none() && sweep.shift == [0.0; 3];
-    if stays && dancers.iter().all(|dancer| is_center(dancer.from, center, sweep)) {
+    if stays && dancers.iter().all(|dancer| is_center(dancer, center, sweep)) {
         return Err(Fault::Unmoved);
     }
     let length = asked.seconds();
     let turning = carrier.as_ref().is_some_and(Carrier::is_turning);
     let moved = |(index, dancer): (usize, &Dancer<'_>)| {
-        let mut axes = axes(dancer.from, center, sweep, turning);
+        let mut axes = axes(dancer, center, sweep, turning);
         let carried = carrier.iter().flat_map(|carrier| carrier.carried(index));
         for (swept, carried) in axes.iter_mut().zip(carried) {
             swept.carried = Some(carried);
@@ -77,9 +77,9 @@ impl Needed {
 }
 
 /// Whether turning and growing leave it where it is: it stands in the middle.
-fn is_center(from: Point, center: Point, sweep: &Sweep) -> bool {
-    let axes = if sweep.grow == 1.0 { 2 } else { 3 };
-    (0..axes).all(|axis| (from[axis] - center[axis]).abs() < SAME)
+fn is_center(dancer: &Dancer<'_>, center: Point, sweep: &Sweep) -> bool {
+    let axes = if sweep.grow == 1.0 || dancer.is_flat() { 2 } else { 3 };
+    (0..axes).all(|axis| (dancer.from[axis] - center[axis]).abs() < SAME)
 }
 
 /// A robot that cannot follow, because it cannot change its height. Where none can, a group grows on its level.
@@ -114,8 +114,12 @@ fn middle(dancers: &[Dancer<'_>]) -> Point {
 }
 
 /// x, y and z of a body that is at a place when the group begins.
-fn axes(from: Point, center: Point, sweep: &Sweep, turning: bool) -> [Swept; 3] {
-    let [x, y, z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);
+fn axes(dancer: &Dancer<'_>, center: Point, sweep: &Sweep, turning: bool) -> [Swept; 3] {
+    let from = dancer.from;
+    let [x, y, mut z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);
+    if dancer.is_flat() {
+        z = 0.0;
+    }
     let more = sweep.grow - 1.0;
     let line = |center: f64, shift: f64| [center, shift, 0.0];
     if sweep.turns == 0.0 && !turning {

@@ -26,6 +26,16 @@ impl Easing {
         }
     }
 
+    /// When [`Self::Smooth`] has a value from 0 to 1: by halving.
+    pub(crate) fn smooth_time(value: f64) -> f64 {
+        let (mut early, mut late) = (0.0, 1.0);
+        for _ in 0..50 {
+            let middle = f64::midpoint(early, late);
+            if Self::Smooth.at(middle) < value { early = middle } else { late = middle }
+        }
+        f64::midpoint(early, late)
+    }
+
     /// Largest slope for s from 0 to 1: at s = 1/2.
     pub(crate) fn slope_max(self) -> f64 {
         match self {

@@ -24,6 +24,8 @@ pub(crate) enum Function {
 /// Samples of a movement without turns, and in each turn besides.
 const SAMPLES: f64 = 1_024.0;
 const IN_TURN: f64 = 128.0;
+/// How far beside the end of a part of a path both sides are looked at, by u.
+const BESIDE: f64 = 1e-9;
 /// How much faster than on average the minimum jerk law goes in its middle.
 const PEAK: f64 = 1.875;
 
@@ -69,10 +71,10 @@ impl Carried {
         (slope * self.length, bend * self.length * self.length)
     }
 
-    /// In turns of a bend, how closely it has to be looked at.
-    #[expect(clippy::cast_precision_loss, reason = "a few thousand points")]
-    fn winding(&self) -> f64 {
-        self.path.points().len() as f64 * self.length / self.path.length() / 4.0
+    /// Where parts of the path end, by u: there its bends are sharpest.
+    fn ends(&self) -> impl Iterator<Item = f64> {
+        let ends = self.path.ends(self.from, self.from + self.length);
+        ends.into_iter().map(|metres| ((metres - self.from) / self.length).clamp(0.0, 1.0))
     }
 }
 
@@ -156,23 +158,18 @@ impl Swept {
     }
 
     /// The largest speed and acceleration of a point with these coordinates, by s: no less than they are, and with turns up to a
-    /// thirtieth of a percent more. Along a path they are the largest of so many samples that there are 32 between two of its points
-    /// where it is gone along fastest.
+    /// thirtieth of a percent more. Along a path they are the largest where its parts end, or of many samples.
     pub(crate) fn together(axes: &[Self]) -> (f64, f64) {
-        let turns = |axis: &Self| axis.turns.abs() + axis.carried.as_ref().map_or(0.0, Carried::winding);
-        let turns = axes.iter().map(turns).fold(0.0, f64::max);
+        let turns = axes.iter().map(|axis| axis.turns.abs()).fold(0.0, f64::max);
+        let carried = axes.iter().find_map(|axis| axis.carried.as_ref());
         let samples = (SAMPLES + IN_TURN * PEAK * turns).ceil();
         // Of N samples in a turn, the largest is lower than a cosine's peak by a share of at most (pi / N)^2 / 2.
-        let missed = if turns > 0.0 { 1.0 + (PI / IN_TURN).powi(2) / 2.0 } else { 1.0 };
-        let at = |i: u32| {
-            let s = f64::from(i) / samples;
-            let (law, slope, bend) = (
-                Easing::Smooth.at(s),
-                30.0 * (s * (1.0 - s)).powi(2),
-                60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
-            );
+        let is_bent = turns > 0.0 || carried.is_some();
+        let missed = if is_bent { 1.0 + (PI / IN_TURN).powi(2) / 2.0 } else { 1.0 };
+        let at = |s: f64, u: f64| {
+            let (slope, bend) = (30.0 * (s * (1.0 - s)).powi(2), 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s));
             let add = |(speed, acceleration): (f64, f64), axis: &Self| {
-                let [_, first, second] = axis.jet(law);
+                let [_, first, second] = axis.jet(u);
                 (speed.hypot(first * slope), acceleration.hypot(second * slope * slope + first * bend))
             };
             axes.iter().fold((0.0, 0.0), add)
@@ -181,10 +178,17 @@ impl Swept {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "at most a thousand turns, and a few thousand points"
+            reason = "at most a thousand turns"
         )]
         let count = samples as u32;
-        let (speed, acceleration) = (0..=count).map(at).fold((0.0, 0.0), larger);
+        let even = (0..=count).map(|i| f64::from(i) / samples).map(|s| at(s, Easing::Smooth.at(s)));
+        // On both sides of an end, where the second derivative may jump.
+        let ends = carried.into_iter().flat_map(Carried::ends);
+        let ends = ends.map(|u| {
+            let s = Easing::smooth_time(u);
+            larger(at(s, (u - BESIDE).max(0.0)), at(s, (u + BESIDE).min(1.0)))
+        });
+        let (speed, acceleration) = even.chain(ends).fold((0.0, 0.0), larger);
         (speed * missed, acceleration * missed)
     }
 }
@@ -308,6 +312,34 @@ mod tests {
         let (fastest, hardest) = (sampled(&first), sampled(&second));
         assert!(slope >= fastest && slope <= fastest * (1.0 + 1e-9), "{slope} {fastest}");
         assert!(curvature >= hardest && curvature <= hardest * (1.0 + 1e-9), "{curvature} {hardest}");
+    }
+
+    #[test]
+    fn the_largest_speed_and_acceleration_along_a_path_are_those_of_its_sharpest_bend() {
+        let points = [[0.0; 3], [10.0, 0.0, 0.0], [10.02, 0.02, 0.0], [10.02, 20.0, 0.0]];
+        let path = Arc::new(Path::through(&points, false).unwrap());
+        let (from, length) = (0.0, path.length());
+        let axes = [Along::X, Along::Y, Along::Z].map(|along| {
+            let carried = Carried { path: path.clone(), along, gain: 1.0, from, length, turning: false };
+            Swept { carried: Some(carried), ..Swept::default() }
+        });
+        for axes in [axes.as_slice(), &axes[..1], &axes[1..2]] {
+            let (mut fastest, mut hardest) = (0.0_f64, 0.0_f64);
+            for i in 0..=2_000_000 {
+                let s = f64::from(i) / 2e6;
+                let (slope, bend) = (30.0 * (s * (1.0 - s)).powi(2), 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s));
+                let rates = axes.iter().map(|axis| {
+                    let [_, first, second] = axis.jet(Easing::Smooth.at(s));
+                    [first * slope, second * slope * slope + first * bend]
+                });
+                let sum = rates
+                    .fold([0.0, 0.0], |sum: [f64; 2], rate| [sum[0].hypot(rate[0]), sum[1].hypot(rate[1])]);
+                (fastest, hardest) = (fastest.max(sum[0]), hardest.max(sum[1]));
+            }
+            let (speed, acceleration) = Swept::together(axes);
+            assert!(speed >= fastest && speed < fastest * 1.001, "{speed} {fastest}");
+            assert!(acceleration >= hardest && acceleration < hardest * 1.01, "{acceleration} {hardest}");
+        }
     }
 
     #[test]

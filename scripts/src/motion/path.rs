@@ -1,6 +1,7 @@
 //! A smooth way through points in space, by how far along it one is.
 
 use std::f64::consts::TAU;
+use std::hash::{Hash as _, Hasher as _};
 
 use super::spline::{Cubic, hermite, natural};
 
@@ -13,6 +14,8 @@ const AROUND: usize = 40;
 const BEND_MIN: f64 = 0.5;
 /// Shares of the speed along the path that a speed over the ground has at least, for a heading.
 const LEVEL_MIN: f64 = 1e-3;
+/// Most turns by which the heading changes in a part of a path that is nowhere upright.
+const HEADING_MAX: f64 = 0.25;
 /// Places and weights of Gauss and Legendre's rule of five points, on the interval from -1 to 1 (NIST DLMF, 3.5).
 const GAUSS: [(f64, f64); 5] = [
     (-0.906_179_845_938_664, 0.236_926_885_056_189_1),
@@ -39,6 +42,8 @@ pub(crate) struct Path {
     /// Bounds of the first two derivatives of each, by metres.
     bounds: [(f64, f64); 4],
     has_heading: bool,
+    /// Of everything that makes it.
+    digest: [u64; 2],
 }
 
 /// What a path moves.
@@ -85,7 +90,8 @@ impl Path {
         }
         let Laid { far, parts, is_steep, .. } = laid;
         let bounds = bounds(&far, &parts);
-        Ok(Self { points: points.to_vec(), closed, far, parts, bounds, has_heading: !is_steep })
+        let digest = digest(points, closed);
+        Ok(Self { points: points.to_vec(), closed, far, parts, bounds, has_heading: !is_steep, digest })
     }
 
     /// In metres; of a closed path that of a lap.
@@ -138,10 +144,33 @@ impl Path {
         self.bounds[along as usize]
     }
 
-    /// Everything that makes it.
-    pub(super) fn key(&self) -> impl Iterator<Item = u64> {
-        self.points.iter().flatten().map(|part| part.to_bits()).chain([u64::from(self.closed)])
+    /// Where parts end between two distances along the path, in metres. Of many laps only those in the first one, the last one, and
+    /// those about the middle, where a body from rest to rest is fastest.
+    pub(super) fn ends(&self, from: f64, to: f64) -> Vec<f64> {
+        let length = self.length();
+        let lap = |metres: f64| if self.closed { (metres / length).floor() } else { 0.0 };
+        let (first, middle, last) = (lap(from), lap(f64::midpoint(from, to)), lap(to));
+        let mut laps = vec![first, middle - 1.0, middle, middle + 1.0, last];
+        laps.retain(|lap| (first..=last).contains(lap));
+        laps.dedup();
+        let ends = laps.iter().flat_map(|lap| self.far.iter().map(move |far| lap * length + far));
+        ends.filter(|metres| (from..=to).contains(metres)).collect()
     }
+
+    /// What tells it from others.
+    pub(super) const fn key(&self) -> [u64; 2] {
+        self.digest
+    }
+}
+
+/// 128 bits of everything that makes a path: equal ones are equal paths but for an unlikely accident.
+fn digest(points: &[[f64; 3]], closed: bool) -> [u64; 2] {
+    [0u8, 1].map(|seed| {
+        let mut hasher = std::collections::hash_map::DefaultHasher::new();
+        (seed, closed).hash(&mut hasher);
+        points.iter().flatten().for_each(|part| part.to_bits().hash(&mut hasher));
+        hasher.finish()
+    })
 }
 
 /// What a path has of parts so far.
@@ -169,12 +198,15 @@ impl Laid {
             let turns_back = TurnsBack { point: point + usize::from(index >= PARTS / 2) };
             let (Some(from), Some(to)) = (from, to) else { return Err(turns_back) };
             let before = self.last.map_or(from.direction, |(direction, _)| direction);
-            if dot(before, from.direction) < BEND_MIN || dot(from.direction, to.direction) < BEND_MIN {
+            let bends_little = |a, b| dot(a, b) >= BEND_MIN;
+            if !bends_little(before, from.direction) || !bends_little(from.direction, to.direction) {
                 return Err(turns_back);
             }
             self.is_steep |= from.is_steep || to.is_steep;
             let heading = self.last.map_or(from.heading, |(_, heading)| nearest_turn(from.heading, heading));
             let next = nearest_turn(to.heading, heading);
+            // In so small a part the heading changes as much only where it goes through the vertical.
+            self.is_steep |= (next - heading).abs() > HEADING_MAX;
             let axis = |axis: usize| {
                 hermite([from.at[axis], to.at[axis]], [from.direction[axis], to.direction[axis]], length)
             };
@@ -204,7 +236,8 @@ impl End {
         let [x, y, z] = piece.each_ref().map(|cubic| jet(cubic, s));
         let speed = norm([x[1], y[1], z[1]]);
         let level = x[1].hypot(y[1]);
-        if speed <= f64::MIN_POSITIVE {
+        // What is no number has no direction either.
+        if speed.is_nan() || speed <= f64::MIN_POSITIVE {
             return None;
         }
         let is_steep = level < LEVEL_MIN * speed;
@@ -337,6 +370,24 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_circle_that_stands_upright_has_no_heading_wherever_its_points_are() {
+        for index in 0..60 {
+            let pitch = (0.05 + 0.1 * real(index)).to_radians();
+            let point = |index: usize| {
+                let angle = TAU * real(index) / 64.0 + pitch;
+                [2.0 * angle.cos(), 0.0, 2.0 * angle.sin()]
+            };
+            let path = Path::through(&(0..64).map(point).collect::<Vec<_>>(), true).unwrap();
+            assert!(!path.has_heading(), "{index}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_has_no_path() {
+        assert!(Path::through(&[[0.0; 3], [1e-200, 0.0, 0.0]], false).is_err());
     }
 
     #[test]

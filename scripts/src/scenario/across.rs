@@ -57,7 +57,7 @@ enum Whereabouts {
     /// In metres.
     Known(f64),
     Unknown,
-    /// A group moved it that has no ways, or none that is known: the compiler tells why.
+    /// A group moved it that has no ways, or none that is known: mostly the compiler tells why.
     Lost,
 }
 
@@ -134,9 +134,7 @@ impl Group {
 
     /// Robots are where their last cue in the file leaves them. The ways of those that move as a group, if it is known where they begin.
     pub(super) fn leave(&mut self, library: &Library<'_>, cue: &Cue) -> Option<Rehearsed> {
-        if let Some(together) = &cue.group {
-            return self.rehearse(library, cue, together);
-        }
+        let rehearsed = cue.group.as_ref().and_then(|together| self.rehearse(library, cue, together));
         let mut overridden = HashMap::new();
         for (name, movement) in &cue.overrides {
             let robots = library.robots(std::slice::from_ref(name));
@@ -152,7 +150,7 @@ impl Group {
                 axes.iter_mut().for_each(|axis| axis.follow(track));
             }
         }
-        None
+        rehearsed
     }
 
     /// Each robot is where its way leads; the places are lost where there is none.
@@ -162,7 +160,7 @@ impl Group {
         let ways = dancers.as_ref().map(|dancers| ensemble::ways(asked, dancers, library.ground()));
         for robot in &self.robots {
             let axes = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut());
-            axes.into_iter().flatten().for_each(|axis| axis.at = Whereabouts::Lost);
+            axes.into_iter().flatten().for_each(Axis::lose);
         }
         let (dancers, ways) = (dancers?, ways?);
         for (dancer, moved) in dancers.iter().zip(ways.iter().flatten()) {
@@ -190,6 +188,12 @@ impl Group {
 }
 
 impl Axis {
+    fn lose(&mut self) {
+        if matches!(self.of, Coordinate::Device { .. }) {
+            self.at = Whereabouts::Lost;
+        }
+    }
+
     fn follow(&mut self, track: &Track) {
         let Coordinate::Device { device, scale, offset } = &self.of else { return };
         if device.as_str() != track.device {

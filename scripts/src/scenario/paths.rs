@@ -71,6 +71,9 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
     };
     let (drawn, placing) = (drawn?, Placing::default().turned(rpy?, factor?));
     let placed: Vec<Point> = drawn.points.iter().map(|point| placing.of(*point)).collect();
+    if are_same(reader, at, &drawn, &placed) {
+        return None;
+    }
     match Path::through(&placed, drawn.closed) {
         Ok(path) => Some(path),
         Err(turns) => {
@@ -82,6 +85,31 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
             None
         }
     }
+}
+
+/// Whether neighbours among the points are in one place, which is told.
+fn are_same(reader: &mut Reader, at: &At<'_>, drawn: &Drawn, placed: &[Point]) -> bool {
+    let count = placed.len();
+    let next = |index: usize| (index + 1) % count;
+    let steps = if drawn.closed { count } else { count - 1 };
+    let apart = |index: &usize| metres_between(placed[*index], placed[next(*index)]);
+    let same: Vec<usize> = (0..steps).filter(|index| apart(index) < SAME).collect();
+    if drawn.places.is_empty() && !same.is_empty() {
+        reader.add(
+            Code::WrongType,
+            at.place(),
+            "a circle that is a point",
+            "a larger `radius` or `scale`",
+            None,
+        );
+        return true;
+    }
+    for &index in &same {
+        let message = format!("points {} and {} of the path are the same", index + 1, next(index) + 1);
+        let hint = (next(index) == 0).then(|| "`closed` leads back to the first point by itself".to_owned());
+        reader.add(Code::WrongType, drawn.places[index].clone(), message, "another point, or none", hint);
+    }
+    !same.is_empty()
 }
 
 fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
@@ -99,17 +127,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
     }
     let points: Option<Vec<Point>> = all.iter().map(|at| point(reader, at)).collect();
     let points = points.filter(|points| !points.is_empty())?;
-    let count = points.len();
-    let next = |index: usize| (index + 1) % count;
-    let steps = if closed { count } else { count - 1 };
-    let same: Vec<usize> =
-        (0..steps).filter(|index| metres_between(points[*index], points[next(*index)]) < SAME).collect();
-    for &index in &same {
-        let message = format!("points {} and {} of the path are the same", index + 1, next(index) + 1);
-        let hint = (next(index) == 0).then(|| "`closed` leads back to the first point by itself".to_owned());
-        reader.add(Code::WrongType, all[index].place(), message, "another point, or none", hint);
-    }
-    same.is_empty().then_some(Drawn { points, closed, places: all.iter().map(At::place).collect() })
+    Some(Drawn { points, closed, places: all.iter().map(At::place).collect() })
 }
 
 /// `{radius: 2}`: counterclockwise, and from the x axis.

@@ -61,7 +61,7 @@ fn a_group_that_turns_with_its_path_is_turned_about_its_middle() {
     let heading =
         |places: &[[f64; 3]]| (places[1][1] - places[0][1]).atan2(places[1][0] - places[0][0]).to_degrees();
     assert!(heading(&first).abs() < 0.1);
-    assert!((heading(&last) - 90.0).abs() < 20.0 && heading(&last) > 60.0, "{}", heading(&last));
+    assert!((heading(&last) - 90.0).abs() < 20.0, "{}", heading(&last));
     let middle = |places: &[[f64; 3]]| -> [f64; 3] {
         std::array::from_fn(|axis| (places[0][axis] + places[1][axis]) / 2.0)
     };
@@ -87,7 +87,6 @@ fn robots_that_follow_go_through_the_places_of_those_before_them() {
         let index = leader.iter().position(|point| apart(point, &last) < 0.01).unwrap();
         let left: f64 = leader[index..].windows(2).map(|pair| apart(&pair[0], &pair[1])).sum();
         assert!((left - behind).abs() < 0.1, "d{robot} ends {left} m behind");
-        assert!(apart(&all[0][robot], &all[0][3]) - behind < 1e-9);
     }
 }
 
@@ -137,4 +136,24 @@ fn a_row_that_cannot_follow_is_told() {
     let [finding] = compiled.findings.as_slice() else { panic!("{:#?}", compiled.findings) };
     assert_eq!(finding.code, Code::NotInGroup);
     assert!(finding.message.contains("turns back on the spot at `d0`"), "{}", finding.message);
+}
+
+#[test]
+fn points_are_the_same_once_they_are_scaled_and_laps_have_bounds() {
+    let found = |paths: &str, along: &str| {
+        let cue = format!("  - {{robots: [d0, d1], along: {along}, over: 900s}}\n");
+        let findings = compiled(2, &scenario(paths, &cue)).findings;
+        findings.into_iter().map(|finding| (finding.code, finding.message)).collect::<Vec<_>>()
+    };
+    let same = found("points: [[0, 0, 0], [1, 0, 0]], scale: 0.0000001", "way");
+    assert_eq!(same, [(Code::WrongType, "points 1 and 2 of the path are the same".to_owned())]);
+    assert_eq!(found("points: [[0, 0, 0], [0.0000005, 0, 0]], scale: 1000000", "way"), []);
+    assert_eq!(found("circle: {radius: 0.0000000001}", "way")[0].0, Code::WrongType);
+    let point = |index: u32| {
+        let (sine, cosine) = (std::f64::consts::TAU * f64::from(index) / 201.0).sin_cos();
+        format!("[{:.3}, {:.3}, 0], ", 9.0 * cosine, 9.0 * sine)
+    };
+    let many: String = (0..201).map(point).collect();
+    let laps = found(&format!("points: [{many}], closed: true"), "{path: way, laps: 50}");
+    assert_eq!(laps.iter().map(|(code, _)| *code).collect::<Vec<_>>(), [Code::TooMuch]);
 }

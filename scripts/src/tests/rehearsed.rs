@@ -96,3 +96,25 @@ fn places_are_not_known_after_a_group_that_cannot_move() {
     assert_eq!(told.len(), 1, "{told:?}");
     assert!(told[0].contains("for its way"), "{told:?}");
 }
+
+#[test]
+fn tracks_next_to_a_group_say_where_its_robots_are() {
+    let rise =
+        "{z: [{at: 0s, to: {from: 0, to: 4, across: group}}, {at: 8s, to: {from: 4, to: 0, across: group}}]}";
+    let text = format!(
+        "{WAYS}  - {{cue: first, robots: all, turn: 90, over: 8s, tracks: {rise}}}\n  - {{after: first, robots: all, canon: {{speed: 1, by: z}}, tracks: {{x: [{{at: 1s, to: 0}}]}}}}\n"
+    );
+    let compiled = compiled(COUNT, &text);
+    let act = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts.remove(0);
+    // The first robot is 4 m high then, the last one on the ground: it begins first.
+    let begins: Vec<f64> = ["d0", "d7"]
+        .iter()
+        .map(|id| {
+            let plan = act.plan.robots.iter().find(|plan| plan.robot.as_str() == *id).unwrap();
+            let of_x = plan.scripts.iter().filter(|script| script.device.as_str() == "x");
+            of_x.map(|script| script.start.get() + script.script.steps().last().unwrap().offset.get())
+                .fold(0.0, f64::max)
+        })
+        .collect();
+    assert!((begins[0] - begins[1] - 4_000.0).abs() < 1e-6, "{begins:?}");
+}

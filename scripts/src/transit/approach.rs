@@ -58,17 +58,7 @@ fn together(a: &Way, b: &Way) -> Approach {
     let square = dot(&line, &line);
     let u = if square > 0.0 { (-dot(&begin, &line) / square).clamp(0.0, 1.0) } else { 0.0 };
     let between: Point = std::array::from_fn(|axis| begin[axis] + u * line[axis]);
-    Approach { distance: dot(&between, &between).sqrt(), at: a.begin + a.length * time_of(u) }
-}
-
-/// When the time law has this value, as a share of its length: by halving.
-fn time_of(u: f64) -> f64 {
-    let (mut early, mut late) = (0.0, 1.0);
-    for _ in 0..50 {
-        let middle = f64::midpoint(early, late);
-        if Easing::Smooth.at(middle) < u { early = middle } else { late = middle }
-    }
-    f64::midpoint(early, late)
+    Approach { distance: dot(&between, &between).sqrt(), at: a.begin + a.length * Easing::smooth_time(u) }
 }
 
 /// Of any two ways, by halving their time where bounds of their speeds leave room for a closer approach.

@@ -85,7 +85,9 @@ impl<'a> Performer<'_, 'a> {
         times: &[CueTime],
         ground: Ground<'_>,
     ) {
-        let cues = act.cues.iter().zip(members).zip(times);
+        // That no robot answers is told already.
+        let cues =
+            act.cues.iter().zip(members).zip(times).filter(|((_, members), _)| !members.all.is_empty());
         let groups = cues.filter_map(|((cue, members), time)| {
             Some(Grouped { cue, group: cue.group.as_ref()?, members, time })
         });

@@ -185,11 +185,9 @@ impl Performer<'_, '_> {
                 self.findings.add(Code::WrongType, there, message, expected, None);
             }
             Fault::TooManyPoints(count) => {
-                let message = format!(
-                    "{} of {} robots and all laps of `{name}`",
-                    counted(*count, "point"),
-                    robots.len()
-                );
+                let points = counted(*count, "point");
+                let message =
+                    format!("{points} of all laps of `{name}`, with the places of robots that follow");
                 let hint = Some("let several cues follow each other, with fewer laps each".to_owned());
                 self.findings.add(
                     Code::TooMuch,
