@@ -240,8 +240,24 @@ fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) 
     Cow::Owned(Canon::default())
 }
 
-/// Where devices are left: by robot and device.
-pub(super) type Rest = HashMap<(usize, usize), f64>;
+/// Where devices are left, by robot and device: those that have been moved, in this act or before.
+pub(super) type Rest = HashMap<(usize, usize), Left>;
+
+/// Where a device is left, as far as it is known.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Left {
+    /// On every way from act to act.
+    usually: Option<f64>,
+    /// Also after a failure, a timeout or back from a later act.
+    certainly: Option<f64>,
+}
+
+impl Left {
+    /// By the last movement of an act.
+    pub(super) const fn at(value: Option<f64>) -> Self {
+        Self { usually: value, certainly: value }
+    }
+}
 
 /// Where devices are when an act begins, as far as that is known.
 pub(super) struct Positions<'a> {
@@ -283,10 +299,24 @@ impl<'a> Positions<'a> {
         Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first, others }
     }
 
+    /// Where the act leaves all devices: those that it does not move stay where they are.
+    pub(super) fn left_by(&self, mut moved: Rest) -> Rest {
+        for &(robot, device) in self.before.iter().flat_map(|rest| rest.keys()) {
+            moved.entry((robot, device)).or_insert_with(|| {
+                let known = devices_of(&self.fleet.robots[robot]).get(device);
+                let is_speed = known.and_then(Device::primary_control_type) == Some(ControlType::Speed);
+                let usually = if is_speed { self.of_speed(robot, device) } else { self.of(robot, device) };
+                Left { usually, certainly: self.certain(robot, device) }
+            });
+        }
+        moved
+    }
+
     /// Known only where every way into the act has the device at the same place, also after a failure, a timeout or back from a later act.
     pub(super) fn certain(&self, robot: usize, device: usize) -> Option<f64> {
         let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
-        let left = self.before.iter().map(|rest| rest.get(&(robot, device)).copied().or(default));
+        let left =
+            self.before.iter().map(|rest| rest.get(&(robot, device)).map_or(default, |left| left.certainly));
         let begun = (self.first || self.others.failure).then_some(default);
         let mut known = left.chain(begun);
         let place = known.next()?.filter(|_| !self.others.elsewhere)?;
@@ -311,7 +341,8 @@ impl<'a> Positions<'a> {
     }
 
     fn or(&self, robot: usize, device: usize, default: Option<f64>) -> Option<f64> {
-        let mut known = self.before.iter().map(|rest| rest.get(&(robot, device)).copied().or(default));
+        let left = |rest: &&Rest| rest.get(&(robot, device)).map_or(default, |left| left.usually);
+        let mut known = self.before.iter().map(left);
         let begin = if self.first { Some(default) } else { known.next() }?;
         known.all(|other| other == begin).then_some(begin).flatten()
     }

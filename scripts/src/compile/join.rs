@@ -6,7 +6,7 @@ use urrcp::{
     ControlType, Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition,
 };
 
-use super::cast::{Cast, Positions, Rest};
+use super::cast::{Cast, Left, Positions, Rest};
 use super::conflict::told;
 use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
@@ -50,9 +50,7 @@ pub(super) fn join(
         lane.check_jumps(&mut together, positions.of(robot, index));
         lane.check_left_in_motion(&mut together);
         let Some((scripts, used)) = lane.scripts(findings) else { continue };
-        if let Some(value) = lane.last_value() {
-            joined.rest.insert((robot, index), value);
-        }
+        joined.rest.insert((robot, index), Left::at(lane.last_value()));
         if last_robot != Some(robot) {
             joined.robots.push(RobotPlan { robot: cast.id(robot).clone(), scripts: Vec::new() });
             last_robot = Some(robot);

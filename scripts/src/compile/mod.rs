@@ -141,7 +141,7 @@ impl Compiler {
             };
             let (in_space, left) = check_space::check(&mut self.findings, &stage);
             poses.insert(index, left);
-            rests.insert(index, rest);
+            rests.insert(index, positions.left_by(rest));
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),
                 name => format!("{}, {name}", scenario.name),

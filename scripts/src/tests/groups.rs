@@ -633,3 +633,42 @@ fn places_are_too_near_for_the_bodies_of_the_fleet_before_any_cue_uses_them() {
         assert_eq!(found, expected, "{gap}");
     }
 }
+
+#[test]
+fn what_an_act_does_not_move_stays_where_the_acts_before_have_left_it() {
+    let acts = |last: &str| {
+        format!(
+            "scenario: s
+acts:
+  - {{act: a, cues: [{{robots: d0, tracks: {{x: [{{at: 0s, to: 0}}, {{at: 4s, to: 3}}]}}}}]}}
+  - {{act: b, cues: [{{robots: d0, tracks: {{y: [{{at: 0s, to: 0}}, {{at: 4s, to: 1}}]}}}}]}}
+  - {{act: c, cues: [{{robots: d0, {last}}}]}}
+"
+        )
+    };
+    let compiled = compiled(1, &acts("shift: [1, 0, 0], over: 4s"));
+    assert_eq!(compiled.findings, Vec::new());
+    let act = &compiled.choreography.unwrap().acts[2];
+    let script = act.plan.robots.iter().flat_map(|plan| &plan.scripts).next_back().unwrap();
+    let last = script.script.steps().last().unwrap();
+    assert_eq!((script.device.as_str(), last.setpoint.value), ("x", 4.0));
+    // Nothing moves it back.
+    let jumps = super::groups::compiled(1, &acts("tracks: {x: [{at: 0s, to: 0}, {at: 1s, to: 1}]}")).findings;
+    assert_eq!(jumps.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::Jump]);
+}
+
+#[test]
+fn bodies_stand_in_the_way_where_acts_before_have_left_them() {
+    let text = "scenario: s
+acts:
+  - {act: a, cues: [{robots: d0, shift: [0, 3, 0], over: 10s}]}
+  - {act: b, cues: [{robots: d1, shift: [0, 1, 0], over: 10s}]}
+  - {act: c, cues: [{robots: d1, shift: [5, 0, 0], over: 20s}]}
+  - {act: d, cues: [{robots: d1, shift: [0, 2, 0], over: 10s}]}
+  - {act: e, cues: [{robots: d1, shift: [-9, 0, 0], over: 20s}]}
+";
+    let found = compiled(2, text).findings;
+    let errors: Vec<_> =
+        found.iter().filter(|found| found.code == Code::TooClose).map(|found| found.line).collect();
+    assert_eq!(errors, [7], "{found:#?}");
+}
