@@ -218,7 +218,11 @@ fn reaches(
             on.who(control_type)
         );
         let expected = format!("{} to {}", limits.min_value, limits.max_value);
-        let hint = Some("make it smaller, for example by `scale`".to_owned());
+        let hint = match on.cue.group {
+            Some(_) => "make it smaller, or let the group begin elsewhere",
+            None => "make it smaller, for example by `scale`",
+        };
+        let hint = Some(hint.to_owned());
         findings.add(
             Code::OutOfRange,
             item_place(on.track, curve.knots[index].item),

@@ -2,6 +2,7 @@
 
 use urrcp::Span;
 
+use super::across::is_spread;
 use super::track::positive_time;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
@@ -187,7 +188,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
 
 fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
     let (turn, about) = match keys.turn {
-        Some(at) if matches!(at.node, Node::Map(_)) => {
+        Some(at) if matches!(at.node, Node::Map(_)) && !is_spread(at.node) => {
             let [by, about] = reader.map(&at, "`turn`", TURN_KEYS, &["by"])?;
             let about = match about {
                 Some(at) => Some(numbers::<2>(reader, &at, "x and y in metres, as [1, 0.5]", METRES_MAX)?),

@@ -79,8 +79,8 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
         Err(turns) => {
             let point = turns.point % placed.len();
             let place = drawn.places.get(point).map_or_else(|| at.place(), Place::clone);
-            let message = format!("{what} turns back on the spot at its point {}", point + 1);
-            let hint = Some("add a point beside it, so that it becomes a bend".to_owned());
+            let message = format!("{what} bends too sharply at its point {}", point + 1);
+            let hint = Some("add a point beside it, so that the bend is wider".to_owned());
             reader.add(Code::WrongType, place, message, "a way that can be gone without a stop", hint);
             None
         }

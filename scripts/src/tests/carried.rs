@@ -113,7 +113,7 @@ cues:
     let found = found(text);
     let codes: Vec<_> = found.iter().map(|(code, ..)| *code).collect();
     for (code, wanted) in [
-        (Code::WrongType, "turns back on the spot at its point 2"),
+        (Code::WrongType, "bends too sharply at its point 2"),
         (Code::WrongType, "points 2 and 3 of the path are the same"),
         (Code::MissingKey, "the path `none` has no shape"),
         (Code::UnknownKey, "a circle is closed"),
@@ -135,7 +135,7 @@ fn a_row_that_cannot_follow_is_told() {
     let compiled = compiled(3, &scenario("points: [[0, 0, 0], [2, 0, 0]]", cue));
     let [finding] = compiled.findings.as_slice() else { panic!("{:#?}", compiled.findings) };
     assert_eq!(finding.code, Code::NotInGroup);
-    assert!(finding.message.contains("turns back on the spot at `d0`"), "{}", finding.message);
+    assert!(finding.message.contains("bends too sharply at `d0`"), "{}", finding.message);
 }
 
 #[test]
@@ -156,4 +156,17 @@ fn points_are_the_same_once_they_are_scaled_and_laps_have_bounds() {
     let many: String = (0..201).map(point).collect();
     let laps = found(&format!("points: [{many}], closed: true"), "{path: way, laps: 50}");
     assert_eq!(laps.iter().map(|(code, _)| *code).collect::<Vec<_>>(), [Code::TooMuch]);
+}
+
+#[test]
+fn a_group_is_told_what_it_can_do_about_its_limits_and_that_it_moves_as_one() {
+    let found =
+        |cue: &str| compiled(2, &scenario(EIGHT, &format!("  - {{robots: [d0, d1], {cue}}}\n"))).findings;
+    let beyond = found("shift: [70, 0, 0], over: 100s");
+    let hints: Vec<&str> = beyond.iter().filter_map(|found| found.hint.as_deref()).collect();
+    assert!(hints.iter().any(|hint| hint.contains("begin elsewhere")), "{beyond:#?}");
+    assert!(!hints.iter().any(|hint| hint.contains("`scale`")), "{beyond:#?}");
+    let spread = found("turn: {from: 0, to: 90, across: group}, over: 10s");
+    assert_eq!(spread.len(), 1, "{spread:#?}");
+    assert!(spread[0].message.contains("spread over the robots"), "{spread:#?}");
 }

@@ -202,8 +202,7 @@ impl Performer<'_, '_> {
                 self.tell_no_row(group, message);
             }
             Fault::TurnsBack { dancer } => {
-                let message =
-                    format!("the way of those that follow turns back on the spot at `{}`", id(dancer));
+                let message = format!("the way of those that follow bends too sharply at `{}`", id(dancer));
                 self.tell_no_row(group, message);
             }
             _ => {}
