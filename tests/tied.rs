@@ -197,7 +197,7 @@ fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
 }
 
 /// Which section describes what, by the beginning of the place in the schema; the first that fits counts.
-const SECTIONS: [(&str, &str, &str, &str); 28] = [
+const SECTIONS: [(&str, &str, &str, &str); 29] = [
     ("scenario", "/$defs/keyframe/properties/ease", "docs/scenario.md", "### Movements"),
     ("scenario", "/$defs/keyframe", "docs/scenario.md", "### A track"),
     ("scenario", "/$defs/point", "docs/scenario.md", "### A track"),
@@ -215,6 +215,7 @@ const SECTIONS: [(&str, &str, &str, &str); 28] = [
     ("scenario", "/$defs/wait", "docs/scenario.md", "### An act"),
     ("scenario", "/$defs/cue", "docs/scenario.md", "### A cue"),
     ("scenario", "/$defs/formation", "docs/scenario.md", "### A formation"),
+    ("scenario", "/$defs/path", "docs/scenario.md", "### A path"),
     ("scenario", "/$defs/by", "docs/scenario.md", "### Patterns over a group"),
     ("scenario", "/$defs/canon", "docs/scenario.md", "### Patterns over a group"),
     ("scenario", "/$defs/direction", "docs/scenario.md", "### Patterns over a group"),
