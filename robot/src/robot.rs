@@ -409,6 +409,11 @@ impl Robot {
         }
     }
 
+    /// Whether something is still to be told.
+    pub(crate) const fn has_reports(&self) -> bool {
+        !self.reports.is_empty()
+    }
+
     pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
         for (index, happened, report) in reports.drain(..) {

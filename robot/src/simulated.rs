@@ -1,7 +1,7 @@
 //! A simulated robot: the real machine behind a clock, a link and faults of its own. Pure like the machine itself.
 
 use std::cell::Cell;
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 
 use urrcp::{
     Command, ControlError, ControlResponse, ControlType, DEVICES_MAX, DeviceId, Encoding, ErrorCode,
@@ -120,9 +120,12 @@ pub struct SimulatedRobot {
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
     /// The same for what its clock shows at an instant.
     read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
+    /// When it is next due, as long as nothing has changed since it was looked up.
+    wakes: Cell<Option<Option<Timestamp<True>>>>,
     /// What travels, and when it arrives; in that order, and in the order in which it was sent.
     in_flight: VecDeque<(Timestamp<True>, LaneId, InFlight)>,
-    lanes: BTreeMap<LaneId, Lane>,
+    /// A few: only those on which something travels.
+    lanes: Vec<(LaneId, Lane)>,
     log: Vec<LogEntry>,
     kept: Kept,
     outputs: Vec<Output>,
@@ -148,8 +151,9 @@ impl SimulatedRobot {
             epoch: None,
             shown: Cell::new(None),
             read: Cell::new(None),
+            wakes: Cell::new(None),
             in_flight: VecDeque::new(),
-            lanes: BTreeMap::new(),
+            lanes: Vec::new(),
             log: Vec::new(),
             kept: Kept::default(),
             outputs: Vec::new(),
@@ -309,7 +313,7 @@ impl SimulatedRobot {
         }
     }
 
-    /// As an edge does, before anything else.
+    /// As an edge does, before anything else. While hardware answers, this changes nothing but what is due.
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {
             let at = self.robot_from_true(now);
@@ -318,10 +322,12 @@ impl SimulatedRobot {
         }
     }
 
-    /// Whether [`SimulatedRobot::advance`] has anything to do: hardware is looked after whenever there is time.
+    /// Whether [`SimulatedRobot::advance`] has anything to do: hardware that does not answer is looked after whenever there is time.
     #[must_use]
     pub fn is_due(&self, now: Timestamp<True>) -> bool {
-        self.hands.is_some() || self.epoch.is_none() || self.next_wakeup().is_some_and(|at| at <= now)
+        let silent = self.hands.as_ref().is_some_and(|hands| hands.dead_since.is_some());
+        let due = || self.next_wakeup().is_some_and(|at| at <= now);
+        silent || self.epoch.is_none() || self.robot.has_reports() || due()
     }
 
     /// When the machine's next wake-up was due, if it is.
@@ -333,9 +339,13 @@ impl SimulatedRobot {
     /// When [`SimulatedRobot::advance`] is next due.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Timestamp<True>> {
+        if let Some(wakes) = self.wakes.get() {
+            return wakes;
+        }
         let mine = self.robot.next_wakeup().map(|at| self.true_from_robot(at));
-        let travelling = self.next_arrival();
-        mine.into_iter().chain(travelling).min()
+        let wakes = mine.into_iter().chain(self.next_arrival()).min();
+        self.wakes.set(Some(wakes));
+        wakes
     }
 
     fn next_arrival(&self) -> Option<Timestamp<True>> {
@@ -344,6 +354,7 @@ impl SimulatedRobot {
 
     fn deliver_first(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         let Some((_, lane, in_flight)) = self.in_flight.pop_front() else { return };
+        self.wakes.set(None);
         self.leave(lane);
         match in_flight {
             InFlight::Out(outgoing) => out.push(outgoing),
@@ -400,7 +411,12 @@ impl SimulatedRobot {
         }
     }
 
+    /// Carries out what the machine wants, which may have changed.
     fn perform(&mut self, now: Timestamp<True>) {
+        self.wakes.set(None);
+        if self.outputs.is_empty() {
+            return;
+        }
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
@@ -475,7 +491,11 @@ impl SimulatedRobot {
     /// Sends something on its way, behind what travels there already.
     fn dispatch(&mut self, now: Timestamp<True>, lane_id: LaneId, mut in_flight: InFlight) {
         let arrival = now + self.draw_delay();
-        let lane = self.lanes.entry(lane_id).or_insert(Lane { last: arrival, travelling: 0, closing: false });
+        let place = self.lanes.iter().position(|(id, _)| *id == lane_id).unwrap_or_else(|| {
+            self.lanes.push((lane_id, Lane { last: arrival, travelling: 0, closing: false }));
+            self.lanes.len() - 1
+        });
+        let lane = &mut self.lanes[place].1;
         if lane.closing {
             return;
         }
@@ -488,13 +508,15 @@ impl SimulatedRobot {
         let arrival = lane.last;
         let behind = self.in_flight.iter().rev().take_while(|(at, ..)| *at > arrival).count();
         self.in_flight.insert(self.in_flight.len() - behind, (arrival, lane_id, in_flight));
+        self.wakes.set(None);
     }
 
     fn leave(&mut self, lane_id: LaneId) {
-        let Some(lane) = self.lanes.get_mut(&lane_id) else { return };
+        let Some(place) = self.lanes.iter().position(|(id, _)| *id == lane_id) else { return };
+        let lane = &mut self.lanes[place].1;
         lane.travelling -= 1;
         if lane.travelling == 0 {
-            self.lanes.remove(&lane_id);
+            self.lanes.swap_remove(place);
         }
     }
 
@@ -521,6 +543,7 @@ impl SimulatedRobot {
     fn forget_times(&self) {
         self.shown.set(None);
         self.read.set(None);
+        self.wakes.set(None);
     }
 
     fn compute_robot_from_true(&self, now: Timestamp<True>) -> Timestamp<RobotClock> {

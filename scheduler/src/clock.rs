@@ -261,16 +261,16 @@ impl ClockEstimate {
         self.latest = self.latest.max(Some(sample.at));
         let (new, now) = (Bounds::of(&sample), sample.at);
         let told = new.interval(now, Rates::ANY);
-        match &mut self.bounds {
-            Some(bounds) if !bounds.interval(now, Rates::ANY).and(told).is_empty() => {
-                let all = bounds.interval(now, Rates::ANY);
+        let all = self.bounds.map(|bounds| bounds.interval(now, Rates::ANY));
+        match (&mut self.bounds, all) {
+            (Some(bounds), Some(all)) if !all.and(told).is_empty() => {
                 bounds.tighten(new, now, Rates::ANY);
                 if self.history.narrow(all, now).and(told).is_empty() {
                     // Within the bound, but not at the rate that was measured: NTP may have begun to fix the clock.
                     self.history = History::default();
                 }
             }
-            bounds => {
+            (bounds, _) => {
                 self.steps += u32::from(bounds.is_some());
                 *bounds = Some(new);
                 self.history = History::default();

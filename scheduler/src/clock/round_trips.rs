@@ -26,21 +26,27 @@ impl RoundTrips {
     /// another was under way tell of the same moment of the link and count as one with it, the longest of them. So does a
     /// second answer to a question, however many others were answered before it came.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
-        let began = at - delay;
+        let (began, outliers) = (at - delay, self.outliers());
         let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
-        let same = self.latest.iter_mut().find(|(ended, _)| began < *ended).filter(|_| !later);
+        let same = if later { None } else { self.latest.iter_mut().find(|(ended, _)| began < *ended) };
         match same {
             Some((ended, longest)) if delay > *longest => (*ended, *longest) = (at.max(*ended), delay),
             Some(_) => {}
             None => self.latest.push_back((at, delay)),
         }
+        let mut largest_forgotten = Span::ZERO;
         while self.latest.len() > EXCHANGES_MAX
             || (self.latest.len() > EXCHANGES_KEPT
                 && self.latest.front().is_some_and(|(ended, _)| at - *ended > WINDOW))
         {
-            self.latest.pop_front();
+            let forgotten = self.latest.pop_front();
+            largest_forgotten =
+                forgotten.map_or(largest_forgotten, |(_, delay)| delay.max(largest_forgotten));
         }
-        self.high = self.above_outliers();
+        // What comes and goes below it changes nothing.
+        if delay > self.high || largest_forgotten >= self.high || self.outliers() != outliers {
+            self.high = self.above_outliers();
+        }
     }
 
     /// How long round trips take now. Outliers that stand alone leave it as it is, three in a row raise it at once.
@@ -53,19 +59,22 @@ impl RoundTrips {
         self.latest.len() >= EXCHANGES_KEPT
     }
 
-    /// The third largest of 32 or more, the second largest of three or more, else the largest.
-    fn above_outliers(&self) -> Span {
-        let outliers = match self.latest.len() {
+    fn outliers(&self) -> usize {
+        match self.latest.len() {
             EXCHANGES_MANY.. => 2,
             EXCHANGES_KEPT.. => 1,
             _ => 0,
-        };
+        }
+    }
+
+    /// The third largest of 32 or more, the second largest of three or more, else the largest.
+    fn above_outliers(&self) -> Span {
         let largest = self.latest.iter().fold([Span::ZERO; 3], |[first, second, third], (_, delay)| {
             let (delay, first) = (first.min(*delay), first.max(*delay));
             let (delay, second) = (second.min(delay), second.max(delay));
             [first, second, third.max(delay)]
         });
-        largest[outliers]
+        largest[self.outliers()]
     }
 }
 
@@ -189,6 +198,20 @@ mod tests {
             let (trips, _) = after(millis(100), (0..count).map(|_| rng.i64(1..80)));
             let longer = trips.latest.iter().filter(|(_, delay)| *delay > trips.high()).count();
             assert!(longer <= 2, "{trips:?}");
+        }
+    }
+
+    #[test]
+    fn it_is_known_after_every_exchange() {
+        let mut rng = fastrand::Rng::with_seed(2);
+        for longest in [2, 10, 1_000] {
+            let (mut trips, mut at) = (RoundTrips::default(), Timestamp::from_nanos(0));
+            for _ in 0..2_000 {
+                // Some overlap, some leave the window.
+                at = at + millis([1, 20, 100, 2_000, 40_000][rng.usize(0..5)]);
+                trips.add(at, millis(rng.i64(0..longest)));
+                assert_eq!(trips.high(), trips.above_outliers(), "{trips:?}");
+            }
         }
     }
 

@@ -14,7 +14,7 @@ use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, act, error_of_status};
+use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_of_status};
 
 /// Exchanges of timestamps with each robot before anything is decided.
 const CLOCK_SAMPLES: u32 = 8;
@@ -299,8 +299,7 @@ impl Mission {
 
     pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
         let plan = &self.choreography.acts[self.options.first_act].plan;
-        let members = act::members(plan, &self.robots);
-        SkewBudget::of(members.iter(), &self.robots, plan.start_tolerance, now)
+        SkewBudget::of_planned(plan, &self.first_robots, &self.robots, now)
     }
 
     /// Refuses robots whose answers take longer than any lease: the others would wait for them.

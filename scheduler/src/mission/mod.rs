@@ -43,7 +43,7 @@ mod seize;
 mod skew;
 mod stop;
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 use downbeat_scripts::{Choreography, Plan};
@@ -108,6 +108,8 @@ pub struct Mission {
     choreography: Arc<Choreography>,
     options: MissionOptions,
     robots: Vec<RobotState>,
+    /// The index of each robot of the first act, in the order of its plan.
+    first_robots: Vec<Option<usize>>,
     phase: Phase,
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
@@ -184,10 +186,15 @@ impl Mission {
         let course =
             |act: &downbeat_scripts::Act| ActCourse { act: act.name.clone(), ..ActCourse::default() };
         let fates = choreography.acts.iter().map(course).collect();
+        let index_of: HashMap<_, _> =
+            participants.iter().enumerate().map(|(index, participant)| (&participant.id, index)).collect();
+        let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
+        let first_robots = first.map(|planned| index_of.get(&planned.robot).copied()).collect();
         Self {
             choreography,
             options,
             robots: participants.into_iter().map(RobotState::new).collect(),
+            first_robots,
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
             acts_begun: 0,

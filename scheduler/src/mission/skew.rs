@@ -2,14 +2,14 @@
 
 use std::collections::HashMap;
 
+use downbeat_scripts::Plan;
 use serde::Serialize;
-use urrcp::{RobotId, Span, Timestamp};
+use urrcp::{DeviceId, RobotId, Span, Timestamp};
 
 use super::ClockMode;
 use super::act::Member;
 use super::failure_kind::FailureKind;
-use super::robot_state::RobotState;
-use super::script::Script;
+use super::robot_state::{RobotState, Standing};
 
 /// The predicted spread of starts with its parts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -52,6 +52,25 @@ pub struct RobotSkew {
 }
 
 impl RobotSkew {
+    /// Of a robot that moves these devices; `None` as long as its clock is unknown. `strayed` is what is left of the offset of its
+    /// clock where requests are translated into its time.
+    fn of<'a>(
+        robot: &RobotState,
+        devices: impl Iterator<Item = &'a DeviceId>,
+        at: Timestamp<urrcp::Server>,
+        strayed: impl Fn(Span) -> Span,
+    ) -> Option<Self> {
+        let reading = robot.clock_at(at)?;
+        let offset = match robot.settings.clock {
+            ClockMode::Ntp => reading.offset,
+            ClockMode::Measured => strayed(reading.offset),
+        };
+        let spreads = devices.filter_map(|device| robot.settings.latencies.get(device));
+        let latency_spread = spreads.map(|known| known.latency.spread).max().unwrap_or_default();
+        let (robot, wake_up) = (robot.id.clone(), robot.settings.wake_up);
+        Some(Self { robot, offset, uncertainty: reading.uncertainty, wake_up, latency_spread })
+    }
+
     /// Earliest and latest start relative to the plan. A clock that is ahead starts early.
     fn range(&self) -> (Span, Span) {
         (
@@ -81,6 +100,23 @@ impl SkewBudget {
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
         Self::with(members, robots, tolerance, at, |_, _| Span::ZERO)
+    }
+
+    /// Of the robots of a plan that are there, before any of it is sent. `index_of` has the index of each planned robot.
+    pub(crate) fn of_planned(
+        plan: &Plan,
+        index_of: &[Option<usize>],
+        robots: &[RobotState],
+        at: Timestamp<urrcp::Server>,
+    ) -> Option<Self> {
+        let planned = plan.robots.iter().zip(index_of);
+        let planned = planned.filter_map(|(planned, index)| Some((planned, robots.get((*index)?)?)));
+        let present = planned.filter(|(_, robot)| robot.standing == Standing::In);
+        let skews = present.map(|(planned, robot)| {
+            let devices = planned.scripts.iter().map(|script| &script.device);
+            RobotSkew::of(robot, devices, at, |_| Span::ZERO)
+        });
+        Self::of_robots(skews.collect(), plan.start_tolerance)
     }
 
     /// Of members that are sent an act now which starts then: clocks drift until then, and what is translated into a robot's time
@@ -114,20 +150,14 @@ impl SkewBudget {
         at: Timestamp<urrcp::Server>,
         strayed: impl Fn(&Member, Span) -> Span,
     ) -> Option<Self> {
-        let skew = |member: &Member| {
-            let robot = &robots[member.robot];
-            let reading = robot.clock_at(at)?;
-            let offset = match robot.settings.clock {
-                ClockMode::Ntp => reading.offset,
-                ClockMode::Measured => strayed(member, reading.offset),
-            };
-            let spread = |script: &Script| robot.settings.latencies.get(&script.plan.device);
-            let spreads = member.firsts().filter_map(spread).map(|known| known.latency.spread);
-            let latency_spread = spreads.max().unwrap_or_default();
-            let (robot, wake_up) = (robot.id.clone(), robot.settings.wake_up);
-            Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up, latency_spread })
+        let skew = |member: &'a Member| {
+            let devices = member.firsts().map(|script| &script.plan.device);
+            RobotSkew::of(&robots[member.robot], devices, at, |offset| strayed(member, offset))
         };
-        let robots: Option<Vec<_>> = members.map(skew).collect();
+        Self::of_robots(members.map(skew).collect(), tolerance)
+    }
+
+    fn of_robots(robots: Option<Vec<RobotSkew>>, tolerance: Span) -> Option<Self> {
         let robots = robots.filter(|robots| !robots.is_empty())?;
         // The devices of one robot share its clock; each may still wake up late, and vary by itself.
         let (predicted, clocks) = match robots.as_slice() {

@@ -98,13 +98,17 @@ pub fn play_verbosely(drawn: Drawn) -> Ran {
 }
 
 /// Everything that is held against a mission, the comparison with the same mission without its faults included, which is played
-/// as well where that could find anything.
+/// as well, as far as that could find anything.
 #[must_use]
 pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();
     let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
-    if sent && !ran.drawn.faults.is_empty() && !ran.hung && ran.is_to_be_compared() {
-        let undisturbed = play(ran.drawn.clone().without_faults());
+    if sent
+        && !ran.drawn.faults.is_empty()
+        && !ran.hung
+        && let Some(last) = ran.last_to_compare()
+    {
+        let undisturbed = world::play_up_to(ran.drawn.clone().without_faults(), last);
         verdict.violations.extend(ran.compared_with(&undisturbed).violations);
     }
     verdict

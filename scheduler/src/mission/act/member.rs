@@ -1,7 +1,5 @@
 //! A robot of an act: what it was sent, and whether it still takes part.
 
-use std::collections::BTreeMap;
-
 use urrcp::{DeviceId, RequestId, Server, Span, Timestamp};
 
 use super::NamedScripts;
@@ -186,14 +184,20 @@ impl Member {
     ) -> Vec<NamedScripts> {
         let ahead = ahead.unwrap_or(self.shift);
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
-        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
+        let mut groups: Vec<((bool, Option<Span>), Vec<RequestId>)> = Vec::new();
         // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
         let asked = |index: usize, script: &Script| {
             script.is_unaccounted() && !(shortens && self.before(index).is_some())
         };
         for (index, script) in self.under_way().filter(|(index, script)| asked(*index, script)) {
             let offset = self.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
-            groups.entry((offset.is_none(), offset)).or_default().extend(script.request_id().cloned());
+            let key = (offset.is_none(), offset);
+            // There are few: one for each instant at which devices begin.
+            let place = groups.binary_search_by_key(&key, |(key, _)| *key).unwrap_or_else(|place| {
+                groups.insert(place, (key, Vec::new()));
+                place
+            });
+            groups[place].1.extend(script.request_id().cloned());
         }
         let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
             lease: offset.map(|offset| timing.lease_at(now) + offset),

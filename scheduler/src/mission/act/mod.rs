@@ -15,7 +15,6 @@ mod tests;
 pub(crate) mod timing;
 mod waiting;
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use downbeat_scripts::{Choreography, Way};
@@ -123,8 +122,8 @@ pub(crate) struct Act {
     alone_since: Option<Timestamp<Server>>,
     timing: Option<Timing>,
     members: Vec<Member>,
-    /// Where each robot stands in `members`.
-    place: HashMap<usize, usize>,
+    /// For each robot of the mission, by its index, where it stands in `members`; those that come after the last member are left out.
+    place: Vec<Option<usize>>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
     /// The devices whose motions are verified, once the act is committed.
@@ -209,12 +208,17 @@ impl Act {
 
     /// A robot's part in it, whether it still takes part or not.
     pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
-        self.place.get(&robot).map(|place| &self.members[*place])
+        self.place_of_member(robot).map(|place| &self.members[place])
     }
 
     /// The place of a robot that still takes part.
     pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
-        self.place.get(&robot).copied().filter(|place| self.members[*place].takes_part())
+        self.place_of_member(robot).filter(|place| self.members[*place].takes_part())
+    }
+
+    /// The place of a robot, whether it still takes part or not.
+    fn place_of_member(&self, robot: usize) -> Option<usize> {
+        self.place.get(robot).copied().flatten()
     }
 
     pub(crate) fn script(&self, script: ScriptRef) -> &Script {
@@ -301,8 +305,8 @@ impl Act {
 
     /// A robot takes part no longer.
     pub(crate) fn drop_robot(&mut self, robot: usize) {
-        if let Some(place) = self.place.get(&robot) {
-            self.members[*place].part = Part::Dropped;
+        if let Some(place) = self.place_of_member(robot) {
+            self.members[place].part = Part::Dropped;
         }
         self.look_again();
     }
@@ -322,8 +326,8 @@ impl Act {
         robots: &[RobotState],
         options: &super::MissionOptions,
     ) -> Vec<ActAction> {
-        let mut actions = self.watch_motions(now);
-        actions.extend(match &self.stage {
+        let mut watched = self.watch_motions(now);
+        let actions = match &self.stage {
             Stage::Waiting(_) => self.wait(now, robots, options),
             Stage::Ready { .. } => self.leave_if_deserted(),
             Stage::Promised => self.await_promise(now),
@@ -332,8 +336,12 @@ impl Act {
             Stage::Committed(_) => self.begin_if_due(now, robots),
             Stage::Playing(_) => self.watch(now, robots),
             Stage::Over => Vec::new(),
-        });
-        actions
+        };
+        if watched.is_empty() {
+            return actions;
+        }
+        watched.extend(actions);
+        watched
     }
 
     /// When [`Act::advance`] is next due; `None`: when something happens.
@@ -439,8 +447,12 @@ impl Act {
     }
 }
 
-fn places(members: &[Member]) -> HashMap<usize, usize> {
-    members.iter().enumerate().map(|(place, member)| (member.robot, place)).collect()
+fn places(members: &[Member]) -> Vec<Option<usize>> {
+    let mut places = vec![None; members.iter().map(|member| member.robot + 1).max().unwrap_or_default()];
+    for (place, member) in members.iter().enumerate() {
+        places[member.robot] = Some(place);
+    }
+    places
 }
 
 /// The name of an act as people know it.

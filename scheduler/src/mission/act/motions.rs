@@ -19,7 +19,9 @@ impl Act {
             return Vec::new();
         }
         let (start, members, place) = (timing.start, &self.members, &self.place);
-        let takes_part = |robot: usize| place.get(&robot).is_some_and(|place| members[*place].takes_part());
+        let takes_part = |robot: usize| {
+            place.get(robot).copied().flatten().is_some_and(|place| members[place].takes_part())
+        };
         let mut actions = Vec::new();
         for (index, watched) in self.watched.iter_mut().enumerate() {
             if takes_part(watched.robot()) && watched.due(start).is_some_and(|due| now >= due) {

@@ -65,11 +65,20 @@ fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Serv
 /// The longest that a round trip of a robot took until an instant, or takes without faults. What is under way then tells nothing
 /// yet: a message that comes out of a partition at its end took as long as the silence that it ends.
 fn round_trip(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
+    usual_round_trip(facts, robot) + slow_until(facts, robot, until)
+}
+
+/// The longest that it takes without faults.
+fn usual_round_trip(facts: &Facts<'_>, robot: usize) -> Span {
     let drawn = facts.drawn();
+    drawn.delay.1 * 2 + drawn.robots[robot].slow + waited(facts, robot) * 2
+}
+
+/// What a fault added to it until an instant.
+fn slow_until(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
     let slow = slow.filter(|hit| hit.until <= until);
-    let slow = slow.map(|hit| hit.until - hit.from).max().unwrap_or_default();
-    drawn.delay.1 * 2 + drawn.robots[robot].slow + slow + waited(facts, robot) * 2
+    slow.map(|hit| hit.until - hit.from).max().unwrap_or_default()
 }
 
 /// The longest that a message waited behind others on a link that carries little: a round trip as measured waits there and back.
@@ -87,7 +96,8 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     if act.committed.is_none() {
         return;
     }
-    let bound_at = |at| lease(act, robot, at) + round_trip(facts, robot, at) + AT_ONCE;
+    let usual = usual_round_trip(facts, robot);
+    let bound_at = |at| lease(act, robot, at) + usual + slow_until(facts, robot, at) + AT_ONCE;
     let ends = act.of(robot).map(|script| act.start_of(script) + script.promised.duration).max();
     let (Some(start), Some(end)) = (act.first_start(robot), ends) else { return };
     let heard = facts.between(start, end).iter().filter_map(|(at, happened)| match happened {
@@ -280,16 +290,17 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
     }
 }
 
-/// Whether an act's lead or the gap before it is longer than what is allowed whatever the mission without faults does: otherwise
-/// [`compare`] cannot find anything.
-pub(super) fn is_to_be_compared(facts: &Facts<'_>) -> bool {
-    facts.acts.iter().any(|act| {
+/// The number of the last act whose lead, or the gap before it, is longer than what is allowed whatever the mission without faults
+/// does: of later ones [`compare`] cannot find anything.
+pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
+    let long = facts.acts.iter().filter(|act| {
         let late = |before: &SentAct<'_>| {
             let longer = if was_stopped(facts, before, act) { lead(act) } else { Span::ZERO };
             gap(facts, before, act).is_some_and(|gap| gap > longer + gap_allowed(facts, before, act))
         };
         lead(act) > LEAD_LEAST * TIMES + lead_allowed(facts, act) || before(facts, act).is_some_and(late)
-    })
+    });
+    long.map(|act| act.promise.number).max()
 }
 
 /// How much a lead may exceed its share of a lead without faults. It contains twice the time that the disk took recently, for the

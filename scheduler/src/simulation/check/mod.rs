@@ -124,10 +124,10 @@ impl Ran {
         verdict
     }
 
-    /// Whether a comparison with the same mission without its faults could find anything.
+    /// The number of the last act of which a comparison with the same mission without its faults could find anything.
     #[must_use]
-    pub fn is_to_be_compared(&self) -> bool {
-        liveness::is_to_be_compared(&Facts::of(self))
+    pub fn last_to_compare(&self) -> Option<u32> {
+        liveness::last_to_compare(&Facts::of(self))
     }
 
     /// Compares what became of a mission under faults with the same one without them.

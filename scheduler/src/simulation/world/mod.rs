@@ -8,9 +8,11 @@ mod operator;
 mod robots;
 mod scheduler;
 
-use std::collections::BTreeMap;
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 
 use downbeat_robot::LinkId;
+use downbeat_robot::simulated::Outgoing;
 use fastrand::Rng;
 use urrcp::{Message, Server, SessionId, Span, Timestamp};
 
@@ -88,18 +90,52 @@ enum Machine {
     Down,
 }
 
+/// What is due at an instant, and how many things were put down before it.
+struct Due {
+    at: Timestamp<Server>,
+    sequence: u64,
+    item: Item,
+}
+
+impl Ord for Due {
+    /// The largest of a heap comes first: the earliest, and of those the first that was put down.
+    fn cmp(&self, other: &Self) -> Ordering {
+        (other.at, other.sequence).cmp(&(self.at, self.sequence))
+    }
+}
+
+impl PartialOrd for Due {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Due {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Due {}
+
 struct World {
     drawn: Drawn,
     rng: Rng,
     now: Timestamp<Server>,
-    items: BTreeMap<(Timestamp<Server>, u64), Item>,
+    items: BinaryHeap<Due>,
     sequence: u64,
     robots: Vec<RobotSide>,
+    /// What a robot has just said; empty in between, and kept for its memory.
+    said: Vec<Outgoing>,
     scheduler: Scheduler,
     /// At this instant this many things were done.
     rounds: u32,
     /// The mission never comes to an end.
     hung: bool,
+    /// What becomes of the mission once the act of this number is promised, nobody wants to know.
+    last_act: Option<u32>,
+    /// It is.
+    is_promised: bool,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
     /// Keep every message: only for a trace.
@@ -130,8 +166,17 @@ fn participants(drawn: &Drawn) -> Vec<Participant> {
 
 /// Plays a world to its end.
 pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
-    let mission = Mission::new(drawn.choreography.clone(), participants(&drawn), options(&drawn), BEGIN).ok();
-    let mut world = World::new(drawn, verbose);
+    play_world(World::new(drawn, verbose))
+}
+
+/// Plays a world until the act of this number is promised, and no further.
+pub(super) fn play_up_to(drawn: Drawn, act: u32) -> Ran {
+    play_world(World { last_act: Some(act), ..World::new(drawn, false) })
+}
+
+fn play_world(mut world: World) -> Ran {
+    let drawn = &world.drawn;
+    let mission = Mission::new(drawn.choreography.clone(), participants(drawn), options(drawn), BEGIN).ok();
     let mut report = None;
     let mut next = mission;
     while let Some(mut mission) = next.take() {
@@ -147,7 +192,9 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
             next = world.taken_up();
         }
     }
-    world.aftermath();
+    if !world.is_promised {
+        world.aftermath();
+    }
     for robot in &mut world.robots {
         robot.collect();
     }
@@ -173,12 +220,15 @@ impl World {
         let mut world = Self {
             rng: Rng::with_seed(drawn.seed ^ 0x5eed),
             now: BEGIN,
-            items: BTreeMap::new(),
+            items: BinaryHeap::new(),
             sequence: 0,
             robots: drawn.robots.iter().map(RobotSide::new).collect(),
+            said: Vec::new(),
             scheduler: Scheduler::new(&drawn),
             rounds: 0,
             hung: false,
+            last_act: None,
+            is_promised: false,
             records: Vec::new(),
             history: Vec::new(),
             verbose,
@@ -198,7 +248,7 @@ impl World {
 
     fn put(&mut self, at: Timestamp<Server>, item: Item) {
         self.sequence += 1;
-        self.items.insert((at.max(self.now), self.sequence), item);
+        self.items.push(Due { at: at.max(self.now), sequence: self.sequence, item });
     }
 
     fn note(&mut self, happened: Happened) {
@@ -208,7 +258,7 @@ impl World {
 
     /// When something next happens by itself, outside the mission.
     fn next_instant(&self) -> Option<Timestamp<Server>> {
-        let items = self.items.keys().next().map(|(at, _)| *at);
+        let items = self.items.peek().map(|due| due.at);
         let robots = self.robots.iter().filter_map(|robot| {
             let at = robot.machine.as_ref()?.next_wakeup()?.assume_clock::<Server>();
             Some(at.max(robot.paused_until))
@@ -227,9 +277,10 @@ impl World {
     fn step(&mut self, at: Timestamp<Server>) {
         self.pass(at);
         self.advance_robots();
-        if let Some(entry) = self.items.first_entry().filter(|entry| entry.key().0 <= self.now) {
-            let item = entry.remove();
-            self.happen(item);
+        if self.items.peek().is_some_and(|due| due.at <= self.now)
+            && let Some(due) = self.items.pop()
+        {
+            self.happen(due.item);
             self.advance_robots();
         }
     }
@@ -246,7 +297,7 @@ impl World {
     fn happen(&mut self, item: Item) {
         match item {
             Item::ToRobot { robot, link, message } => self.arrive_at_robot(robot, link, *message),
-            Item::Answer { robot, link, message } => self.answer(robot, link, &message),
+            Item::Answer { robot, link, message } => self.answer(robot, link, *message),
             Item::ToScheduler { robot, link, event } => self.arrive_at_scheduler(robot, link, event),
             Item::RobotLinkDown { robot, link } => self.robot_link_down(robot, link),
             Item::Connect { robot, link } => self.connect(robot, link),

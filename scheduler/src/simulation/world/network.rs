@@ -113,29 +113,38 @@ impl World {
         }
     }
 
-    pub(super) fn answer(&mut self, robot: usize, link: LinkId, message: &Message) {
+    pub(super) fn answer(&mut self, robot: usize, link: LinkId, message: Message) {
         if self.robots[robot].link != Some(link) || self.is_dead(robot, link) {
             return;
         }
-        for _ in 0..if self.doubled() { 2 } else { 1 } {
-            if let Some(at) = self.travel(robot, BACK, message) {
-                let event = Box::new(Event::Received { robot, message: message.clone() });
-                self.put(at, Item::ToScheduler { robot, link, event });
-            }
+        let put = |world: &mut Self, at, message| {
+            let event = Box::new(Event::Received { robot, message });
+            world.put(at, Item::ToScheduler { robot, link, event });
+        };
+        if self.doubled()
+            && let Some(at) = self.travel(robot, BACK, &message)
+        {
+            put(self, at, message.clone());
+        }
+        if let Some(at) = self.travel(robot, BACK, &message) {
+            put(self, at, message);
         }
     }
 
-    pub(super) fn send_to_robot(&mut self, robot: usize, link: LinkId, message: &Message) {
+    pub(super) fn send_to_robot(&mut self, robot: usize, link: LinkId, message: Message) {
         if self.verbose {
             self.note(Happened::ToRobot(robot, message.clone()));
         }
         if self.is_dead(robot, link) {
             return;
         }
-        for _ in 0..if self.doubled() { 2 } else { 1 } {
-            if let Some(at) = self.travel(robot, THERE, message) {
-                self.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
-            }
+        if self.doubled()
+            && let Some(at) = self.travel(robot, THERE, &message)
+        {
+            self.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
+        }
+        if let Some(at) = self.travel(robot, THERE, &message) {
+            self.put(at, Item::ToRobot { robot, link, message: Box::new(message) });
         }
     }
 

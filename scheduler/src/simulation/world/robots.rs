@@ -90,8 +90,12 @@ impl RobotSide {
 
     pub(super) fn collect(&mut self) {
         let Some(machine) = &mut self.machine else { return };
+        let log = machine.take_log();
+        if log.is_empty() {
+            return;
+        }
         let foreign = |entry: &LogEntry| entry.request_id.as_deref() == Some("foreign");
-        let entries = machine.take_log().into_iter().filter(|entry| !foreign(entry));
+        let entries = log.into_iter().filter(|entry| !foreign(entry));
         match self.who {
             Who::Itself => {
                 let before = self.log.len();
@@ -174,16 +178,17 @@ impl World {
             }
             let at = self.now.assume_clock::<True>();
             let Some(machine) = side.machine.as_mut().filter(|machine| machine.is_due(at)) else { continue };
-            let mut out = Vec::new();
-            machine.advance(at, &mut out);
+            let mut said = std::mem::take(&mut self.said);
+            machine.advance(at, &mut said);
             side.collect();
-            for outgoing in out {
+            for outgoing in said.drain(..) {
                 if let Outgoing::Message { link, message } = outgoing {
                     let slow = self.drawn.robots[robot].slow;
                     let message = self.as_said(robot, message);
                     self.put(self.now + slow, Item::Answer { robot, link, message: Box::new(message) });
                 }
             }
+            self.said = said;
         }
     }
 

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::{BEGIN, Item, LASTS_MAX, World, options, participants, session};
+use super::{BEGIN, Due, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
 use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all};
@@ -211,8 +211,8 @@ impl World {
 
     /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
-        let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
-        while self.items.values().any(takes_up) {
+        let takes_up = |due: &Due| matches!(due.item, Item::Resume | Item::Fault(Fault::StopByJournal));
+        while self.items.iter().any(takes_up) {
             let next = self.next_instant().filter(|_| !self.hung)?;
             self.step(next);
             if let Process::TakenUp(intention) = self.scheduler.process {
@@ -338,7 +338,7 @@ impl drive::World for World {
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<drive::Happened> {
         loop {
-            if !self.scheduler.is_running() || self.hung {
+            if !self.scheduler.is_running() || self.hung || self.is_promised {
                 return Some(drive::Happened::Killed);
             }
             let can_take = self.now >= self.scheduler.paused_until;
@@ -378,7 +378,7 @@ impl drive::World for World {
         _: Urgency,
     ) -> Result<(), QueueFull> {
         if self.acts() {
-            self.send_to_robot(robot, self.scheduler.id_of(link), &message);
+            self.send_to_robot(robot, self.scheduler.id_of(link), message);
         }
         Ok(())
     }
@@ -392,6 +392,9 @@ impl drive::World for World {
     fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed {
         if !self.acts() {
             return Filed::Waiting;
+        }
+        if let Record::Prepared(promise) = &record {
+            self.is_promised |= self.last_act.is_some_and(|last| promise.number >= last);
         }
         self.records.push((at - self.scheduler.ahead, by_true_time(record.clone(), self.scheduler.ahead)));
         let side = &mut self.scheduler;
