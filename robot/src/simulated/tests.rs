@@ -22,6 +22,25 @@ fn robot(settings: Settings) -> SimulatedRobot {
     SimulatedRobot::new(serde_json::from_str(block).unwrap(), settings)
 }
 
+#[test]
+fn hardware_is_looked_after_at_its_wake_ups_and_at_any_time_once_it_is_silent() {
+    let block = robot(Settings::default()).robot().block().clone();
+    let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
+    let mut out = Vec::new();
+    edge.advance(at(0), &mut out);
+    edge.receive(at(10), LINK, paper(1_000.0, "a"));
+    assert!(edge.is_due(at(10)));
+    edge.advance(at(10), &mut out);
+    assert_eq!(edge.next_wakeup(), Some(at(1_000)));
+    assert!(!edge.is_due(at(999)) && edge.is_due(at(1_000)));
+    edge.step_clock(Span::from_millis(100));
+    assert_eq!(edge.next_wakeup(), Some(at(900)), "its clock shows that earlier now");
+    edge.hardware_dies(at(500));
+    assert!(edge.is_due(at(501)));
+    edge.hardware_found(at(600));
+    assert!(!edge.is_due(at(601)));
+}
+
 fn paper(start_ms: f64, id: &str) -> Input {
     let step = |millis, value| Step {
         offset: Millis::new(millis).unwrap(),

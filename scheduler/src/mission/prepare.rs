@@ -54,6 +54,9 @@ impl Mission {
             Ok(need) => need,
             Err(outcome) => return self.cannot_prepare(now, outcome),
         };
+        if self.leaves_alone(index, need.pace.silence()) {
+            return self.acts[index].look_again_at(Some(now + LOOK_AGAIN));
+        }
         let from = act.target().map(|target| target - need.lead.total() - AHEAD);
         if let Some(from) = from.filter(|from| now < *from) {
             return self.acts[index].look_again_at(Some(from));
@@ -119,6 +122,15 @@ impl Mission {
     /// Whether a robot still has its part in an act ahead: that it fits, whatever comes next.
     fn plays_before(&self, index: usize, robot: usize) -> bool {
         self.acts[..index].iter().any(|act| act.has_something_on(robot))
+    }
+
+    /// Whether a robot would lose its lease of an act that it still plays or holds if it heard nothing for so long. That may be so by
+    /// as much as its clock is off: it may even have to begin what the others have ended.
+    fn leaves_alone(&self, index: usize, silence: Span) -> bool {
+        let (before, act) = (&self.acts[..index], &self.acts[index]);
+        let both = |other: &&Act| act.present().any(|member| other.has_something_on(member.robot));
+        let leases = before.iter().filter(both).filter_map(|other| other.lease_with(act));
+        leases.min().is_some_and(|lease| lease < silence)
     }
 
     /// What is promised has to be on the disk first: one that stands still is not waited for.

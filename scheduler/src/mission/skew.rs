@@ -273,6 +273,10 @@ mod tests {
             }
             let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
             let budget = SkewBudget::of(members.iter(), &robots, ms(60), at(11)).unwrap();
+            let plan = &choreography.acts[0].plan;
+            let planned = SkewBudget::of_planned(plan, &[Some(0), Some(1)], &robots, at(11));
+            let ranges = |budget: &SkewBudget| (budget.predicted, budget.clocks, budget.robots.clone());
+            assert_eq!(planned.as_ref().map(ranges), Some(ranges(&budget)), "before anything is sent");
             let offenders: Vec<_> = budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect();
             assert_eq!(offenders, [off], "{first} and {second} ms ahead");
         }

@@ -90,11 +90,32 @@ fn seeds_that_found_something_once_find_nothing_any_more() {
         291_907, 395_152, 416_264, 447_814, 471_206, 479_785, 502_334, 619_713, 675_668, 684_902, 844_450,
         862_374, 38_413, 251, 377, 6_847, 354_054, 412_670, 649_861, 673_968, 932_655, 1_043_431, 1_116_819,
         1_196_860, 1_197_036, 1_132_889, 1_133_795, 1_163_508, 2_030_834, 2_058_854, 2_162_016, 2_235_369,
-        2_272_235, 2_296_505, 3_010_363, 3_087_999, 3_129_620, 3_138_542,
+        2_272_235, 2_296_505, 3_010_363, 3_087_999, 3_096_047, 3_129_620, 3_138_542,
     ];
     for seed in seeds {
         assert_eq!(judge(&run(seed)).violations, [], "seed {seed}");
     }
+}
+
+#[test]
+fn a_mission_without_faults_promises_the_same_up_to_the_last_act_that_is_compared() {
+    let mut compared = 0;
+    for ran in (0..400).map(run).filter(|ran| !ran.drawn.faults.is_empty()) {
+        let Some(last) = ran.last_to_compare() else { continue };
+        let promises = |ran: &Ran| -> Vec<_> {
+            let up_to = |record: &crate::mission::Record| match record {
+                crate::mission::Record::Prepared(promise) => Some(promise.clone()),
+                _ => None,
+            };
+            let promises = ran.records.iter().filter_map(|(_, record)| up_to(record));
+            promises.filter(|promise| promise.number <= last).collect()
+        };
+        let undisturbed = ran.drawn.clone().without_faults();
+        let whole = promises(&play(undisturbed.clone()));
+        assert_eq!(promises(&world::play_up_to(undisturbed, last)), whole, "seed {}", ran.drawn.seed);
+        compared += 1;
+    }
+    assert!(compared > 10, "{compared}");
 }
 
 #[test]

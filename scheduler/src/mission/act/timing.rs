@@ -134,6 +134,12 @@ impl Pace {
         (lease_least <= lease).then_some(Self { early, late, final_lease, lease_least, ..self })
     }
 
+    /// How long a robot may hear nothing around the critical instant: from the last round until the commitment, and what a message
+    /// may travel longer than another.
+    pub(crate) fn silence(&self) -> Span {
+        self.period + self.early + self.late + self.round_trip * 3 / 2
+    }
+
     /// From the decision to the start this is needed at least: four of the last rounds, in which the commitment is
     /// written down, and the last lease.
     pub(crate) fn needed(&self) -> Span {
@@ -193,10 +199,15 @@ impl Timing {
     }
 
     /// A clock that was set since the act was sent may let its robot start earlier or later than planned, within the tolerance:
-    /// leases are to end before it and to reach beyond it, if two of the last rounds can still see to it. Returns whether they can.
+    /// leases are to end before it and to reach beyond it, if two of the last rounds can still see to it, and robots that still play
+    /// are not left alone for too long by that. Returns whether it is so.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) -> bool {
         let before = self.pace;
-        let Some(pace) = before.widened(early_and_late, self.lead.lease) else { return false };
+        let widened = before.widened(early_and_late, self.lead.lease);
+        let Some(pace) = widened.filter(|pace| self.played.is_none_or(|lease| pace.silence() <= lease))
+        else {
+            return false;
+        };
         self.pace = pace;
         let in_time = now + pace.period * 2 <= self.critical();
         if !in_time {
@@ -361,6 +372,19 @@ mod tests {
         assert_eq!(timing.speak_by(last_round), None);
         timing.played = Some(Span::from_millis(1_000));
         assert_eq!(timing.speak_by(last_round), Some(last_round + Span::from_millis(680)));
+    }
+
+    #[test]
+    fn a_clock_is_not_allowed_for_where_robots_that_still_play_would_lose_their_lease() {
+        let timing = timing(Leases::Shortened, Span::from_millis(8));
+        let early = Span::from_millis(60);
+        let allows = |played: Option<i64>| {
+            let mut timing = Timing { played: played.map(Span::from_millis), ..timing.clone() };
+            let allows = timing.allow_for(timing.decision, (early, Span::ZERO));
+            assert_eq!(timing.pace.early == early, allows, "{played:?}");
+            allows
+        };
+        assert!(allows(None) && allows(Some(90)) && !allows(Some(70)));
     }
 
     #[test]
