@@ -28,6 +28,10 @@ pub(crate) struct Member {
     chains: Vec<Chain>,
 }
 
+/// What requests are asked about together: those whose lease a question does not shorten come last, the others in order of the
+/// instant at which they begin after the start of the act.
+type Group = (bool, Option<Span>);
+
 /// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
 /// under way and not at all that ever were or will be.
 #[derive(Clone, Copy, Debug)]
@@ -184,7 +188,7 @@ impl Member {
     ) -> Vec<NamedScripts> {
         let ahead = ahead.unwrap_or(self.shift);
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
-        let mut groups: Vec<((bool, Option<Span>), Vec<RequestId>)> = Vec::new();
+        let mut groups: Vec<(Group, Vec<RequestId>)> = Vec::new();
         // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
         let asked = |index: usize, script: &Script| {
             script.is_unaccounted() && !(shortens && self.before(index).is_some())
@@ -199,7 +203,7 @@ impl Member {
             });
             groups[place].1.extend(script.request_id().cloned());
         }
-        let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
+        let named = |((_, offset), requests): (Group, _)| NamedScripts {
             lease: offset.map(|offset| timing.lease_at(now) + offset),
             until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
             requests,
