@@ -262,7 +262,9 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
         let hit = facts.hits.iter().any(|hit| {
             let counts = hit.is_of(*robot) || hit.robot.is_none();
-            counts && !links(hit) && hit.overlaps(*at - Span::from_nanos(1), by)
+            // What ends as this link stands no longer keeps anything from it.
+            let goes_on = hit.until > *at || hit.from >= *at;
+            counts && !links(hit) && goes_on && hit.overlaps(*at, by)
         });
         let failed = facts.between(*at, by).iter().any(|(_, happened)| {
             matches!(happened, Happened::Told(progress) if matches!(&**progress, Progress::Failed(_)))
