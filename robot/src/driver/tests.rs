@@ -11,6 +11,7 @@ use urrcp::{
 
 use super::*;
 use crate::hardware::STALE;
+use crate::host::tests::LogFile;
 use crate::plans::PlanEvent;
 use crate::{Host, HostOptions, Hosted, LinkEvent, RobotLink};
 
@@ -162,12 +163,16 @@ impl Rig {
     }
 
     fn of(block: &str, bench: Bench, options: DriverOptions) -> Self {
+        Self::on(HostOptions::default(), block, bench, options)
+    }
+
+    fn on(host: HostOptions, block: &str, bench: Bench, options: DriverOptions) -> Self {
         let bench = Arc::new(bench);
         let (done, seen) = channel();
         let block: InitializationBlock = serde_json::from_str(block).unwrap();
         let fake = Fake { bench: Arc::clone(&bench), done, pushes: None };
         let hosted = Hosted::driven(block, Box::new(fake), options);
-        let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
+        let host = Host::start(vec![hosted], host).unwrap();
         host.await_hardware(Duration::from_secs(60));
         let link = host.handle().connect(0).unwrap();
         Self { bench, done: seen, host, link }
@@ -245,6 +250,19 @@ async fn values_reach_the_hardware_in_order_and_in_the_end_the_default_state() {
     let (done, not_at_rest) = rig.stop_and_tell();
     assert_eq!(done, ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
     assert_eq!(not_at_rest, None);
+}
+
+#[tokio::test]
+async fn what_is_set_on_hardware_is_in_the_log() {
+    let log = LogFile::new("edge");
+    let options = HostOptions::default().with_log(log.0.clone());
+    let mut rig = Rig::on(options, BLOCK, Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (20.0, -4.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let _done = rig.stop();
+    let steps: Vec<_> =
+        log.lines().iter().filter(|line| line["step"].is_u64()).map(|line| line["value"].clone()).collect();
+    assert_eq!(steps, [4.0, -4.0]);
 }
 
 #[tokio::test]

@@ -283,6 +283,30 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_is_far_from_the_others_only_beyond_half_the_tolerance() {
+        let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
+        let choreography = bench::played(&scripts);
+        for (second, third) in [(20, -60), (-20, 60)] {
+            let mut robots = ["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2));
+            for (robot, ahead) in robots.iter_mut().zip([0, second, third]) {
+                let instant = at(10 + ahead).assume_clock();
+                robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+            }
+            let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
+            let budget = SkewBudget::of(members.iter(), &robots, ms(60), at(11)).unwrap();
+            let middle = Span::ZERO - budget.middle();
+            let (earliest, latest) = budget.robots[1].range();
+            let distance = (middle - earliest).max(latest - middle);
+            let offenders = |tolerance| {
+                let budget = SkewBudget { tolerance, ..budget.clone() };
+                budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect::<Vec<_>>()
+            };
+            assert_eq!(offenders(distance * 2), ["r2"], "{second} ms ahead");
+            assert_eq!(offenders(distance * 2 - Span::from_nanos(2)), ["r1", "r2"], "{second} ms ahead");
+        }
+    }
+
+    #[test]
     fn a_latency_that_varies_widens_the_budget_and_is_told_apart_from_the_clocks() {
         let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
         let choreography = bench::played(&scripts);

@@ -262,7 +262,10 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
         let hit = facts.hits.iter().any(|hit| {
             let counts = hit.is_of(*robot) || hit.robot.is_none();
-            counts && !links(hit) && hit.overlaps(*at - Span::from_nanos(1), by)
+            // What was wrong with the robot until this link stands no longer keeps anything from it. A process that has just taken
+            // the mission up may have to be silent.
+            let goes_on = hit.robot.is_none() || hit.until > *at || hit.from >= *at;
+            counts && !links(hit) && goes_on && hit.overlaps(*at - Span::from_nanos(1), by)
         });
         let failed = facts.between(*at, by).iter().any(|(_, happened)| {
             matches!(happened, Happened::Told(progress) if matches!(&**progress, Progress::Failed(_)))

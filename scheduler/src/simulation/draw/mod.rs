@@ -4,6 +4,7 @@ mod choreography;
 mod faults;
 mod fleet;
 mod network;
+mod together;
 
 use downbeat_scripts::{Choreography, Wait};
 use fastrand::Rng;
@@ -96,7 +97,11 @@ pub fn draw(seed: u64) -> Drawn {
         disk,
     };
     let faults = faults::draw_faults(rng, &drawn);
-    Drawn { faults, ..drawn }
+    let drawn = Drawn { faults, ..drawn };
+    match together::is_such(seed) {
+        true => together::bring_together(rng, drawn),
+        false => drawn,
+    }
 }
 
 /// In time, too late, or never.

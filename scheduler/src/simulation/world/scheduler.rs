@@ -319,6 +319,12 @@ impl World {
         let (drive::Happened::OnLink { event, .. } | drive::Happened::Event { event, .. }) = happened else {
             return;
         };
+        if let drive::Happened::OnLink { robot, link, .. } = happened
+            && self.scheduler.links[*robot].is_some_and(|current| current != self.scheduler.id_of(*link))
+        {
+            // The end of a connection that was replaced: nobody uses it any more.
+            return;
+        }
         match &**event {
             Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
             Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),

@@ -5,6 +5,7 @@ mod dropped;
 mod playing;
 mod preparing;
 mod resumed;
+mod strayed;
 mod waiting;
 
 use std::sync::Arc;

@@ -1,0 +1,90 @@
+//! Clocks that stray, and leases that run out: what is known of them decides, and when each script begins.
+
+use super::*;
+
+/// A robot that says nothing by itself has begun a script late in the act, and plays it under a lease of [`bench::RUNNING`].
+fn plays_from(begins: i64, lasts: i64) -> Bench {
+    let mut bench =
+        Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", begins, lasts)]]);
+    bench.play(Leases::Fixed);
+    bench
+}
+
+/// The lease of the robot in [`plays_from`] would have ended so long after the start of the act.
+fn broke_off(bench: &Bench, ends: Span) -> bool {
+    let over = by_robot(bench.start() + ends);
+    let lost = bench.act.broke_off(1, (over - bench::RUNNING, over + ms(6)));
+    if let Some(kind) = &lost {
+        assert!(
+            matches!(kind, FailureKind::Script { error, .. } if error.code == ErrorCode::LinkLost),
+            "{kind:?}"
+        );
+    }
+    lost.is_some()
+}
+
+#[test]
+fn a_script_is_broken_off_by_a_lease_that_ends_while_it_plays() {
+    let bench = plays_from(300, 4_000);
+    let nanosecond = Span::from_nanos(1);
+    for (ends, broken) in [
+        (ms(300) - nanosecond, false),
+        (ms(300), true),
+        (ms(2_000), true),
+        (ms(4_300) - nanosecond, true),
+        (ms(4_300), false),
+    ] {
+        assert_eq!(broke_off(&bench, ends), broken, "a lease that ends {ends} after the start of the act");
+    }
+}
+
+#[test]
+fn a_script_is_broken_off_where_its_robot_was_sent_it_by_a_clock_that_is_ahead() {
+    let mut bench =
+        Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 300, 4_000)]]);
+    bench.pump();
+    let timing = timing(&bench.act, bench.now, Leases::Fixed);
+    let (_, actions) = bench
+        .act
+        .promise(timing, &bench.robots, None, |robot| if robot.id.as_str() == "r1" { ms(50) } else { ms(0) });
+    bench.carry_out(actions);
+    bench.run_until(bench.start() + ms(5));
+    assert_eq!(bench.act.progress(), Progressed::Playing);
+    assert!(!broke_off(&bench, ms(349)), "by its clock it has not begun");
+    assert!(broke_off(&bench, ms(350)));
+}
+
+#[test]
+fn a_silence_that_a_coarse_clock_may_have_lengthened_breaks_nothing_off() {
+    let bench = plays_from(300, 4_000);
+    let before = by_robot(bench.start() + ms(100));
+    let broke_off = |after: Span| bench.act.broke_off(1, (before, before + bench::RUNNING + after)).is_some();
+    assert!(!broke_off(ms(5)));
+    assert!(broke_off(ms(5) + Span::from_nanos(1)));
+}
+
+#[test]
+fn what_is_known_of_a_clock_counts_though_nothing_is_known_of_another() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::of_three(Policy::Abort);
+        bench.decide(leases);
+        // As for a process that took over and has not heard of it yet.
+        bench.robots[2] = bench::robot("r2", Tells::Everything, 2);
+        let (now, there) = (bench.now, by_robot(bench.now) + ms(6));
+        bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        let brink = bench.timing().brink();
+        let told = bench.act.allow_for(now, &bench.robots);
+        assert!(
+            matches!(told.as_slice(), [ActAction::Tell(Progress::Decided { .. })]),
+            "{leases:?}: {told:?}"
+        );
+        assert!(bench.timing().brink() <= brink - ms(4), "{leases:?}");
+    }
+}
+
+#[test]
+fn where_the_clocks_show_nothing_new_nothing_is_told() {
+    let mut bench = Bench::of_three(Policy::Abort);
+    bench.decide(Leases::Shortened);
+    assert!(bench.act.allow_for(bench.now, &bench.robots).is_empty());
+}
