@@ -171,7 +171,12 @@ impl Host {
             strangers: Arc::default(),
             owners: watched.into(),
         };
-        let told = Told { log, owners, refusals: Arc::clone(&handle.refusals), figures: Arc::clone(&handle.figures) };
+        let told = Told {
+            log,
+            owners,
+            refusals: Arc::clone(&handle.refusals),
+            figures: Arc::clone(&handle.figures),
+        };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, told, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
         for (index, hosted) in hosted.into_iter().enumerate() {
