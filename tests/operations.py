@@ -122,7 +122,7 @@ def main():
         f"robots:\n  left: {{init: arm.yaml, address: 'tcp://127.0.0.1:{left}'}}\n"
         f"  right: {{init: arm.yaml, address: 'tcp://127.0.0.1:{right}'}}\n  near: {{init: arm.yaml, address: sim}}\n")
     environment = {**os.environ, "DOWNBEAT_STATE": str(folder / "state")}
-    start = lambda *words, **how: subprocess.Popen([program, *words], cwd=folder, env=environment, text=True, **how)
+    start = lambda *words, **how: subprocess.Popen([program, *words], cwd=folder, env=environment, text=True, stdin=subprocess.DEVNULL, **how)
     processes = []
     try:
         processes.append(start("sim", "fleet.yaml", "--metrics", str(of_robots), stdout=subprocess.DEVNULL))

@@ -121,6 +121,9 @@ struct Executor {
 
 impl Executor {
     fn new(robots: Vec<Body>, told: Told, waits: PreciseWait) -> Self {
+        for (figures, robot) in told.figures.robots().iter().zip(&robots) {
+            figures.note(robot.machine().counts(), robot.machine().hardware_answers());
+        }
         Self {
             wakeup_of: vec![None; robots.len()],
             connections: vec![0; robots.len()],
@@ -240,7 +243,7 @@ impl Executor {
         let (figures, machine) = (&self.told.figures.robots()[robot], self.robots[robot].machine());
         figures.note(machine.counts(), machine.hardware_answers());
         if !log.is_empty() {
-            figures.stepped(log.iter().filter(|entry| entry.step.is_some()).count() as u64);
+            figures.stepped(log.iter().filter(|entry| entry.is_a_step()).count() as u64);
         }
         if let (Some(sink), false) = (&self.told.log, log.is_empty()) {
             sink.add(robot, log);
