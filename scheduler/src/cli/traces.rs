@@ -15,7 +15,8 @@ impl Traces {
     #[cfg(feature = "otel")]
     pub(super) fn begin(scenario: &str, clock: ServerClock, watches: &mut Watches) -> Self {
         let begun = crate::operations::provider().and_then(|provider| {
-            let begin = |provider| crate::operations::Trace::begin(provider, scenario.to_owned(), clock.now());
+            let begin =
+                |provider| crate::operations::Trace::begin(provider, scenario.to_owned(), clock.now());
             provider.map(begin).transpose().map_err(|error| format!("cannot export traces: {error}"))
         });
         match begun {

@@ -25,7 +25,8 @@ const EXPORT_MAX: Duration = Duration::from_secs(10);
 /// What they say cannot be used, for people.
 pub(crate) fn provider() -> Result<Option<SdkTracerProvider>, String> {
     let set = |name| std::env::var(name).is_ok_and(|value| !value.is_empty());
-    let is_disabled = std::env::var("OTEL_SDK_DISABLED").is_ok_and(|value| value.eq_ignore_ascii_case("true"));
+    let is_disabled =
+        std::env::var("OTEL_SDK_DISABLED").is_ok_and(|value| value.eq_ignore_ascii_case("true"));
     if is_disabled || !(set("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT") || set("OTEL_EXPORTER_OTLP_ENDPOINT")) {
         return Ok(None);
     }

@@ -75,7 +75,10 @@ fn a_mission_is_a_tree_of_spans_at_the_instants_of_its_own_clock() {
 #[test]
 fn a_failure_marks_the_robot_and_the_mission_and_all_spans_end_with_it() {
     let mut notes = act()[..5].to_vec();
-    notes.extend([(55, Note::Failed(robot(), "link down".to_owned())), (56, Note::Stopping("why".to_owned()))]);
+    notes.extend([
+        (55, Note::Failed(robot(), "link down".to_owned())),
+        (56, Note::Stopping("why".to_owned())),
+    ]);
     let spans = spans(&notes);
     let failed: Vec<_> = spans.iter().filter(|span| matches!(span.status, Status::Error { .. })).collect();
     assert_eq!(failed.iter().map(|span| &*span.name).collect::<Vec<_>>(), ["robot plays", "mission"]);
