@@ -2,10 +2,23 @@
 
 use std::io::{Read, Write};
 use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
 
-use opentelemetry_sdk::trace::{InMemorySpanExporter, SpanData};
+use opentelemetry_sdk::error::OTelSdkResult;
+use opentelemetry_sdk::trace::{SpanData, SpanExporter};
 
 use super::*;
+
+/// Keeps what it is to export.
+#[derive(Clone, Debug, Default)]
+struct Kept(Arc<Mutex<Vec<SpanData>>>);
+
+impl SpanExporter for Kept {
+    async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
+        self.0.lock().unwrap().extend(batch);
+        Ok(())
+    }
+}
 
 fn at(millis: i64) -> Timestamp<Server> {
     Timestamp::from_nanos(1_700_000_000_000_000_000 + millis * 1_000_000)
@@ -13,13 +26,13 @@ fn at(millis: i64) -> Timestamp<Server> {
 
 /// The spans of these notes, each with its millisecond.
 fn spans(notes: &[(i64, Note)]) -> Vec<SpanData> {
-    let exporter = InMemorySpanExporter::default();
+    let exporter = Kept::default();
     let provider = SdkTracerProvider::builder().with_simple_exporter(exporter.clone()).build();
     let (trace, watch) = Trace::begin(provider, "show".to_owned(), at(0)).unwrap();
     notes.iter().for_each(|(millis, note)| watch.hand_over(at(*millis), note.clone()));
     drop(watch);
     trace.thread.join().unwrap();
-    exporter.get_finished_spans().unwrap()
+    exporter.0.lock().unwrap().clone()
 }
 
 fn robot() -> RobotId {
