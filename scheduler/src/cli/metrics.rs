@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use downbeat_robot::Host;
 use urrcp::RobotId;
 
-use super::{Format, console};
+use super::Format;
 use crate::link::Endpoint;
 use crate::run::watch::Watches;
 use crate::server_clock::ServerClock;
@@ -48,7 +48,7 @@ impl MetricsArgs {
             format!("cannot serve metrics at {address}: {refusal}")
         })?;
         if format == Format::Text {
-            console::note(&format!("metrics are at http://{address}/metrics"));
+            super::console::note(&format!("metrics are at http://{address}/metrics"));
         }
         Ok(Metrics { board: Some(board) })
     }

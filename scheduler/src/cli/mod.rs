@@ -43,7 +43,6 @@ mod run;
 mod schema;
 mod sim;
 mod stop;
-mod traces;
 mod trials;
 mod withdraw;
 mod world;

@@ -11,7 +11,6 @@ use super::metrics::{Metrics, MetricsArgs};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
-use super::traces::Traces;
 use super::withdraw::{How, Programs, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
 use crate::fleet::{self, EndpointError, StartPrograms};
@@ -277,7 +276,6 @@ async fn go_on(
     metrics.add_mission(clock, (ids.clone(), &endpoints), host.as_ref(), &mut keep.watches);
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
     keep.stop_lane = Some(lane);
-    let traces = Traces::begin(&mission.choreography().scenario, clock, &mut keep.watches);
     let tell = |at, progress: &_| live.tell(at, progress);
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     drop(live);
@@ -285,6 +283,5 @@ async fn go_on(
     if let Some(control) = control {
         control.end(serde_json::to_string(&report).ok()).await;
     }
-    traces.finish(&mut keep.watches);
     Ok(report)
 }

@@ -20,7 +20,6 @@ use super::load;
 use super::metrics::{Metrics, MetricsArgs};
 use super::missions::unusable;
 use super::realtime::{self, RealtimeArgs};
-use super::traces::Traces;
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::fleet::{self, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
@@ -480,7 +479,6 @@ impl Work<'_> {
                 Live::start(self.format, clock, choreography, ids, speaker)
             }
         };
-        let traces = self.traces(&mission, clock, &mut keep);
         let tell = |at, progress: &_| live.tell(at, progress);
         let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
         drop(live);
@@ -492,16 +490,7 @@ impl Work<'_> {
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;
         }
-        traces.finish(&mut keep.watches);
         Ok(report)
-    }
-
-    /// A preflight alone leaves none.
-    fn traces(&self, mission: &Mission, clock: ServerClock, keep: &mut Keep) -> Traces {
-        match self.preflight_only {
-            true => Traces::default(),
-            false => Traces::begin(&mission.choreography().scenario, clock, &mut keep.watches),
-        }
     }
 }
 

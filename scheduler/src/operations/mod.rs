@@ -1,11 +1,9 @@
-//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`), and traces for OpenTelemetry
-//! (feature `otel`). `docs/operations.md` describes them.
+//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`).
+//! `docs/operations.md` describes them.
 //!
-//! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]) or hand what happens to a thread. The thread
+//! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread
 //! of the endpoint (`server.rs`) reads the numbers, also while someone asks for them too often or reads too slowly.
 
-#[cfg(feature = "otel")]
-mod export;
 #[cfg(feature = "metrics")]
 mod exposition;
 #[cfg(feature = "metrics")]
@@ -18,16 +16,10 @@ mod mission;
 mod names;
 #[cfg(feature = "metrics")]
 mod server;
-#[cfg(feature = "otel")]
-mod traces;
 
-#[cfg(feature = "otel")]
-pub(crate) use self::export::provider;
 #[cfg(feature = "metrics")]
 pub(crate) use self::host::HostMetrics;
 #[cfg(feature = "metrics")]
 pub(crate) use self::mission::MissionMetrics;
 #[cfg(feature = "metrics")]
 pub(crate) use self::server::{Board, serve};
-#[cfg(feature = "otel")]
-pub(crate) use self::traces::Trace;

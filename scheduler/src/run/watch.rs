@@ -38,7 +38,7 @@ pub(crate) trait Watch: Debug + Send {
 pub(crate) struct Watches(Vec<Box<dyn Watch>>);
 
 impl Watches {
-    #[cfg(any(feature = "metrics", feature = "otel"))]
+    #[cfg(feature = "metrics")]
     pub(crate) fn add(&mut self, watch: impl Watch + 'static) {
         self.0.push(Box::new(watch));
     }
