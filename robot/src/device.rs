@@ -157,7 +157,6 @@ impl DeviceMachine {
     }
 
     /// How many commands it holds.
-    #[cfg(test)]
     pub(crate) fn held(&self) -> usize {
         self.queue.len()
     }

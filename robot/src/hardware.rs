@@ -126,6 +126,12 @@ impl Hardware {
         }
     }
 
+    /// Whether anything can be promised now.
+    #[cfg(feature = "host")]
+    pub(crate) const fn answers(&self) -> bool {
+        matches!(self.presence, Presence::Simulated | Presence::There)
+    }
+
     /// Why nothing can be promised now: it is away, or it may be.
     pub(crate) fn missing(&self) -> Option<ControlError> {
         match &self.presence {

@@ -22,6 +22,7 @@ use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
 use self::outbox::{Inbox, outbox};
 use crate::driver::Mailbox;
+use crate::figures::Figures;
 use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Refusals;
@@ -118,6 +119,7 @@ pub struct HostHandle {
     robots: Arc<[RobotId]>,
     next_link: Arc<AtomicU64>,
     refusals: Arc<Refusals>,
+    figures: Arc<Figures>,
     strangers: Arc<Strangers>,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
 }
@@ -162,13 +164,19 @@ impl Host {
         let (owners, watched): (Vec<_>, Vec<_>) = ids.iter().map(|_| watch::channel(None)).unzip();
         let handle = HostHandle {
             orders,
+            figures: Arc::new(Figures::of(ids.len())),
             robots: ids,
             next_link: Arc::new(AtomicU64::new(0)),
             refusals: Arc::default(),
             strangers: Arc::default(),
             owners: watched.into(),
         };
-        let told = Told { log, owners, refusals: Arc::clone(&handle.refusals) };
+        let told = Told {
+            log,
+            owners,
+            refusals: Arc::clone(&handle.refusals),
+            figures: Arc::clone(&handle.figures),
+        };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, told, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
         for (index, hosted) in hosted.into_iter().enumerate() {
@@ -205,6 +213,12 @@ impl Host {
     #[must_use]
     pub fn refusals(&self) -> &Refusals {
         &self.handle.refusals
+    }
+
+    /// Counts of its robots, which change as they play.
+    #[must_use]
+    pub fn figures(&self) -> Arc<Figures> {
+        Arc::clone(&self.handle.figures)
     }
 
     /// Hears why the log ends ahead of the robots, which continue without it; nothing where it does not. To be taken once.
@@ -279,13 +293,27 @@ impl HostHandle {
         Some(link)
     }
 
+    /// Counts of the robots, which change as they play.
+    #[must_use]
+    pub fn figures(&self) -> Arc<Figures> {
+        Arc::clone(&self.figures)
+    }
+
+    /// Whether the precise thread answers within this time.
+    pub async fn answers_within(&self, patience: Duration) -> bool {
+        let (answer, answered) = oneshot::channel();
+        let asked = self.orders.send(Order::Beat { answer }).is_ok();
+        asked && tokio::time::timeout(patience, answered).await.is_ok_and(|answered| answered.is_ok())
+    }
+
     /// Whether no robot runs here any more.
     pub(crate) fn has_stopped(&self) -> bool {
         self.orders.is_disconnected()
     }
 
     /// How often peers were refused, slowed down or hung up on, and why.
-    pub(crate) fn refusals(&self) -> &Refusals {
+    #[must_use]
+    pub fn refusals(&self) -> &Refusals {
         &self.refusals
     }
 

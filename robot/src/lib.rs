@@ -75,11 +75,14 @@
 mod answers;
 pub mod clock;
 mod confirmation;
+mod counts;
 mod device;
 #[cfg(feature = "host")]
 pub mod driver;
 #[cfg(feature = "host")]
 mod edge;
+#[cfg(feature = "host")]
+pub mod figures;
 mod hardware;
 mod held;
 #[cfg(feature = "host")]
@@ -119,6 +122,7 @@ pub mod tls;
 mod wake_up;
 
 pub use confirmation::Ticket;
+pub use counts::Counts;
 pub use device::Motion;
 pub use hardware::{AtEnd, ReadingId};
 #[cfg(feature = "host")]

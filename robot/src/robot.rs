@@ -17,6 +17,7 @@ use urrcp::{
 
 use crate::answers::Answers;
 use crate::confirmation::{Said, Ticket, Unconfirmed};
+use crate::counts::Counts;
 use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
@@ -138,6 +139,8 @@ pub struct Robot {
     /// Something has been set since the start.
     moved: bool,
     effects: Vec<Effect>,
+    /// All but what it holds now.
+    counts: Counts,
     /// What is to be told, of which device, and when it happened.
     reports: Vec<(usize, Now, Effect)>,
 }
@@ -166,6 +169,7 @@ impl Robot {
             plans: Plans::default(),
             moved: false,
             effects: Vec::new(),
+            counts: Counts::default(),
             reports: Vec::new(),
         }
     }
@@ -183,6 +187,19 @@ impl Robot {
             && !self.awaits_confirmation()
             && self.plans.is_empty()
             && self.devices.iter().all(DeviceMachine::is_idle)
+    }
+
+    /// What it holds now, and what has become of its commands so far.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        let held = self.devices.iter().map(|device| device.held() as u64).sum();
+        Counts { held, ..self.counts }
+    }
+
+    /// Whether the hardware answers, if there is any.
+    #[cfg(feature = "host")]
+    pub(crate) const fn hardware_answers(&self) -> bool {
+        self.hardware.answers()
     }
 
     /// The value of a signal, linear movements included.
@@ -440,16 +457,20 @@ impl Robot {
         let (link, report) = match effect {
             Effect::Move { .. } => return,
             Effect::Started { link, request_id, value, .. } => {
+                self.counts.started += 1;
                 let status_value = StatusValue::Number(value);
                 (link, ControlResponse { request_id, status_value, ..base(Status::Started) })
             }
             Effect::Ended { link, request_id, value, steps_done, late_steps, .. } => {
+                self.counts.ended += 1;
+                self.counts.late_steps += u64::from(late_steps);
                 let status_value = StatusValue::Number(value);
                 let steps_done = Some(steps_done);
                 let base = ControlResponse { late_steps: Some(late_steps), ..base(Status::Ok) };
                 (link, ControlResponse { request_id, status_value, steps_done, ..base })
             }
             Effect::Failed { link, request_id, error, steps_done, .. } => {
+                self.counts.failed += 1;
                 let (error, steps_done) = (Some(error), Some(steps_done));
                 (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
             }

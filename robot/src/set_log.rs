@@ -48,6 +48,12 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
+    /// Whether a step of a script was set, and not the way to the next one.
+    #[cfg(feature = "host")]
+    pub(crate) fn is_a_step(&self) -> bool {
+        self.step.is_some() && self.motion == "set"
+    }
+
     pub(crate) fn new(host_time: Timestamp<HostTime>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
         let (motion, control_type, value) = match set.motion {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),

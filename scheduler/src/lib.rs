@@ -52,6 +52,7 @@ pub mod measured;
 pub mod mission;
 pub mod onset;
 pub mod open_files;
+mod operations;
 pub mod page;
 pub mod recording;
 pub mod report;

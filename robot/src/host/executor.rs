@@ -14,6 +14,7 @@ use super::log::Log;
 use super::outbox::Outbox;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::News;
+use crate::figures::Figures;
 use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
@@ -46,6 +47,10 @@ pub(super) enum Order {
     Hardware {
         robot: usize,
         news: News,
+    },
+    /// It is asked whether the thread runs.
+    Beat {
+        answer: oneshot::Sender<()>,
     },
     /// The host ends; these robots, by their indices, were told to stay where they are.
     Stop {
@@ -87,6 +92,14 @@ pub(super) struct Told {
     /// Of each robot.
     pub(super) owners: Vec<watch::Sender<Option<Claimant>>>,
     pub(super) refusals: Arc<Refusals>,
+    pub(super) figures: Arc<Figures>,
+}
+
+/// What becomes of a connection.
+#[derive(Clone, Copy, Debug)]
+enum Change {
+    Opened,
+    Closed,
 }
 
 /// The precise thread's state.
@@ -98,6 +111,8 @@ struct Executor {
     clock: HostClock,
     waits: PreciseWait,
     told: Told,
+    /// Connections of each robot.
+    connections: Vec<u64>,
     /// How often the owner of each robot had changed when it was told last.
     owner_changes: Vec<u64>,
     out: Vec<Outgoing>,
@@ -106,8 +121,12 @@ struct Executor {
 
 impl Executor {
     fn new(robots: Vec<Body>, told: Told, waits: PreciseWait) -> Self {
+        for (figures, robot) in told.figures.robots().iter().zip(&robots) {
+            figures.note(robot.machine().counts(), robot.machine().hardware_answers());
+        }
         Self {
             wakeup_of: vec![None; robots.len()],
+            connections: vec![0; robots.len()],
             owner_changes: vec![0; robots.len()],
             robots,
             wakeups: BTreeSet::new(),
@@ -140,11 +159,12 @@ impl Executor {
                     self.clock = HostClock::anchored();
                 }
                 self.peers.insert(link, (robot, outbox));
+                self.connected(robot, Change::Opened);
                 self.advance(robot);
             }
             Order::Input { robot, link, input, permit } => {
                 if matches!(input, Input::LinkDown) {
-                    self.peers.remove(&link);
+                    self.forget(link);
                 }
                 let now = self.clock.now();
                 self.robots[robot].receive(now, link, input);
@@ -160,8 +180,25 @@ impl Executor {
                 self.robots[robot].hear(self.clock.now(), news);
                 self.advance(robot);
             }
+            Order::Beat { answer } => drop(answer.send(())),
             Order::Stop { .. } => {}
         }
+    }
+
+    /// A link is gone, or is not to be spoken on any more.
+    fn forget(&mut self, link: LinkId) -> Option<Outbox> {
+        let (robot, outbox) = self.peers.remove(&link)?;
+        self.connected(robot, Change::Closed);
+        Some(outbox)
+    }
+
+    fn connected(&mut self, robot: usize, change: Change) {
+        let connections = &mut self.connections[robot];
+        *connections = match change {
+            Change::Opened => *connections + 1,
+            Change::Closed => connections.saturating_sub(1),
+        };
+        self.told.figures.robots()[robot].has_connections(*connections);
     }
 
     /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
@@ -176,6 +213,9 @@ impl Executor {
     /// First moves every robot that is due, then lets each speak: no robot's start waits for another's report.
     fn advance_due(&mut self) {
         let now = self.clock.now();
+        if let Some((at, _)) = self.wakeups.first() {
+            self.told.figures.wake_up.add(now - *at);
+        }
         let mut due = std::mem::take(&mut self.due);
         due.extend(self.wakeups.iter().take_while(|(at, _)| *at <= now).map(|(_, robot)| *robot));
         for robot in &due {
@@ -200,6 +240,11 @@ impl Executor {
         self.robots[robot].advance(now, &mut self.out);
         self.robots[robot].post(&self.clock);
         let log = self.robots[robot].take_log();
+        let (figures, machine) = (&self.told.figures.robots()[robot], self.robots[robot].machine());
+        figures.note(machine.counts(), machine.hardware_answers());
+        if !log.is_empty() {
+            figures.stepped(log.iter().filter(|entry| entry.is_a_step()).count() as u64);
+        }
         if let (Some(sink), false) = (&self.told.log, log.is_empty()) {
             sink.add(robot, log);
         }
@@ -221,7 +266,8 @@ impl Executor {
     }
 
     fn send_out(&mut self) {
-        for outgoing in self.out.drain(..) {
+        let mut out = std::mem::take(&mut self.out);
+        for outgoing in out.drain(..) {
             match outgoing {
                 Outgoing::Message { link, message } => {
                     let Some((robot, outbox)) = self.peers.get(&link) else { continue };
@@ -231,16 +277,17 @@ impl Executor {
                     let is_owner = || self.robots[*robot].machine().is_owner(link);
                     if !outbox.say(message, is_owner) {
                         self.told.refusals.note(Reason::Unread, outbox.peer());
-                        self.peers.remove(&link);
+                        self.forget(link);
                     }
                 }
                 Outgoing::Close { link } => {
-                    if let Some((_, outbox)) = self.peers.remove(&link) {
+                    if let Some(outbox) = self.forget(link) {
                         outbox.close();
                     }
                 }
             }
         }
+        self.out = out;
     }
 }
 

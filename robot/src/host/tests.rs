@@ -122,6 +122,26 @@ async fn many_robots_due_at_one_instant_all_start() {
 }
 
 #[tokio::test]
+async fn a_host_counts_what_its_robots_do_and_answers_while_its_thread_runs() {
+    let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
+    let (handle, figures) = (host.handle(), host.figures());
+    let mut link = handle.connect(1).unwrap();
+    link.send(paper(50.0));
+    while response(&mut link).await.status != Status::Ok {}
+    let [idle, busy] = figures.robots() else { panic!("two robots") };
+    let counts = busy.counts();
+    assert_eq!((counts.held, counts.started, counts.ended, counts.failed), (0, 1, 1, 0));
+    assert_eq!((busy.steps(), busy.connections(), busy.hardware_answers()), (3, 1, true));
+    assert_eq!((idle.counts(), idle.steps(), idle.connections()), (crate::Counts::default(), 0, 0));
+    assert!(figures.wake_up.cumulated().last() > Some(&0), "it woke for the steps");
+    drop(link);
+    assert!(handle.answers_within(Duration::from_secs(60)).await);
+    assert_eq!(busy.connections(), 0, "the link was dropped before");
+    host.stop();
+    assert!(!handle.answers_within(Duration::from_secs(60)).await);
+}
+
+#[tokio::test]
 async fn a_link_to_no_robot_or_to_a_stopped_host_is_refused() {
     let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
     let handle = host.handle();

@@ -58,8 +58,9 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
 }
 
 /// Options of cargo, Blender and `soak`, which documents call too.
-const FOREIGN: [&str; 11] = [
+const FOREIGN: [&str; 12] = [
     "release",
+    "features",
     "workspace",
     "path",
     "bin",

@@ -30,6 +30,7 @@ mod init;
 mod keys;
 mod live;
 mod load;
+mod metrics;
 mod missions;
 mod moves;
 mod outlet;

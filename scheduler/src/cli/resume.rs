@@ -7,6 +7,7 @@ use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot};
 
 use super::live::{Live, Speaker};
+use super::metrics::{Metrics, MetricsArgs};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
@@ -46,6 +47,8 @@ pub(super) struct ResumeArgs {
     how: HowArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
@@ -95,6 +98,7 @@ struct Resumption<'a> {
     fleet: Fleet,
     how: &'a HowArgs,
     realtime: RealtimeArgs,
+    metrics: Metrics,
     format: Format,
 }
 
@@ -113,6 +117,7 @@ impl<'a> Resumption<'a> {
         }
         may_start(&found.opened, &fleet::robots_in(&fleet, &choreography), args)
             .map_err(|why| failed(&why))?;
+        let metrics = args.metrics.serve(format).map_err(|why| failed(&why))?;
         let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
         Ok(Self {
             found,
@@ -122,6 +127,7 @@ impl<'a> Resumption<'a> {
             fleet,
             how: &args.how,
             realtime: args.realtime,
+            metrics,
             format,
         })
     }
@@ -162,7 +168,8 @@ impl<'a> Resumption<'a> {
                 return exit;
             }
         };
-        match go_on(&self.found, self.journal, mission, (host, endpoints), clock, format).await {
+        let keep = Keep { journal: Some(self.journal), ..Keep::default() };
+        match go_on(&self.found, (keep, &self.metrics), mission, (host, endpoints), clock, format).await {
             Ok(report) => finish(&report, format),
             Err(exit) => exit,
         }
@@ -256,7 +263,7 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
 /// Plays what is left of it; returns the report.
 async fn go_on(
     found: &Found,
-    journal: Journal,
+    (mut keep, metrics): (Keep, &Metrics),
     mission: Mission,
     (host, endpoints): (Option<Host>, Vec<Endpoint>),
     clock: ServerClock,
@@ -266,8 +273,9 @@ async fn go_on(
     let control = listen(&found.folder, &lane, identity::desk(&found.opened.keys));
     let choreography = Arc::new(mission.choreography().clone());
     let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+    metrics.add_mission(clock, (ids.clone(), &endpoints), host.as_ref(), &mut keep.watches);
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
-    let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
+    keep.stop_lane = Some(lane);
     let tell = |at, progress: &_| live.tell(at, progress);
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     drop(live);

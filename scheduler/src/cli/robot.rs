@@ -16,6 +16,7 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
+use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};
@@ -76,6 +77,8 @@ pub(super) struct ProcessArgs {
     guard: GuardArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
 }
 
 /// Who may drive what listens.
@@ -167,10 +170,15 @@ impl ProcessArgs {
                 Ok(door) => door,
                 Err(error) => return failed(&error),
             };
+            let metrics = match self.metrics.serve(format) {
+                Ok(metrics) => metrics,
+                Err(error) => return failed(&error),
+            };
             let mut host = match Host::start(vec![robot], options) {
                 Ok(host) => host,
                 Err(error) => return failed(&not_hosted(&error)),
             };
+            metrics.add_host(&host, vec![id]);
             let log = LogWatch::of(&mut host);
             self.realtime.tell(&host, format);
             announce(&host, 0, &listener, format);

@@ -17,6 +17,7 @@ use super::choice::{self, ChoiceArgs};
 use super::fleet::ProgramArgs;
 use super::live::{Live, Speaker};
 use super::load;
+use super::metrics::{Metrics, MetricsArgs};
 use super::missions::unusable;
 use super::realtime::{self, RealtimeArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
@@ -62,6 +63,8 @@ pub(super) struct RunArgs {
     certified: CertifiedArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
@@ -173,6 +176,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         how: &args.how,
         certified: &args.certified,
         realtime: args.realtime,
+        metrics: args.metrics,
         at: args.at,
         lead: args.lead,
         join: match args.join {
@@ -198,6 +202,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         how: &args.how,
         certified: &args.certified,
         realtime: args.realtime,
+        metrics: MetricsArgs::default(),
         at: None,
         lead: None,
         join: Join::Refuse,
@@ -241,9 +246,9 @@ struct Prepared<'a> {
     clock: ServerClock,
     options: MissionOptions,
     keep: Keep,
-    lane: StopLane,
-    operator: mpsc::Receiver<Operator>,
-    control: Option<Control>,
+    /// By which the operator speaks.
+    with: (StopLane, mpsc::Receiver<Operator>, Option<Control>),
+    metrics: Metrics,
 }
 
 /// One mission as it was asked for.
@@ -253,6 +258,7 @@ struct Work<'a> {
     how: &'a HowArgs,
     certified: &'a CertifiedArgs,
     realtime: RealtimeArgs,
+    metrics: MetricsArgs,
     at: Option<StartAt>,
     lead: Option<Span>,
     join: Join,
@@ -323,6 +329,7 @@ impl Work<'_> {
         fleet: &Fleet,
         fleet_path: &Path,
     ) -> Result<Report, Stopped> {
+        let metrics = self.metrics.serve(self.format).map_err(usage)?;
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
         let session = match &self.place {
@@ -346,8 +353,8 @@ impl Work<'_> {
             control = listen(&folder, &lane, desk);
         }
         let choreography = Arc::new(choreography);
-        self.perform(Prepared { choreography, fleet, robots, clock, options, keep, lane, operator, control })
-            .await
+        let with = (lane, operator, control);
+        self.perform(Prepared { choreography, fleet, robots, clock, options, keep, with, metrics }).await
     }
 
     /// Where its journal is to be, if no other mission there has its robots. A mission without a journal need not know.
@@ -445,8 +452,8 @@ impl Work<'_> {
 
     /// Reaches the robots, plays, and lets all go that went with it.
     async fn perform(&self, prepared: Prepared<'_>) -> Result<Report, Stopped> {
-        let Prepared { choreography, fleet, robots, clock, options, mut keep, lane, operator, control } =
-            prepared;
+        let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics } = prepared;
+        let (lane, operator, control) = with;
         let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
@@ -459,6 +466,8 @@ impl Work<'_> {
         if let (Some(host), false) = (&host, self.preflight_only) {
             self.realtime.tell(host, self.format);
         }
+        let ids = robots.iter().map(|robot| robot.id.clone()).collect();
+        metrics.add_mission(clock, (ids, &endpoints), host.as_ref(), &mut keep.watches);
         let participants = fleet::participants(&robots);
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;

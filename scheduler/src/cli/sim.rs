@@ -6,6 +6,7 @@ use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::{Address, Protection};
 use tokio::net::TcpListener;
 
+use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::{Exit, Format, ProjectArgs, console, load, robot};
 use crate::signals::{OnHangUp, Signals};
@@ -31,6 +32,8 @@ pub(super) struct SimArgs {
     log_file: Option<PathBuf>,
     #[command(flatten)]
     realtime: RealtimeArgs,
+    #[command(flatten)]
+    metrics: MetricsArgs,
 }
 
 fn takes_keys(address: &Address) -> bool {
@@ -51,6 +54,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     }
     let mut machines = Vec::new();
     let mut addresses = Vec::new();
+    let mut names = Vec::new();
     for (seed, robot) in fleet.robots.iter().enumerate() {
         let Address::Tcp { host, port, protection } = &robot.address else { continue };
         match fleet::simulated(robot, seed as u64) {
@@ -60,6 +64,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
                 return Exit::Failed;
             }
         }
+        names.push(robot.id.clone());
         let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
         let door = args.keys.as_ref().map(|keys| keys::door_of(keys, own_id, *protection));
         match door.transpose() {
@@ -78,6 +83,10 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     }
     let mut options = HostOptions::default().with_realtime(args.realtime.realtime());
     options.log.clone_from(&args.log_file);
+    let metrics = match args.metrics.serve(format) {
+        Ok(metrics) => metrics,
+        Err(error) => return robot::failed(&error),
+    };
     let mut host = match Host::start(machines, options) {
         Ok(host) => host,
         Err(error) => {
@@ -85,6 +94,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
             return Exit::Usage;
         }
     };
+    metrics.add_host(&host, names);
     args.realtime.tell(&host, format);
     super::with_runtime(async {
         let signals = match Signals::listen(OnHangUp::End) {

@@ -64,6 +64,9 @@ pub trait World {
     /// Tells the operator.
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress);
 
+    /// The loop turns once more. Nothing of this may wait.
+    fn turned(&mut self, _mission: &Mission) {}
+
     /// Answers the oldest go of the operator that has no answer yet: which act it lets begin, or why it counts for none.
     fn answer(&mut self, _answer: Result<String, String>) {}
 }
@@ -137,6 +140,7 @@ pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Rep
         return Some(report);
     }
     loop {
+        world.turned(mission);
         let mut until = mission.next_wakeup();
         for _ in 0..ROUND_MAX {
             let (at, event) = match driver.next(world, until).await {

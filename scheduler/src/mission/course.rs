@@ -371,16 +371,7 @@ impl Mission {
                 let robot = &mut self.robots[member.robot];
                 robot.left.extend(left);
                 let error = act.start_error(member, script);
-                let totals = &mut robot.totals;
-                totals.scripts += 1;
-                // What has begun was accepted, even if that answer was lost.
-                totals.accepted += usize::from(script.was_accepted() || script.has_begun());
-                totals.started += usize::from(script.has_begun());
-                totals.steps_done += u64::from(script.steps_done());
-                totals.steps_planned += script.plan.script.steps().len() as u64;
-                totals.late_steps += u64::from(script.late_steps());
-                totals.start_error = totals.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
-                totals.unaccounted += usize::from(script.is_unaccounted());
+                robot.totals.add(script, error);
                 if let Some(id) = script.request_id() {
                     robot.requests.remove(id);
                 }

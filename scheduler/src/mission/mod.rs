@@ -21,6 +21,8 @@ mod failure;
 mod failure_kind;
 mod failures;
 mod fates;
+#[cfg(feature = "metrics")]
+pub(crate) mod figures;
 mod greet;
 mod identity;
 mod latency;
@@ -121,6 +123,8 @@ pub struct Mission {
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
     next_round: Option<Timestamp<Server>>,
+    /// Rounds that this machine was too late for.
+    rounds_held_up: u64,
     /// When it is next looked whether a robot has been silent for too long.
     next_silence: Option<Timestamp<Server>>,
     /// When it is next looked whether a robot has not said which one it is.
@@ -202,6 +206,7 @@ impl Mission {
             detour: None,
             then: None,
             next_round: None,
+            rounds_held_up: 0,
             next_silence: None,
             next_name: None,
             stopped_at: None,

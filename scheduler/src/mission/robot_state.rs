@@ -12,7 +12,7 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::latency::LatencyDiffers;
-use super::script::ScriptRef;
+use super::script::{Ending, Script, ScriptRef, ScriptState};
 use super::seize::Ownership;
 use super::{Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
@@ -112,7 +112,10 @@ pub(crate) enum Reading {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Totals {
     pub(crate) scripts: usize,
+    pub(crate) sent: usize,
     pub(crate) accepted: usize,
+    /// Refused, or ended early.
+    pub(crate) failed: usize,
     pub(crate) started: usize,
     pub(crate) steps_done: u64,
     pub(crate) steps_planned: u64,
@@ -122,6 +125,22 @@ pub(crate) struct Totals {
     pub(crate) unaccounted: usize,
     pub(crate) retries: u32,
     pub(crate) reconnects: u32,
+}
+
+impl Totals {
+    pub(crate) fn add(&mut self, script: &Script, error: Option<Span>) {
+        self.scripts += 1;
+        self.sent += usize::from(!script.is_planned());
+        // What has begun was accepted, even if that answer was lost.
+        self.accepted += usize::from(script.was_accepted() || script.has_begun());
+        self.failed += usize::from(matches!(script.state(), ScriptState::Ended(Ending::Failed(_))));
+        self.started += usize::from(script.has_begun());
+        self.steps_done += u64::from(script.steps_done());
+        self.steps_planned += script.plan.script.steps().len() as u64;
+        self.late_steps += u64::from(script.late_steps());
+        self.start_error = self.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
+        self.unaccounted += usize::from(script.is_unaccounted());
+    }
 }
 
 /// Questions for a robot's times, and whether it answers them.

@@ -69,6 +69,7 @@ impl Mission {
     /// This machine was held up: robots that could not answer meanwhile are not silent.
     pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
         if self.next_round.is_some_and(|due| now > due + HELD_UP) {
+            self.rounds_held_up += 1;
             self.robots.iter_mut().for_each(|robot| robot.questions.forgive());
             self.next_silence = None;
         }

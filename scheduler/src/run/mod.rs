@@ -2,6 +2,7 @@
 
 pub mod control;
 pub mod desk;
+pub(crate) mod watch;
 mod world;
 
 use std::collections::BTreeSet;
@@ -9,6 +10,7 @@ use std::collections::BTreeSet;
 use tokio::sync::{mpsc, oneshot};
 use urrcp::{DeviceId, Server, Timestamp};
 
+use self::watch::Watches;
 use self::world::RealWorld;
 use crate::drive::drive;
 use crate::journal::Journal;
@@ -56,6 +58,8 @@ pub struct Keep {
     pub ntp: Option<NtpWatch>,
     /// Stops the robots whatever else stands still.
     pub stop_lane: Option<StopLane>,
+    /// Who watches it.
+    pub(crate) watches: Watches,
 }
 
 /// What the lane has to stop that another process has moved. A mission that does nothing but stop asks first which robot it
@@ -93,6 +97,7 @@ pub async fn run_and_keep(
     let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
+    keep.watches.each(|watch| watch.ended(clock.now(), &mission));
     // A real process that is killed does not come here.
     report.unwrap_or_else(|| Report::as_left(&mut mission, clock.now()))
 }

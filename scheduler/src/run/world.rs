@@ -7,11 +7,12 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
+use super::watch::Watches;
 use super::{Keep, Operator};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, Writer, Written};
 use crate::link::{Asked, Endpoint, Link, Waiting};
-use crate::mission::{Event, Progress, Record};
+use crate::mission::{Event, Mission, Progress, Record};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Passage, StopLane};
@@ -39,6 +40,7 @@ pub(super) struct RealWorld<T> {
     journal: FileJournal,
     recording: Option<Recorder>,
     stop_lane: Option<StopLane>,
+    watches: Watches,
 }
 
 enum FileJournal {
@@ -81,6 +83,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             journal,
             recording: keep.recording,
             stop_lane,
+            watches: keep.watches,
         }
     }
 
@@ -95,7 +98,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             FileJournal::Written(writer) => writer.finish().await,
             FileJournal::None | FileJournal::Lost(_) => None,
         };
-        Keep { journal, recording: self.recording, ntp: self.ntp, stop_lane: self.stop_lane }
+        let (recording, ntp, stop_lane) = (self.recording, self.ntp, self.stop_lane);
+        Keep { journal, recording, ntp, stop_lane, watches: self.watches }
     }
 
     fn note(&mut self, note: impl FnOnce(&mut Recording, &[RobotId]) + Send + 'static) {
@@ -116,6 +120,39 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
     }
 
+    /// What happens next until then, in the order that every world keeps to.
+    async fn happens(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
+        tokio::select! {
+            biased;
+            word = self.operator.recv() => match word {
+                Some(Operator::Stop { rest, by }) => self.event(Event::StopRequested { rest, by }),
+                Some(Operator::Go { act, by, answer }) => {
+                    self.unanswered.push_back(answer);
+                    self.event(Event::Go { act, by })
+                }
+                Some(Operator::Leave) | None => Some(Happened::Left),
+            },
+            written = next_written(&mut self.journal) => self.recorded(match written.lost {
+                Some(reason) => Event::JournalLost { reason },
+                None => Event::Recorded { count: written.count },
+            }),
+            Some(Waiting { happened, .. }) = self.happened.recv() => {
+                self.note_received(&happened);
+                Some(happened)
+            }
+            state = next_state(&mut self.ntp) => self.event(Event::ServerTime(state)),
+            () = wait_until(self.clock, until) => None,
+        }
+    }
+
+    fn recorded(&mut self, event: Event) -> Option<Happened> {
+        if let Event::Recorded { count } = event {
+            let now = self.clock.now();
+            self.watches.each(|watch| watch.recorded(now, count));
+        }
+        self.event(event)
+    }
+
     fn event(&self, event: Event) -> Option<Happened> {
         Some(Happened::Event { at: self.clock.now(), event: Box::new(event) })
     }
@@ -130,26 +167,24 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         if let Some(lane) = &self.stop_lane {
             lane.turned();
         }
-        tokio::select! {
-            biased;
-            word = self.operator.recv() => match word {
-                Some(Operator::Stop { rest, by }) => self.event(Event::StopRequested { rest, by }),
-                Some(Operator::Go { act, by, answer }) => {
-                    self.unanswered.push_back(answer);
-                    self.event(Event::Go { act, by })
-                }
-                Some(Operator::Leave) | None => Some(Happened::Left),
-            },
-            written = next_written(&mut self.journal) => self.event(match written.lost {
-                Some(reason) => Event::JournalLost { reason },
-                None => Event::Recorded { count: written.count },
-            }),
-            Some(Waiting { happened, .. }) = self.happened.recv() => {
-                self.note_received(&happened);
-                Some(happened)
-            }
-            state = next_state(&mut self.ntp) => self.event(Event::ServerTime(state)),
-            () = wait_until(self.clock, until) => None,
+        if self.watches.is_empty() {
+            return self.happens(until).await;
+        }
+        let due = until.filter(|due| self.watches.turns_by().is_none_or(|by| *due <= by));
+        let until = due.or_else(|| self.watches.turns_by());
+        let sleeps = due.filter(|due| *due > self.clock.now());
+        let happened = self.happens(until).await;
+        if let (None, Some(due)) = (&happened, sleeps) {
+            let late = self.clock.now() - due;
+            self.watches.each(|watch| watch.woke(late));
+        }
+        happened
+    }
+
+    fn turned(&mut self, mission: &Mission) {
+        if !self.watches.is_empty() {
+            let now = self.clock.now();
+            self.watches.each(|watch| watch.turned(now, mission));
         }
     }
 
@@ -199,6 +234,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
             FileJournal::None => Filed::AtOnce,
             FileJournal::Lost(reason) => Filed::Lost(reason.clone()),
             FileJournal::Written(writer) => {
+                if record.is_durable() {
+                    self.watches.each(|watch| watch.filed(at));
+                }
                 writer.write(at, record).map_or_else(Filed::Lost, |()| Filed::Waiting)
             }
         }
@@ -206,6 +244,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
         (self.tell)(at, &progress);
+        self.watches.each(|watch| watch.told(at, &progress));
         self.note(move |recording, _| recording.progress(at, &progress));
     }
 

@@ -1,0 +1,119 @@
+//! `--metrics`: an endpoint for Prometheus and for whoever asks for health, next to what the command does.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+
+use downbeat_robot::Host;
+use urrcp::RobotId;
+
+use super::Format;
+use crate::link::Endpoint;
+use crate::run::watch::Watches;
+use crate::server_clock::ServerClock;
+
+/// Where metrics are served.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub(super) struct MetricsArgs {
+    /// Serve metrics for Prometheus at http://ADDRESS/metrics, and health at /healthz and /readyz. ADDRESS is IP:PORT, or a
+    /// port of this machine alone, as in 9464.
+    #[arg(long, value_name = "ADDRESS", value_parser = parse)]
+    metrics: Option<SocketAddr>,
+}
+
+fn parse(text: &str) -> Result<SocketAddr, String> {
+    let port = text.parse().ok().map(|port| SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), port));
+    port.or_else(|| text.parse().ok()).ok_or_else(|| {
+        "expected IP:PORT or a port of this machine, such as 9464, 127.0.0.1:9464 or [::]:9464".to_owned()
+    })
+}
+
+/// The endpoint, where there is one.
+#[derive(Default)]
+pub(super) struct Metrics {
+    #[cfg(feature = "metrics")]
+    board: Option<crate::operations::Board>,
+}
+
+impl MetricsArgs {
+    /// Begins to serve, if that is asked for. Nothing has been moved before.
+    ///
+    /// # Errors
+    /// The address cannot be listened on, or this program has no metrics.
+    #[cfg(feature = "metrics")]
+    pub(super) fn serve(self, format: Format) -> Result<Metrics, String> {
+        let Some(address) = self.metrics else { return Ok(Metrics::default()) };
+        let board = crate::operations::Board::default();
+        let served = crate::operations::serve(address, board.clone());
+        let address = served.map_err(|error| {
+            let refusal = downbeat_scripts::Refusal::of(downbeat_scripts::Attempt::Listen, &error);
+            format!("cannot serve metrics at {address}: {refusal}")
+        })?;
+        if format == Format::Text {
+            super::console::note(&format!("metrics are at http://{address}/metrics"));
+        }
+        Ok(Metrics { board: Some(board) })
+    }
+
+    /// The same in a program without metrics.
+    #[cfg(not(feature = "metrics"))]
+    pub(super) fn serve(self, _: Format) -> Result<Metrics, String> {
+        match self.metrics {
+            None => Ok(Metrics::default()),
+            Some(_) => Err("this program was built without metrics: leave out --metrics, install the Debian package, or build it \
+                            with `cargo install downbeat --features metrics`"
+                .to_owned()),
+        }
+    }
+}
+
+#[cfg_attr(
+    not(feature = "metrics"),
+    expect(clippy::unused_self, reason = "there is nothing to tell of without the feature")
+)]
+impl Metrics {
+    /// Tells of the robots of a host from now on, by these names in its order.
+    pub(super) fn add_host(&self, host: &Host, names: Vec<RobotId>) {
+        #[cfg(feature = "metrics")]
+        if let Some(board) = &self.board {
+            board.add(crate::operations::HostMetrics::of(host, names));
+        }
+        #[cfg(not(feature = "metrics"))]
+        let _nothing_to_tell = (host, names);
+    }
+
+    /// Tells from now on of a mission with these robots, of which the host runs those that are reached in this process.
+    pub(super) fn add_mission(
+        &self,
+        clock: ServerClock,
+        (ids, endpoints): (Vec<RobotId>, &[Endpoint]),
+        host: Option<&Host>,
+        watches: &mut Watches,
+    ) {
+        if let Some(host) = host {
+            let in_process =
+                ids.iter().zip(endpoints).filter(|(_, to)| matches!(to, Endpoint::InProcess { .. }));
+            self.add_host(host, in_process.map(|(id, _)| id.clone()).collect());
+        }
+        #[cfg(feature = "metrics")]
+        if let Some(board) = &self.board {
+            let mission = crate::operations::MissionMetrics::new(clock, ids.into_iter());
+            watches.add(mission.watch());
+            board.add(mission);
+        }
+        #[cfg(not(feature = "metrics"))]
+        let _nothing_to_tell = (clock, watches);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_alone_is_one_of_this_machine() {
+        assert_eq!(parse("9464"), Ok("127.0.0.1:9464".parse().unwrap()));
+        assert_eq!(parse("0.0.0.0:9464"), Ok("0.0.0.0:9464".parse().unwrap()));
+        for wrong in ["", "70000", "localhost", "here:9464"] {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
+    }
+}

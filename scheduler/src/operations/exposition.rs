@@ -1,0 +1,112 @@
+//! The page of metrics, in the text format of Prometheus.
+
+use downbeat_robot::figures::{BOUNDS_US, Distribution};
+use prometheus::TextEncoder;
+use prometheus::proto::{
+    Bucket, Counter, Gauge, Histogram, LabelPair, Metric as Value, MetricFamily, MetricType,
+};
+
+use super::names::{Kind, Metric};
+
+/// The content type of what [`Page::text`] gives.
+pub(super) const CONTENT_TYPE: &str = prometheus::TEXT_FORMAT;
+
+/// What has metrics.
+pub(crate) trait Source: Send + Sync {
+    /// Writes their values of this moment.
+    fn write(&self, page: &mut Page);
+}
+
+/// Metrics as text, written one after the other, so that the values of all robots are never in memory at once but as text.
+#[derive(Debug, Default)]
+pub(crate) struct Page(String);
+
+impl Page {
+    pub(super) fn one(&mut self, metric: &Metric, value: f64) {
+        self.family(metric, vec![number(metric, Vec::new(), value)]);
+    }
+
+    /// A value, unless it is not known.
+    pub(super) fn known(&mut self, metric: &Metric, value: f64) {
+        if !value.is_nan() {
+            self.one(metric, value);
+        }
+    }
+
+    /// A value for each label; values that are not known are left out.
+    pub(super) fn each<'a>(&mut self, metric: &Metric, values: impl Iterator<Item = (&'a str, f64)>) {
+        let known = values.filter(|(_, value)| !value.is_nan());
+        let values = known.map(|(label, value)| number(metric, labelled(metric.label, label), value));
+        self.family(metric, values.collect());
+    }
+
+    /// 1 for one of the labels, 0 for the others.
+    pub(super) fn state(&mut self, metric: &Metric, labels: &[&str], now: &str) {
+        self.each(metric, labels.iter().map(|label| (*label, f64::from(u8::from(*label == now)))));
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "bounds are small")]
+    pub(super) fn distribution(&mut self, metric: &Metric, values: &Distribution) {
+        let cumulated = values.cumulated();
+        let buckets = BOUNDS_US.iter().zip(cumulated).map(|(bound, count)| {
+            let mut bucket = Bucket::default();
+            bucket.set_upper_bound(*bound as f64 / 1e6);
+            bucket.set_cumulative_count(count);
+            bucket
+        });
+        let mut histogram = Histogram::default();
+        histogram.set_bucket(buckets.collect());
+        histogram.set_sample_sum(values.sum_seconds());
+        histogram.set_sample_count(cumulated[BOUNDS_US.len()]);
+        let mut value = Value::default();
+        value.set_histogram(histogram);
+        self.family(metric, vec![value]);
+    }
+
+    fn family(&mut self, metric: &Metric, values: Vec<Value>) {
+        if values.is_empty() {
+            return;
+        }
+        let mut family = MetricFamily::default();
+        family.set_name(metric.name.to_owned());
+        family.set_help(metric.help.to_owned());
+        family.set_field_type(match metric.kind {
+            Kind::Gauge => MetricType::GAUGE,
+            Kind::Counter => MetricType::COUNTER,
+            Kind::Histogram => MetricType::HISTOGRAM,
+        });
+        family.set_metric(values);
+        if let Err(error) = TextEncoder::new().encode_utf8(&[family], &mut self.0) {
+            tracing::warn!("the metric {} is left out: {error}", metric.name);
+        }
+    }
+
+    /// What all of these say, each metric once.
+    pub(super) fn text<'a>(sources: impl Iterator<Item = &'a dyn Source>) -> String {
+        let mut page = Self::default();
+        page.each(&super::names::BUILD_INFO, std::iter::once((env!("CARGO_PKG_VERSION"), 1.0)));
+        sources.for_each(|source| source.write(&mut page));
+        page.0
+    }
+}
+
+fn number(metric: &Metric, labels: Vec<LabelPair>, number: f64) -> Value {
+    let mut value = Value::from_label(labels);
+    if metric.kind == Kind::Counter {
+        let mut counter = Counter::default();
+        counter.set_value(number);
+        value.set_counter(counter);
+    } else {
+        let mut gauge = Gauge::default();
+        gauge.set_value(number);
+        value.set_gauge(gauge);
+    }
+    value
+}
+
+fn labelled(name: &str, value: &str) -> Vec<LabelPair> {
+    let mut label = LabelPair::default();
+    label.set_name(name.to_owned());
+    label.set_value(value.to_owned());
+    vec![label]
+}

@@ -1,0 +1,115 @@
+//! Metrics and health of the robots of this process.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use downbeat_robot::figures::{Figures, RobotFigures};
+use downbeat_robot::{Host, HostHandle, Reason};
+use downbeat_scripts::shown::shown;
+use urrcp::RobotId;
+
+use super::exposition::{Page, Source};
+use super::health::{Checked, Health};
+use super::names;
+
+/// If the thread that moves robots does not answer within this time, it stands still.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// So many robots are named whose hardware does not answer.
+const NAMED_MAX: usize = 10;
+
+/// The robots of a host.
+pub(crate) struct HostMetrics {
+    handle: HostHandle,
+    figures: Arc<Figures>,
+    /// Of its robots, in their order: those of the fleet file, where that has several robots of one description.
+    names: Vec<RobotId>,
+    is_realtime: bool,
+}
+
+impl HostMetrics {
+    pub(crate) fn of(host: &Host, names: Vec<RobotId>) -> Self {
+        let is_realtime = host.scheduling().is_realtime();
+        Self { handle: host.handle(), figures: host.figures(), names, is_realtime }
+    }
+
+    fn each(&self, page: &mut Page, metric: &names::Metric, value: impl Fn(&RobotFigures) -> u64) {
+        let robots = self.names.iter().zip(self.figures.robots());
+        page.each(metric, robots.map(|(id, figures)| (id.as_str(), number(value(figures)))));
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "exact below 2^53")]
+pub(super) const fn number(count: u64) -> f64 {
+    count as f64
+}
+
+impl Source for HostMetrics {
+    fn write(&self, page: &mut Page) {
+        page.one(&names::H_REALTIME, f64::from(u8::from(self.is_realtime)));
+        page.distribution(&names::H_WAKE_UP, &self.figures.wake_up);
+        let reasons: Vec<_> = Reason::ALL.iter().map(|reason| (label(*reason), *reason)).collect();
+        let refusals = self.handle.refusals();
+        page.each(
+            &names::H_REFUSALS,
+            reasons.iter().map(|(label, reason)| (label.as_str(), number(refusals.count(*reason)))),
+        );
+        self.each(page, &names::H_HELD, |robot| robot.counts().held);
+        self.each(page, &names::H_STARTED, |robot| robot.counts().started);
+        self.each(page, &names::H_ENDED, |robot| robot.counts().ended);
+        self.each(page, &names::H_FAILED, |robot| robot.counts().failed);
+        self.each(page, &names::H_STEPS, RobotFigures::steps);
+        self.each(page, &names::H_LATE, |robot| robot.counts().late_steps);
+        self.each(page, &names::H_CONNECTIONS, RobotFigures::connections);
+        self.each(page, &names::H_HARDWARE, |robot| u64::from(robot.hardware_answers()));
+    }
+}
+
+impl Health for HostMetrics {
+    fn now(&self) -> Pin<Box<dyn Future<Output = Checked> + Send + '_>> {
+        Box::pin(async {
+            let alive = match self.handle.answers_within(PATIENCE).await {
+                true => Ok("robots: the thread that moves them answers".to_owned()),
+                false => Err(format!(
+                    "robots: the thread that moves them has not answered within {} s",
+                    PATIENCE.as_secs()
+                )),
+            };
+            let robots = self.names.iter().zip(self.figures.robots());
+            let away: Vec<_> = robots.filter(|(_, figures)| !figures.hardware_answers()).collect();
+            let named: Vec<_> =
+                away.iter().take(NAMED_MAX).map(|(id, _)| format!("`{}`", shown(id.as_str()))).collect();
+            let ready = match away.len() {
+                0 => alive.clone(),
+                count => {
+                    Err(format!("robots: the hardware of {count} does not answer: {}", named.join(", ")))
+                }
+            };
+            Checked { alive, ready }
+        })
+    }
+}
+
+/// The name of a reason as a label: `made_room` for `MadeRoom`.
+fn label(reason: Reason) -> String {
+    let mut label = String::new();
+    for (index, letter) in format!("{reason:?}").chars().enumerate() {
+        if letter.is_ascii_uppercase() && index > 0 {
+            label.push('_');
+        }
+        label.push(letter.to_ascii_lowercase());
+    }
+    label
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reasons_are_labels_in_small_letters() {
+        assert_eq!(label(Reason::MadeRoom), "made_room");
+        assert_eq!(label(Reason::ManyFromOneHost), "many_from_one_host");
+    }
+}

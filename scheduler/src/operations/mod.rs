@@ -1,0 +1,25 @@
+//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`).
+//! `docs/operations.md` describes them.
+//!
+//! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread
+//! of the endpoint (`server.rs`) reads the numbers, also while someone asks for them too often or reads too slowly.
+
+#[cfg(feature = "metrics")]
+mod exposition;
+#[cfg(feature = "metrics")]
+mod health;
+#[cfg(feature = "metrics")]
+mod host;
+#[cfg(feature = "metrics")]
+mod mission;
+#[cfg(any(test, feature = "metrics"))]
+mod names;
+#[cfg(feature = "metrics")]
+mod server;
+
+#[cfg(feature = "metrics")]
+pub(crate) use self::host::HostMetrics;
+#[cfg(feature = "metrics")]
+pub(crate) use self::mission::MissionMetrics;
+#[cfg(feature = "metrics")]
+pub(crate) use self::server::{Board, serve};
