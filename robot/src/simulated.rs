@@ -313,6 +313,12 @@ impl SimulatedRobot {
         }
     }
 
+    /// Whether the machine has something to do at or before `by`, apart from deliveries.
+    #[cfg(feature = "host")]
+    pub(crate) fn moves_by(&self, by: Timestamp<True>) -> bool {
+        self.due_movement(by).is_some()
+    }
+
     /// As an edge does, before anything else. While hardware answers, this changes nothing but what is due.
     fn look_after_hardware(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &self.hands {

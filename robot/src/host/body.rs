@@ -77,6 +77,14 @@ impl Body {
         }
     }
 
+    /// Whether the robot itself has something to do by then: what travels on a simulated network does not count.
+    pub(super) fn moves_by(&self, by: Timestamp<HostTime>) -> bool {
+        match self {
+            Self::Edge(edge) => edge.next_wakeup().is_some_and(|at| at <= by),
+            Self::Simulated(robot) => robot.moves_by(by.assume_clock()),
+        }
+    }
+
     /// What was set since the last call.
     pub(super) fn take_log(&mut self) -> Vec<LogEntry> {
         match self {

@@ -6,7 +6,7 @@ use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 
 use tokio::sync::{OwnedSemaphorePermit, oneshot, watch};
-use urrcp::{ErrorCode, Message, Timestamp};
+use urrcp::{ErrorCode, Message, Span, Timestamp};
 
 use super::HostError;
 use super::body::Body;
@@ -22,6 +22,9 @@ use crate::precise_wait::{PreciseWait, Woken};
 use crate::refusals::{Reason, Refusals};
 use crate::robot::{Input, LinkId};
 use crate::scheduling::{Realtime, Scheduling};
+
+/// A sleep may end so late.
+const MOVES_SOON: Span = Span::from_millis(3);
 
 /// What the precise thread is told.
 pub(super) enum Order {
@@ -141,14 +144,29 @@ impl Executor {
 
     fn run(mut self, inbox: &flume::Receiver<Order>) {
         loop {
-            let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
-            match self.waits.wait(inbox, deadline) {
+            let next = self.wakeups.first().map(|(at, _)| *at);
+            let deadline = next.map(|at| self.clock.instant_of(at));
+            let woken = match (next, deadline) {
+                (Some(at), Some(deadline)) if !self.moves_soon(at) => {
+                    self.waits.wait_roughly(inbox, deadline)
+                }
+                _ => self.waits.wait(inbox, deadline),
+            };
+            match woken {
                 Woken::Deadline => self.advance_due(),
                 Woken::Message(Order::Stop { held }) => return self.shut_down(&held),
                 Woken::Closed => return self.shut_down(&[]),
                 Woken::Message(order) => self.obey(order),
             }
         }
+    }
+
+    /// Whether a robot moves at this instant, the next at which anything is due, or so soon after it that the thread had
+    /// better wait precisely. Otherwise simulated networks deliver.
+    fn moves_soon(&self, at: Timestamp<HostTime>) -> bool {
+        let by = at + MOVES_SOON;
+        let mut due = self.wakeups.iter().take_while(|(at, _)| *at <= by);
+        due.any(|(_, robot)| self.robots[*robot].moves_by(by))
     }
 
     fn obey(&mut self, order: Order) {

@@ -13,6 +13,9 @@ const LEAD_FREE: Duration = Duration::from_micros(200);
 /// this long.
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
+/// The lead after a pause of this length, as before a start: the core was halted, and its host may take long to let it run.
+const LEAD_RESTED: Duration = LEAD_MAX;
+const RESTED: Duration = Duration::from_millis(15);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
 /// None where cores are busy: a thread that spins uses up its right to run next and is then interrupted for milliseconds; a
 /// thread that sleeps until the deadline is woken a tenth of a millisecond late.
@@ -64,6 +67,8 @@ pub(super) struct Approach {
     rested: Option<Instant>,
     /// How late it woke at worst, as a lead, and until when that counts.
     late: Option<(Duration, Instant)>,
+    /// When it spun last.
+    spun: Option<Instant>,
     credit: Duration,
     credited: Option<Instant>,
 }
@@ -77,6 +82,7 @@ impl Approach {
             distrusted_until: None,
             rested: None,
             late: None,
+            spun: None,
             credit: SPIN_CREDIT_MAX,
             credited: None,
         }
@@ -105,10 +111,16 @@ impl Approach {
     }
 
     /// How long before the next deadline to wake.
-    pub(super) fn lead(&mut self, now: Instant) -> Duration {
+    pub(super) fn lead(&mut self, now: Instant, deadline: Instant) -> Duration {
         self.earn(now);
-        let lead = if self.yields(now) { self.lead_free(now) } else { LEAD_BUSY };
-        lead.min(self.credit)
+        let is_rested = |spun: Instant| deadline.saturating_duration_since(spun) >= RESTED;
+        let lead = match self.yields(now) {
+            false => LEAD_BUSY,
+            true if self.spun.is_none_or(is_rested) => LEAD_RESTED,
+            true => self.lead_free(now),
+        };
+        let ahead = deadline.saturating_duration_since(now);
+        lead.min(SPIN_CREDIT_MAX.min(self.credit + ahead / SPIN_SHARE))
     }
 
     fn lead_free(&self, now: Instant) -> Duration {
@@ -143,8 +155,7 @@ impl Approach {
             return Duration::ZERO;
         }
         self.rested = Some(now);
-        let lead = self.lead(now);
-        let until = next.map(|next| next.saturating_duration_since(now).saturating_sub(lead));
+        let until = next.map(|next| next.saturating_duration_since(now).saturating_sub(self.lead(now, next)));
         until.map_or(OTHERS_MOVE, |until| until.min(OTHERS_MOVE))
     }
 
@@ -152,6 +163,7 @@ impl Approach {
     pub(super) fn spun(&mut self, now: Instant, took: Duration) {
         self.earn(now);
         self.credit = self.credit.saturating_sub(took);
+        self.spun = Some(now);
     }
 
     fn earn(&mut self, now: Instant) {
@@ -178,29 +190,35 @@ mod tests {
         (Approach::new(Scheduled::Fairly), Instant::now())
     }
 
+    /// The lead for a deadline a moment after another one.
+    fn lead(approach: &mut Approach, now: Instant) -> Duration {
+        approach.spun(now, Duration::ZERO);
+        approach.lead(now, now + millis(10))
+    }
+
     #[test]
     fn on_free_cores_a_thread_wakes_early_and_lets_others_run() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Free);
         assert!(approach.yields(now));
-        assert_eq!(approach.lead(now), LEAD_FREE);
+        assert_eq!(lead(&mut approach, now), LEAD_FREE);
     }
 
     #[test]
     fn a_thread_that_woke_late_wakes_earlier_for_a_minute() {
         let (mut approach, now) = fair();
         approach.woke(now, micros(150));
-        assert_eq!(approach.lead(now), LEAD_FREE);
+        assert_eq!(lead(&mut approach, now), LEAD_FREE);
         approach.woke(now, micros(300));
-        assert_eq!(approach.lead(now), micros(350));
+        assert_eq!(lead(&mut approach, now), micros(350));
         approach.woke(now + millis(30_000), micros(250));
-        assert_eq!(approach.lead(now + millis(59_999)), micros(350));
-        assert_eq!(approach.lead(now + millis(60_000)), LEAD_FREE);
+        assert_eq!(lead(&mut approach, now + millis(59_999)), micros(350));
+        assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_FREE);
         approach.woke(now + millis(60_000), millis(7));
-        assert_eq!(approach.lead(now + millis(60_000)), LEAD_MAX);
+        assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_MAX);
         // Where cores are busy it is not the sleep that makes it late.
         approach.looked(now, Cores::Busy);
-        assert_eq!(approach.lead(now + millis(60_000)), LEAD_BUSY);
+        assert_eq!(lead(&mut approach, now + millis(60_000)), LEAD_BUSY);
     }
 
     #[test]
@@ -208,7 +226,7 @@ mod tests {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Busy);
         assert!(!approach.yields(now));
-        assert_eq!(approach.lead(now), LEAD_BUSY);
+        assert_eq!(lead(&mut approach, now), LEAD_BUSY);
     }
 
     #[test]
@@ -219,7 +237,7 @@ mod tests {
         approach.yielded(now, micros(501));
         approach.looked(now, Cores::Free);
         assert!(!approach.yields(now + millis(999)));
-        assert_eq!(approach.lead(now + millis(999)), LEAD_BUSY);
+        assert_eq!(lead(&mut approach, now + millis(999)), LEAD_BUSY);
         assert!(approach.yields(now + millis(1_000)));
     }
 
@@ -227,6 +245,7 @@ mod tests {
     fn a_thread_rests_after_a_movement_but_not_into_the_next_deadline_and_not_after_each_of_many() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Free);
+        approach.spun(now + REST_EVERY, Duration::ZERO);
         assert_eq!(approach.rest(now, None), OTHERS_MOVE);
         assert_eq!(approach.rest(now + millis(19), None), Duration::ZERO);
         let later = now + millis(20);
@@ -244,7 +263,7 @@ mod tests {
         approach.looked(now, Cores::Busy);
         approach.yielded(now, millis(5));
         assert!(approach.yields(now));
-        assert_eq!(approach.lead(now), LEAD_FREE);
+        assert_eq!(lead(&mut approach, now), LEAD_FREE);
         assert_eq!(approach.look_at(now, now + millis(500), 0.5), None);
     }
 
@@ -273,12 +292,11 @@ mod tests {
             let begin = Instant::now();
             let (mut approach, mut now, mut spun) = (Approach::new(scheduled), begin, Duration::ZERO);
             while now < begin + millis(1_000) {
-                let lead = approach.lead(now);
-                // A deadline every 200 us, or as soon as the spinning is over.
-                now += lead.max(micros(1));
-                approach.spun(now, lead);
+                let deadline = now + micros(200);
+                let lead = approach.lead(now, deadline);
+                approach.spun(deadline, lead);
                 spun += lead;
-                now += micros(200).saturating_sub(lead);
+                now = deadline;
             }
             let share = spun.as_secs_f64() / (now - begin).as_secs_f64();
             assert!(share > 0.24 && share < 0.26, "{scheduled:?}: {share}");
@@ -286,13 +304,31 @@ mod tests {
     }
 
     #[test]
-    fn after_a_pause_ten_deadlines_in_a_row_are_spun_for() {
+    fn after_a_pause_several_deadlines_in_a_row_are_spun_for() {
         let (mut approach, now) = fair();
-        for _ in 0..10 {
-            assert_eq!(approach.lead(now), LEAD_FREE);
-            approach.spun(now, LEAD_FREE);
+        let mut leads = Vec::new();
+        // All at one instant: nothing is earned in between.
+        for _ in 0..7 {
+            let lead = approach.lead(now, now);
+            approach.spun(now, lead);
+            leads.push(lead);
         }
-        assert_eq!(approach.lead(now), Duration::ZERO);
-        assert_eq!(approach.lead(now + 4 * LEAD_FREE), LEAD_FREE);
+        let mut expected = vec![LEAD_RESTED];
+        expected.extend([LEAD_FREE; 5]);
+        expected.push(Duration::ZERO);
+        assert_eq!(leads, expected);
+        assert_eq!(approach.lead(now, now + micros(400)), micros(100));
+        assert_eq!(approach.lead(now + 4 * LEAD_FREE, now + 4 * LEAD_FREE), LEAD_FREE);
+    }
+
+    #[test]
+    fn before_a_deadline_after_a_pause_a_thread_wakes_earlier_still() {
+        let (mut approach, now) = fair();
+        assert_eq!(approach.lead(now, now + millis(500)), LEAD_RESTED);
+        approach.spun(now, Duration::ZERO);
+        assert_eq!(approach.lead(now, now + RESTED - micros(1)), LEAD_FREE);
+        assert_eq!(approach.lead(now, now + RESTED), LEAD_RESTED);
+        approach.looked(now, Cores::Busy);
+        assert_eq!(approach.lead(now, now + RESTED), LEAD_BUSY);
     }
 }

@@ -6,6 +6,7 @@
 #![expect(clippy::disallowed_methods, reason = "spins on the monotonic clock")]
 
 mod approach;
+mod place;
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -14,10 +15,15 @@ use std::time::{Duration, Instant};
 use flume::{Receiver, RecvTimeoutError};
 
 use self::approach::{Approach, Cores, Scheduled};
+use self::place::Place;
 use crate::scheduling::Scheduling;
 
 /// Cores count as busy only if they are this long after the first look as well: well before the deadline.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
+/// No thread changes its core later than this before a deadline.
+const STAY_FROM: Duration = Duration::from_millis(2);
+/// How long others have a turn after a movement before this thread sleeps.
+const TURNS: Duration = Duration::from_micros(60);
 
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +41,7 @@ pub enum Woken<T> {
 pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
+    place: Place,
 }
 
 impl PreciseWait {
@@ -42,7 +49,8 @@ impl PreciseWait {
     #[must_use]
     pub fn new(scheduling: &Scheduling) -> Self {
         let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
-        Self { approach: Approach::new(scheduled), machine: Machine::watched() }
+        let (approach, machine) = (Approach::new(scheduled), Machine::watched());
+        Self { approach, machine, place: Place::of_this_thread() }
     }
 
     /// Waits for the next message, until the deadline if there is one.
@@ -65,7 +73,13 @@ impl PreciseWait {
             }
             self.approach.looked(Instant::now(), cores);
         }
-        let lead = self.approach.lead(Instant::now());
+        let now = Instant::now();
+        if deadline.saturating_duration_since(now) >= STAY_FROM {
+            // A core that something else keeps busy is no place to stay.
+            let takes_turns = self.approach.yields(now);
+            self.place.stay(now, takes_turns);
+        }
+        let lead = self.approach.lead(Instant::now(), deadline);
         let wake_at = deadline.checked_sub(lead).unwrap_or(deadline);
         let sleeps = Instant::now() < wake_at;
         let woken = sleep(messages, wake_at);
@@ -77,6 +91,11 @@ impl PreciseWait {
             self.spin(deadline);
         }
         woken
+    }
+
+    /// The same for a deadline at which nothing moves: sleeps, and wakes as late as the system wakes a sleeper.
+    pub fn wait_roughly<T>(&self, messages: &Receiver<T>, deadline: Instant) -> Woken<T> {
+        sleep(messages, deadline)
     }
 
     /// Messages wait meanwhile: what takes long to obey would make the start late.
@@ -91,15 +110,22 @@ impl PreciseWait {
         }
     }
 
-    /// Lets other processes move their robots at the same instant: sleeps a little, or less if a deadline comes soon. Under
-    /// real-time scheduling a yield is enough.
+    /// Lets other processes move their robots at the same instant: first by turns, then asleep, or for less time if a deadline
+    /// comes soon. Under real-time scheduling turns are enough.
     pub fn let_others_move(&mut self, next: Option<Instant>) {
-        let now = Instant::now();
-        if self.approach.is_first() {
-            return self.pause(now);
+        let begun = Instant::now();
+        let rest = self.approach.rest(begun, next);
+        // Falling asleep takes longer than the turns of others on this core.
+        let (mut now, turns) = (begun, begun + rest.min(TURNS));
+        while self.approach.yields(now) {
+            self.pause(now);
+            now = Instant::now();
+            if now >= turns {
+                break;
+            }
         }
-        let rest = self.approach.rest(now, next);
-        if !rest.is_zero() {
+        let rest = rest.saturating_sub(now - begun);
+        if !self.approach.is_first() && !rest.is_zero() {
             std::thread::sleep(rest);
         }
     }

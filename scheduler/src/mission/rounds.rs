@@ -26,9 +26,14 @@ const TOLD_INTERVAL: Span = Span::from_millis(900);
 const HELD_UP: Span = Span::from_millis(100);
 
 impl Mission {
-    /// Asks all robots when the next round is due.
+    /// Asks all robots when the next round is due; a little later where that would disturb robots that start.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
         if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
+            return;
+        }
+        let may_be_sent = self.acts.iter().map(|act| act.out_of_quiet(now)).max();
+        if let Some(at) = may_be_sent.filter(|at| *at > now && *at - now <= self.round_interval() / 4) {
+            self.next_round = Some(at);
             return;
         }
         self.renew_all(now);
@@ -270,7 +275,8 @@ impl Mission {
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let due = |robot: usize| {
             let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;
-            let begins = self.acts.iter().filter_map(|act| act.next_begin(robot, now));
+            let begins =
+                self.acts.iter().filter_map(|act| Some(act.out_of_quiet(act.next_begin(robot, now)?)));
             begins.chain([silent]).min()
         };
         (0..self.robots.len()).filter_map(due).min()

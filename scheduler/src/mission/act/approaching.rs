@@ -233,10 +233,10 @@ impl Act {
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
         let Some(timing) = &self.timing else { return Vec::new() };
-        let next_round = now + timing.pace.period;
+        let next_round = timing.out_of_quiet(now + timing.pace.period);
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;
-        let begun = timing.begun();
+        let begun = timing.out_of_quiet(timing.begun());
         self.stage = Stage::Committed(Commitment { next_round, since: now, begun, heard: 0, told, doubt });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
@@ -253,7 +253,7 @@ impl Act {
         };
         let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
         if due {
-            commitment.next_round = now + timing.pace.period;
+            commitment.next_round = timing.out_of_quiet(now + timing.pace.period);
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
         if begun {

@@ -431,6 +431,11 @@ impl Act {
         critical && undecided && self.place_of(robot).is_some()
     }
 
+    /// When something that is due now may be sent, if its robots are about to start.
+    pub(crate) fn out_of_quiet(&self, now: Timestamp<Server>) -> Timestamp<Server> {
+        self.timing.as_ref().map_or(now, |timing| timing.out_of_quiet(now))
+    }
+
     /// Whether a message that cannot wait may still go to a robot that is hushed, behind a question with a shorter lease.
     pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));

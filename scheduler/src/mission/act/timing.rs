@@ -31,6 +31,14 @@ const STANDS_STILL: Span = Span::from_millis(10);
 /// What a withdrawal takes on this machine and on the robot, in addition to its way.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
+/// What can wait is not sent from a round trip and so long before the planned start: messages wake threads, which take cores
+/// from robots that start on this host.
+const QUIET_BEFORE: Span = Span::from_millis(1);
+/// However long a round trip takes, it is sent until so long before the start.
+const QUIET_BEFORE_MAX: Span = Span::from_millis(5);
+/// So long after the planned start it is sent again.
+const QUIET_AFTER: Span = Span::from_millis(1);
+
 /// A robot whose clock was not measured is taken to start this much early or late, at most, if the tolerance allows.
 pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
 
@@ -313,6 +321,13 @@ impl Timing {
         self.timestamp + (self.decision - self.timestamp) * 2 / 3
     }
 
+    /// When something that can wait may be sent if it is due at `at`: the same instant, or the end of the quiet around the start.
+    pub(crate) fn out_of_quiet(&self, at: Timestamp<Server>) -> Timestamp<Server> {
+        let before = (self.pace.round_trip + QUIET_BEFORE).min(QUIET_BEFORE_MAX);
+        let until = self.start + QUIET_AFTER;
+        if at > self.start - before && at < until { until } else { at }
+    }
+
     /// When the last robot has started.
     pub(crate) fn begun(&self) -> Timestamp<Server> {
         self.start + self.pace.late
@@ -385,6 +400,23 @@ mod tests {
             allows
         };
         assert!(allows(None) && allows(Some(90)) && !allows(Some(70)));
+    }
+
+    #[test]
+    fn what_can_wait_is_not_sent_while_robots_start() {
+        let millis = Span::from_millis;
+        for (round_trip, before) in [(millis(2), millis(3)), (millis(160), millis(5))] {
+            let timing = timing(Leases::Shortened, round_trip);
+            let (start, end) = (timing.start, timing.start + millis(1));
+            for at in [start - before, end, end + millis(1)] {
+                assert_eq!(timing.out_of_quiet(at), at);
+            }
+            for at in [start - before + Span::from_nanos(1), start, end - Span::from_nanos(1)] {
+                assert_eq!(timing.out_of_quiet(at), end);
+            }
+            // A lease that was renewed just before is still far from its end.
+            assert!(start - before + timing.final_lease() > end + millis(20));
+        }
     }
 
     #[test]

@@ -1,0 +1,82 @@
+//! How far apart and how late starts were, in figures for people.
+
+use std::fmt::Write;
+
+use super::witness::{TAKEN, Witness};
+
+/// When a robot began.
+#[derive(Clone, Copy)]
+pub struct Start {
+    pub true_ns: i64,
+    /// By its own clock.
+    pub late_ns: i64,
+}
+
+/// The starts of one mission, the earliest first.
+pub type Round = Vec<Start>;
+
+/// In milliseconds, each sorted.
+pub struct Measured {
+    late: Vec<f64>,
+    spreads: Vec<f64>,
+}
+
+impl Measured {
+    pub fn of<'a>(rounds: impl Iterator<Item = &'a Round> + Clone) -> Self {
+        let spread = |starts: &Round| {
+            let instants = || starts.iter().map(|start| start.true_ns);
+            millis(instants().max().unwrap() - instants().min().unwrap())
+        };
+        let mut spreads: Vec<_> = rounds.clone().map(spread).collect();
+        let mut late: Vec<_> = rounds.flatten().map(|start| millis(start.late_ns)).collect();
+        spreads.sort_by(f64::total_cmp);
+        late.sort_by(f64::total_cmp);
+        Self { late, spreads }
+    }
+
+    /// A row of the table; how late starts were on receipt means nothing.
+    pub fn row(&self, name: &str) {
+        println!("  {name:<44}{}   {}", percentiles(&self.spreads), percentiles(&self.late));
+    }
+
+    /// The same without how late they were, where nothing was due.
+    pub fn row_of_spreads(&self, name: &str) {
+        println!("  {name:<44}{}", percentiles(&self.spreads));
+    }
+}
+
+/// Prints a row of all missions and one of those in which the witness saw nothing.
+pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
+    Measured::of(rounds.iter()).row(name);
+    if let Some(witness) = witness {
+        let is_undisturbed = |round: &&Round| witness.taken_at(round[0].true_ns) <= TAKEN;
+        let undisturbed = rounds.iter().filter(is_undisturbed);
+        let taken = rounds.len() - undisturbed.clone().count();
+        Measured::of(undisturbed).row(&format!("  without {taken} with a core taken away"));
+    }
+}
+
+/// What every round was, for other programs: a line each.
+pub fn raw(name: &str, rounds: &[Round], witness: Option<&Witness>) -> String {
+    let mut lines = String::new();
+    for round in rounds {
+        let taken = witness.map_or(0, |witness| witness.taken_at(round[0].true_ns).as_micros());
+        write!(lines, "{name}\t{taken}").unwrap();
+        round.iter().for_each(|start| write!(lines, "\t{}:{}", start.true_ns, start.late_ns).unwrap());
+        lines.push('\n');
+    }
+    lines
+}
+
+fn millis(nanos: i64) -> f64 {
+    nanos as f64 / 1e6
+}
+
+fn percentiles(sorted: &[f64]) -> String {
+    if sorted.is_empty() {
+        return format!("{:>36}", "-");
+    }
+    // Nearest rank: the p99 of 100 is the largest but one.
+    let rank = |percent: usize| sorted[(sorted.len() * percent).div_ceil(100) - 1];
+    [50, 90, 99, 100].map(|percent| format!("{:>9.3}", rank(percent))).concat()
+}

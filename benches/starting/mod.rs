@@ -1,0 +1,18 @@
+//! What `start_spread` is made of: a fleet of processes, missions on it, other ways of waiting, and what is made of the figures.
+
+pub mod figures;
+pub mod fleet;
+pub mod missions;
+pub mod waiters;
+pub mod witness;
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// How many robots start together.
+pub const ROBOTS: usize = 6;
+
+/// The system's clock, in nanoseconds.
+pub fn epoch_nanos() -> i64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    i64::try_from(now.as_nanos()).unwrap()
+}

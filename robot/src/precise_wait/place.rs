@@ -1,0 +1,146 @@
+//! Which core a thread waits on, if more threads of this host wait for their instants than it has cores.
+//!
+//! The kernel does not spread waiting threads evenly: of six on two cores, five may share one, and move their robots one
+//! after another. So each takes the lowest free number of this host, and stays on the core that goes with it: no core has
+//! two threads more than another. The number is an abstract socket, which the kernel frees when the process ends.
+
+use std::io::ErrorKind;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::time::{Duration, Instant};
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// Threads beyond that many choose no core.
+const NUMBERS: usize = 256;
+/// How long it is remembered whether more threads wait than there are cores.
+const REMEMBERED: Duration = Duration::from_secs(1);
+
+/// The number of a thread on its host, and the core that goes with it.
+#[derive(Debug)]
+pub(super) struct Place {
+    /// With the socket that holds it.
+    number: Option<(usize, UnixDatagram)>,
+    /// The cores on which the thread may run.
+    cores: Vec<usize>,
+    is_kept: bool,
+    /// Whether more threads wait than there are cores, and when that was looked up.
+    crowded: Option<(bool, Instant)>,
+}
+
+impl Place {
+    /// For this thread.
+    pub(super) fn of_this_thread() -> Self {
+        let allowed = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
+        let cores: Vec<_> = (0..CpuSet::MAX_CPU).filter(|core| allowed.is_set(*core)).collect();
+        // On a single core there is nothing to choose.
+        let number = if cores.len() > 1 { take_lowest() } else { None };
+        Self { number, cores, is_kept: false, crowded: None }
+    }
+
+    /// Stays on its core where that is wanted and there are more threads than cores, or else runs on any.
+    pub(super) fn stay(&mut self, now: Instant, wanted: bool) {
+        let Some((number, _)) = self.number else { return };
+        let stays = wanted && self.is_crowded(now, number);
+        if stays == self.is_kept {
+            return;
+        }
+        let core = core_of(number, &self.cores).into_iter();
+        let cores: Vec<_> = if stays { core.collect() } else { self.cores.clone() };
+        let mut set = CpuSet::new();
+        cores.iter().for_each(|core| set.set(*core));
+        match sched_setaffinity(None, &set) {
+            Ok(()) => self.is_kept = stays,
+            // The cores that are allowed have changed: it is left to the kernel.
+            Err(_) => self.number = None,
+        }
+    }
+
+    fn is_crowded(&mut self, now: Instant, number: usize) -> bool {
+        if number >= self.cores.len() {
+            return true;
+        }
+        match self.crowded {
+            Some((crowded, at)) if now.saturating_duration_since(at) < REMEMBERED => crowded,
+            _ => {
+                let crowded = is_taken(self.cores.len());
+                self.crowded = Some((crowded, now));
+                crowded
+            }
+        }
+    }
+}
+
+fn core_of(number: usize, cores: &[usize]) -> Option<usize> {
+    cores.get(number.checked_rem(cores.len())?).copied()
+}
+
+/// `None` where the system knows no such sockets, or all are taken.
+fn take_lowest() -> Option<(usize, UnixDatagram)> {
+    for number in 0..NUMBERS {
+        match take(number) {
+            Ok(socket) => return Some((number, socket)),
+            Err(error) if error.kind() == ErrorKind::AddrInUse => {}
+            Err(_) => return None,
+        }
+    }
+    None
+}
+
+fn is_taken(number: usize) -> bool {
+    take(number).is_err_and(|error| error.kind() == ErrorKind::AddrInUse)
+}
+
+fn take(number: usize) -> std::io::Result<UnixDatagram> {
+    UnixDatagram::bind_addr(&SocketAddr::from_abstract_name(format!("downbeat-waits-{number}"))?)
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to count from; no time passes")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn consecutive_numbers_are_spread_evenly_over_the_cores_that_are_allowed() {
+        let cores = [2, 5, 7];
+        let chosen: Vec<_> = (0..7).filter_map(|number| core_of(number, &cores)).collect();
+        assert_eq!(chosen, [2, 5, 7, 2, 5, 7, 2]);
+        assert_eq!(core_of(3, &[]), None);
+    }
+
+    #[test]
+    fn a_number_is_free_again_once_its_thread_is_gone() {
+        // Far from the numbers of robots that run in other tests.
+        let number = 100_000;
+        let held = take(number).unwrap();
+        assert!(is_taken(number));
+        drop(held);
+        assert!(!is_taken(number));
+    }
+
+    #[test]
+    fn a_thread_stays_on_its_core_while_that_is_wanted_and_there_are_more_threads_than_cores() {
+        std::thread::spawn(|| {
+            let mut place = Place::of_this_thread();
+            let Some((number, _)) = place.number else { return };
+            let all = place.cores.clone();
+            let allowed = || {
+                let set = sched_getaffinity(None).unwrap();
+                (0..CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect::<Vec<_>>()
+            };
+            let now = Instant::now();
+            place.crowded = Some((false, now));
+            place.stay(now, true);
+            if number < all.len() {
+                assert_eq!(allowed(), all);
+            }
+            place.crowded = Some((true, now));
+            place.stay(now, true);
+            assert_eq!(allowed(), [all[number % all.len()]]);
+            place.stay(now, false);
+            assert_eq!(allowed(), all);
+        })
+        .join()
+        .unwrap();
+    }
+}
