@@ -15,7 +15,7 @@ use super::presence::Presence;
 use super::stream::{Shared, Stream};
 
 /// How long the answer of a robot may take.
-const ANSWERS_WITHIN: Duration = Duration::from_secs(3);
+const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 
 /// Connects to the robot at a key.
 ///
@@ -34,7 +34,7 @@ pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<S
     let stream = stream.keeping(kept.map_err(io::Error::other)?);
     let mut robots = Vec::new();
     while let Some(answer) = answers.recv().await {
-        robots.push(answer.map_err(io::Error::other)?);
+        robots.push(answer.map_err(|why| io::Error::new(io::ErrorKind::TimedOut, why))?);
     }
     let robot = match robots.as_slice() {
         [robot] => robot,

@@ -88,7 +88,9 @@ async fn is_taken(network: &Network, key: &Key) -> io::Result<bool> {
     let (told, asked) = oneshot::channel();
     let tokens_at = key.robot("*");
     network.call(Haste::None, move |session| {
-        let reply = move |_| drop(found.send(()));
+        let reply = move |_| {
+            let _gave_up = found.send(());
+        };
         let asking = session.liveliness().get(tokens_at).callback(reply).wait();
         let _waits = told.send(asking.map_err(|error| error.to_string()));
     });

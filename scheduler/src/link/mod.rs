@@ -19,8 +19,8 @@ pub(crate) use by_key::NOT_BUILT;
 pub(crate) use by_key::join;
 pub use encoding::LinkEncoding;
 pub(crate) use reach::{Purpose, Reach, ReadEnd, WriteEnd, over};
+pub(crate) use secure::denial;
 pub use secure::{Hmac, Security, Site, Tls};
-pub(crate) use secure::{denial, secured};
 
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
