@@ -151,7 +151,7 @@ fn reach(
     text: &str,
     observer: Option<&Path>,
 ) -> Result<(SocketAddr, Security, Option<Security>), (String, Exit)> {
-    let address = text.parse();
+    let address = text.parse::<Address>();
     if let Ok(Address::Zenoh { .. }) = address {
         let message = format!(
             "`{text}`: conformance is checked over TCP; have the robot listen at tcp://HOST:PORT for that"

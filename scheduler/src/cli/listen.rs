@@ -127,12 +127,6 @@ impl Way {
 
 #[cfg(not(feature = "zenoh"))]
 impl Way {
-    #[expect(
-        clippy::unused_async,
-        clippy::unused_self,
-        clippy::needless_pass_by_ref_mut,
-        reason = "as with Zenoh"
-    )]
     pub(super) async fn listen(&mut self, _: &str, _: bool) -> Result<Listening, String> {
         Err(crate::link::NOT_BUILT.to_owned())
     }

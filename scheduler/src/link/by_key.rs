@@ -70,7 +70,6 @@ impl OfSite {
         Self {}
     }
 
-    #[expect(clippy::unused_self, reason = "with Zenoh it is used")]
     pub(super) fn joined(&self) -> Result<Network, String> {
         Err(NOT_BUILT.to_owned())
     }

@@ -9,7 +9,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Asked, Budget, Endpoint, LinkEncoding, Purpose, Reach, ReadEnd, WriteEnd, over};
+use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, over};
+#[cfg(feature = "zenoh")]
+use crate::link::{Purpose, Reach};
 use crate::server_clock::ServerClock;
 use crate::session;
 
