@@ -2,7 +2,7 @@
 
 use std::process::Stdio;
 
-use crate::network::{STEPS, client, fleet, lies, listening, names, outcome, sets, simulated, stage};
+use crate::network::{STEPS, client, fleet, lies, listening, names, outcome, sets, simulated, stage, start};
 use crate::robots::{Process, Stage, free_port};
 
 /// Robots in one process and a fleet file by which schedulers reach them.
@@ -85,10 +85,11 @@ fn what_is_wrong_with_a_place_is_said_with_what_to_do() {
 #[test]
 fn robots_whose_process_is_killed_are_missed_at_once_and_nothing_is_made_up() {
     let (stage, mut robots) = set_up(4, "2s");
-    let mut run = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
-    crate::robots::sleep_until(run.start().unwrap() + 1_000_000_000);
+    let run = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
+    crate::robots::sleep_until(start(&stage) + 1_000_000_000);
     robots.kill();
     let ended = run.ended();
-    assert_eq!(ended.code, Some(1), "{ended}");
+    // Nobody can say whether what they move stands still.
+    assert_eq!((ended.code, outcome(&ended)), (Some(4), "failed".into()), "{ended}");
     assert_eq!(lies(&ended, &sets(&stage, &["fleet.yaml"])), [""; 0]);
 }

@@ -62,6 +62,31 @@ pub fn simulated(stage: &Stage, fleet: &str, count: usize, args: &[&str]) -> Pro
     process
 }
 
+/// Waits until the journal of the one mission has such a record.
+pub fn recorded(stage: &Stage, record: &str) -> Value {
+    let began = Instant::now();
+    let find = || {
+        let missions = std::fs::read_dir(stage.path("state")).ok()?;
+        let journals =
+            missions.filter_map(|mission| std::fs::read_to_string(mission.ok()?.path().join("journal")).ok());
+        let text: String = journals.collect();
+        let records = text.lines().filter_map(|line| serde_json::from_str(line.split_once(' ')?.1).ok());
+        records.into_iter().find(|found: &Value| found["record"] == record)
+    };
+    loop {
+        if let Some(found) = find() {
+            return found;
+        }
+        assert!(began.elapsed() < Duration::from_secs(90), "the mission never was {record}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// When the one mission is to start, in nanoseconds since the epoch, as soon as its first request may be sent.
+pub fn start(stage: &Stage) -> i64 {
+    crate::robots::nanos(recorded(stage, "prepared")["start"].as_str().unwrap())
+}
+
 /// What every robot of these fleets has set, by its name.
 pub fn sets(stage: &Stage, fleets: &[&str]) -> BTreeMap<String, Vec<Logged>> {
     // Logs are written within 50 ms.
