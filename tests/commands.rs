@@ -297,3 +297,23 @@ fn a_chart_of_the_plan_is_for_people_only() {
     assert_eq!(json.code(), 2);
     assert!(json.json()["error"].as_str().unwrap().contains("--gantt"), "{}", json.text());
 }
+
+#[cfg(not(feature = "zenoh"))]
+#[test]
+fn a_build_without_zenoh_names_what_to_build_where_an_address_needs_it() {
+    let session = Session::new();
+    session.file("keys.yaml", "zenoh: z.json5\nrobots:\n  left: {init: arm.yaml, address: 'zenoh:hall/left'}\ngroups: {arms: [left]}\n");
+    session.file("hello.yaml", SCENARIO);
+    session.run(&["check", "hello.yaml", "--fleet", "keys.yaml"]).says(0, &["no errors"]);
+    for args in [
+        &["run", "hello.yaml", "--fleet", "keys.yaml"][..],
+        &["fleet", "ping", "keys.yaml"],
+        &["fleet", "describe", "zenoh:hall/left"],
+        &["sim", "keys.yaml"],
+        &["robot", "--init", "arm.yaml", "--listen", "zenoh:hall/left", "--zenoh", "z.json5"],
+    ] {
+        let ran = session.run(args);
+        assert!(matches!(ran.code(), 1 | 2), "{args:?}: {}", ran.text());
+        assert!(ran.text().contains("--features zenoh"), "{args:?}: {}", ran.text());
+    }
+}

@@ -65,10 +65,11 @@
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
 //! | `sealed` | [`sealed`]: a secret shared with the robot, and a code for each message, for microcontrollers |
 //! | `tls` | [`tls`]: TLS 1.3, with certificates on both sides |
+//! | `zenoh` | [`zenoh`](mod@zenoh): reached at a key of a Zenoh network |
 //!
 //! With `default-features = false` the machine and [`simulated`] remain.
 #![cfg_attr(
-    not(all(feature = "host", feature = "sealed", feature = "tls")),
+    not(all(feature = "host", feature = "sealed", feature = "tls", feature = "zenoh")),
     allow(rustdoc::broken_intra_doc_links, reason = "links to what features add")
 )]
 
@@ -120,6 +121,8 @@ pub mod simulated;
 pub mod tls;
 #[cfg(feature = "host")]
 mod wake_up;
+#[cfg(feature = "zenoh")]
+pub mod zenoh;
 
 pub use confirmation::Ticket;
 pub use counts::Counts;
@@ -139,6 +142,8 @@ pub use role::{Proof, Role, Roles};
 pub use run::{RunError, run};
 #[cfg(feature = "host")]
 pub use serve::serve;
+#[cfg(feature = "zenoh")]
+pub use serve::serve_zenoh;
 #[cfg(feature = "host")]
 pub use serve::{Door, serve_behind};
 /// The types of the protocol, in the version that this crate uses.

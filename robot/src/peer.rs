@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
 
 use urrcp::Label;
 
@@ -12,21 +13,37 @@ use crate::role::Proof;
 /// A session belongs to the name of the peer that claims it: another name, or none, with the same session is another session.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Peer {
-    address: Option<SocketAddr>,
+    origin: Origin,
     proof: Option<Proof>,
+}
+
+/// From where a peer connects.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+enum Origin {
+    #[default]
+    InProcess,
+    Address(SocketAddr),
+    /// A name in a network that hides addresses.
+    Network(Arc<str>),
 }
 
 impl Peer {
     /// A part of this process. It is trusted: no quota or budget holds for it.
     #[must_use]
     pub const fn in_process() -> Self {
-        Self { address: None, proof: None }
+        Self { origin: Origin::InProcess, proof: None }
     }
 
     /// A stranger that connects from there.
     #[must_use]
     pub const fn at(address: SocketAddr) -> Self {
-        Self { address: Some(address), proof: None }
+        Self { origin: Origin::Address(address), proof: None }
+    }
+
+    /// A stranger that comes through a network in which it has this name and no address.
+    #[must_use]
+    pub fn through(network: &str) -> Self {
+        Self { origin: Origin::Network(network.into()), proof: None }
     }
 
     /// The same peer, which has proven who it is, for example by a certificate.
@@ -36,10 +53,13 @@ impl Peer {
         self
     }
 
-    /// From where it connects; `None` for a part of this process.
+    /// From where it connects; `None` for a part of this process, and where a network hides it.
     #[must_use]
     pub const fn address(&self) -> Option<SocketAddr> {
-        self.address
+        match self.origin {
+            Origin::Address(address) => Some(address),
+            Origin::InProcess | Origin::Network(_) => None,
+        }
     }
 
     /// The name that it has proven.
@@ -57,24 +77,26 @@ impl Peer {
     /// Whether it is a part of this process.
     #[must_use]
     pub const fn is_in_process(&self) -> bool {
-        self.address.is_none()
+        matches!(self.origin, Origin::InProcess)
     }
 
-    /// What quotas are counted by: the host that it connects from. `None` where one address stands for many peers: within this
-    /// process, and on the loopback interface.
+    /// What quotas are counted by: the host that it connects from. `None` where one address stands for many peers, or none is
+    /// known: within this process, on the loopback interface, and through networks that hide addresses.
     #[must_use]
     pub fn quota_key(&self) -> Option<IpAddr> {
-        self.address.map(|address| address.ip().to_canonical()).filter(|ip| !ip.is_loopback())
+        self.address().map(|address| address.ip().to_canonical()).filter(|ip| !ip.is_loopback())
     }
 }
 
 impl fmt::Display for Peer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match (self.name(), self.address) {
-            (Some(name), Some(address)) => write!(f, "`{name}` at {address}"),
-            (Some(name), None) => write!(f, "`{name}` in this process"),
-            (None, Some(address)) => write!(f, "{address}"),
-            (None, None) => f.write_str("this process"),
+        match (self.name(), &self.origin) {
+            (Some(name), Origin::Address(address)) => write!(f, "`{name}` at {address}"),
+            (Some(name), Origin::InProcess) => write!(f, "`{name}` in this process"),
+            (Some(name), Origin::Network(place)) => write!(f, "`{name}` at {place}"),
+            (None, Origin::Address(address)) => write!(f, "{address}"),
+            (None, Origin::InProcess) => f.write_str("this process"),
+            (None, Origin::Network(place)) => f.write_str(place),
         }
     }
 }
@@ -92,6 +114,14 @@ mod tests {
         assert_eq!(key("127.0.0.1:1000"), None);
         assert_eq!(key("[::1]:1000"), None);
         assert_eq!(Peer::in_process().quota_key(), None);
+    }
+
+    #[test]
+    fn a_peer_whose_address_is_hidden_is_not_trusted_for_that() {
+        let hidden = Peer::through("zenoh:a1.7");
+        assert_eq!((hidden.address(), hidden.quota_key()), (None, None));
+        assert!(!hidden.is_in_process() && Peer::in_process().is_in_process());
+        assert_eq!(hidden.to_string(), "zenoh:a1.7");
     }
 
     #[test]

@@ -28,6 +28,8 @@ use crate::role::Proof;
 use crate::sealed;
 #[cfg(feature = "tls")]
 use crate::tls;
+#[cfg(feature = "zenoh")]
+use crate::zenoh;
 
 /// How often a new connection asks for room again, where all others are as new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
@@ -53,6 +55,47 @@ pub async fn serve_behind(
     door: Door,
 ) -> io::Result<()> {
     serve_with(listener, host, robot, Patience::default(), door).await
+}
+
+/// Accepts servers for one robot of a host at its key in a Zenoh network, until the host stops. Who may open a connection is for
+/// the network to say.
+///
+/// # Errors
+/// When the Zenoh session ends.
+#[cfg(feature = "zenoh")]
+pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot: usize) -> io::Result<()> {
+    let patience = Patience::default();
+    let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
+    let strangers = host.strangers();
+    let shared =
+        Shared { host: host.clone(), described: Arc::new(Described::default()), strangers, patience };
+    loop {
+        let stream = listener.accept().await?;
+        let peer = Peer::through(&format!("zenoh:{}", stream.name()));
+        let ticket = ticket(&places, &peer).await;
+        if host.has_stopped() {
+            return Ok(());
+        }
+        let Some(link) = host.connect_as(robot, peer.clone()) else { return Ok(()) };
+        let shared = shared.clone();
+        // As with TCP.
+        tokio::spawn(async move {
+            let ends = tokio::io::split(stream);
+            if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
+                tracing::debug!(%peer, "connection ended: {error}");
+            }
+        });
+    }
+}
+
+/// Waits until a new connection is taken in.
+async fn ticket(places: &Arc<Places>, peer: &Peer) -> Ticket {
+    loop {
+        match places.admit(peer) {
+            Some(ticket) => return ticket,
+            None => tokio::time::sleep(ROOM_RETRY).await,
+        }
+    }
 }
 
 /// Who may come in.
@@ -84,12 +127,7 @@ async fn serve_with(
     loop {
         let (stream, address) = accept(&listener).await?;
         let peer = Peer::at(address);
-        let ticket = loop {
-            match places.admit(&peer) {
-                Some(ticket) => break ticket,
-                None => tokio::time::sleep(ROOM_RETRY).await,
-            }
-        };
+        let ticket = ticket(&places, &peer).await;
         if host.has_stopped() {
             return Ok(());
         }

@@ -37,6 +37,9 @@ pub enum EndpointError {
     /// The operator's identity cannot be used.
     #[error("{0}")]
     Identity(String),
+    /// The Zenoh network cannot be joined.
+    #[error("{0}")]
+    Network(String),
     /// The host of all of them cannot start.
     #[error(transparent)]
     Host(#[from] HostError),
@@ -76,7 +79,7 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
 
 fn settings_of(robot: &FleetRobot) -> MissionSettings {
     let encoding = match &robot.address {
-        Address::Tcp { .. } => robot.mission.encoding,
+        Address::Tcp { .. } | Address::Zenoh { .. } => robot.mission.encoding,
         // What stays in this process is not encoded.
         Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
     };
@@ -203,7 +206,7 @@ impl Driver for NotStarted {
 /// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
 fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
-        Address::Tcp { .. } => return Ok(None),
+        Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
         Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
         Address::Thrift { host, port } => DriverSpec::Thrift { host: host.clone(), port: *port },
         Address::Program { command } => DriverSpec::Program { command: command.clone() },
@@ -217,7 +220,7 @@ fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Opti
     Ok(Some(Hosted::driven(block, driver, DriverOptions::default())))
 }
 
-/// Where each robot is reached; all but those with `address: tcp://`, `tls://` or `hmac://` are started in this process.
+/// Where each robot is reached; all but those with `address: tcp://`, `tls://`, `hmac://` or `zenoh:` are started in this process.
 ///
 /// # Errors
 /// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
@@ -246,6 +249,8 @@ pub fn endpoints_at_once(
     options: HostOptions,
     programs: StartPrograms,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
+    let network = robots.iter().any(|robot| matches!(robot.address, Address::Zenoh { .. }));
+    let network = network.then(|| site.network()).transpose().map_err(EndpointError::Network)?;
     let mut machines: Vec<Hosted> = Vec::new();
     // The index in the host of those that run there.
     let mut places = Vec::new();
@@ -261,6 +266,9 @@ pub fn endpoints_at_once(
             let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
             let security = site.with(*protection, Some(own_id));
             Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding, security })
+        }
+        (Address::Zenoh { key }, ..) => {
+            network.as_ref().and_then(|network| network.endpoint(key, encoding(robot, handshake)))
         }
         (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
         _ => None,

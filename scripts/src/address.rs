@@ -25,6 +25,11 @@ pub enum Address {
         /// Port.
         port: u16,
     },
+    /// `zenoh:KEY`: a robot at a key of a Zenoh network.
+    Zenoh {
+        /// Its key, without wildcards.
+        key: String,
+    },
     /// `program:COMMAND`: a robot driven from this process by a program.
     Program {
         /// A command line of the shell.
@@ -61,6 +66,7 @@ impl fmt::Display for Address {
             Self::Simulated => f.write_str("sim"),
             Self::Tcp { host, port, protection } => write!(f, "{}://{host}:{port}", protection.scheme()),
             Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
+            Self::Zenoh { key } => write!(f, "zenoh:{key}"),
             Self::Program { command } => write!(f, "program:{command}"),
         }
     }
@@ -78,18 +84,30 @@ enum ReachedHost {
     Ip(IpAddr),
     /// A name without its final full stop, in small letters. Only DNS knows where it leads.
     Name(String),
+    /// A key of a Zenoh network, which has no ports.
+    Key(String),
 }
 
 impl Address {
     /// The places to which it leads, as far as that is known without DNS: none where nothing listens.
     pub(crate) fn places(&self) -> Vec<Reached> {
-        let (Self::Tcp { host, port, .. } | Self::Thrift { host, port }) = self else { return Vec::new() };
-        let place = |host| Reached { host, port: *port };
-        hosts(host).into_iter().map(place).collect()
+        match self {
+            Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
+                hosts(host).into_iter().map(|host| Reached { host, port: *port }).collect()
+            }
+            Self::Zenoh { key } => vec![Reached { host: ReachedHost::Key(key.clone()), port: 0 }],
+            Self::Simulated | Self::Program { .. } => Vec::new(),
+        }
     }
 }
 
 impl Address {
+    /// Whether the robot is a process of its own that a scheduler connects to.
+    #[must_use]
+    pub const fn is_served(&self) -> bool {
+        matches!(self, Self::Tcp { .. } | Self::Zenoh { .. })
+    }
+
     /// Whether commands to it cross a network where others can send them too: plain TCP to anything but this machine.
     #[must_use]
     pub fn is_open(&self) -> bool {
@@ -123,13 +141,20 @@ fn hosts(host: &str) -> Vec<ReachedHost> {
     }
 }
 
+/// Whether it is a key expression of Zenoh without wildcards.
+fn is_key(text: &str) -> bool {
+    let is_chunk = |chunk: &str| {
+        !chunk.is_empty() && !chunk.contains(['*', '$', '?', '#']) && !chunk.contains(char::is_whitespace)
+    };
+    text.split('/').all(is_chunk)
+}
+
 /// A text is no address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NoAddress;
 
 /// What an address looks like.
-pub(crate) const ADDRESS: &str =
-    "`sim`, tls://host:port, hmac://host:port, tcp://host:port, thrift://host:port or program:COMMAND";
+pub(crate) const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for NoAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -142,6 +167,10 @@ impl std::error::Error for NoAddress {}
 /// What is wrong with a text that is no address, and how it is written right.
 #[must_use]
 pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
+    if text.starts_with("zenoh:") {
+        let hint = "a key is words between slashes without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
+        return ("has no valid key", Some(hint.to_owned()));
+    }
     let (scheme, rest) = match text.split_once("://") {
         Some((scheme, rest)) => (Some(scheme), rest),
         None => (None, text),
@@ -188,6 +217,9 @@ impl Address {
             let command = rest.trim().to_owned();
             return (!command.is_empty()).then_some(Self::Program { command });
         }
+        if scheme == "zenoh" {
+            return is_key(rest).then(|| Self::Zenoh { key: rest.to_owned() });
+        }
         let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
         let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
         let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
@@ -199,5 +231,26 @@ impl Address {
             "thrift" => Some(Self::Thrift { host, port }),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_of_zenoh_is_an_address_and_one_place() {
+        let address: Address = "zenoh:hall-2/arm-1".parse().unwrap();
+        assert_eq!(address, Address::Zenoh { key: "hall-2/arm-1".to_owned() });
+        assert_eq!(address.to_string(), "zenoh:hall-2/arm-1");
+        assert_eq!(address.places(), "zenoh:hall-2/arm-1".parse::<Address>().unwrap().places());
+        assert_ne!(address.places(), "zenoh:hall-2/arm-2".parse::<Address>().unwrap().places());
+        assert!(address.is_served() && !address.is_open());
+        for wrong in
+            ["zenoh:", "zenoh:/a", "zenoh:a/", "zenoh:a//b", "zenoh:a/*", "zenoh:a b", "zenoh://a", "zenoh"]
+        {
+            assert_eq!(wrong.parse::<Address>(), Err(NoAddress), "{wrong}");
+        }
+        assert_eq!(address_fault("zenoh:a/**").0, "has no valid key");
     }
 }

@@ -39,8 +39,8 @@ pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 pub use moves::SimulatedMoves;
 pub(crate) use sensors::sensor;
 
-const FLEET_KEYS: [&str; 9] =
-    ["ntp", "handshake", "identity", "revoked", "insecure", "latency", "space", "robots", "groups"];
+const FLEET_KEYS: [&str; 10] =
+    ["ntp", "handshake", "identity", "revoked", "zenoh", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
@@ -69,6 +69,8 @@ pub struct Fleet {
     pub identity: Option<PathBuf>,
     /// The list of revoked certificates.
     pub revoked: Option<PathBuf>,
+    /// The configuration of the Zenoh network, for robots with `zenoh:` addresses.
+    pub zenoh: Option<PathBuf>,
     /// What has to hold in the space that all robots share.
     pub space: Space,
     /// In the order of the file.
@@ -304,7 +306,7 @@ struct FleetReader<'a> {
 
 impl FleetReader<'_> {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let [ntp, handshake, identity, revoked, insecure, latency, space, robots, groups] =
+        let [ntp, handshake, identity, revoked, zenoh, insecure, latency, space, robots, groups] =
             self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
@@ -320,6 +322,7 @@ impl FleetReader<'_> {
             file(identity, "the path of an identity file, which `downbeat keys operator` writes");
         fleet.revoked =
             file(revoked, "the path of a list of revoked certificates, which `downbeat keys` writes");
+        fleet.zenoh = file(zenoh, "the path of a configuration of Zenoh");
         let insecure = insecure.and_then(|at| self.findings.truth(&at)).unwrap_or(false);
         fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
         self.latencies = latency.map(|at| self.latency_file(&at)).unwrap_or_default();

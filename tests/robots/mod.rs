@@ -322,7 +322,7 @@ pub struct Logged {
 }
 
 impl Logged {
-    fn read(line: &str) -> Option<Self> {
+    pub fn read(line: &str) -> Option<Self> {
         let entry: Value = serde_json::from_str(line).ok()?;
         let text = |key: &str| entry[key].as_str().unwrap_or_default().to_owned();
         Some(Self {

@@ -86,7 +86,8 @@ impl Subject {
         let robots: BTreeMap<RobotId, CertifiedRobot> =
             robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
         // Groups are put in; which NTP server this machine follows changes no plan.
-        let Fleet { ntp: _, handshake, space, robots: _, groups: _, identity: _, revoked: _ } = fleet;
+        let Fleet { ntp: _, handshake, space, robots: _, groups: _, identity: _, revoked: _, zenoh: _ } =
+            fleet;
         let handshake = match handshake {
             Handshake::Full => "full",
             Handshake::Skip => "skip",

@@ -151,7 +151,14 @@ fn reach(
     text: &str,
     observer: Option<&Path>,
 ) -> Result<(SocketAddr, Security, Option<Security>), (String, Exit)> {
-    let Ok(Address::Tcp { host, port, protection }) = text.parse() else {
+    let address = text.parse::<Address>();
+    if let Ok(Address::Zenoh { .. }) = address {
+        let message = format!(
+            "`{text}`: conformance is checked over TCP; have the robot listen at tcp://HOST:PORT for that"
+        );
+        return Err((message, Exit::Usage));
+    }
+    let Ok(Address::Tcp { host, port, protection }) = address else {
         let (fault, hint) = address_fault(text);
         let hint = hint.unwrap_or_else(|| "write tcp://HOST:PORT".to_owned());
         return Err((format!("the address `{text}` {fault}; {hint}"), Exit::Usage));

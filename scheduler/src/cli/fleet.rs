@@ -187,10 +187,19 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
                 Protection::Open => Ok(Security::Plain),
                 _ => identity::site_of_terminal().map(|site| site.with(*protection, None)),
             };
-            match security {
-                Ok(security) => ask_block(host.clone(), *port, security, args.patience),
-                Err(error) => Err(error),
-            }
+            let tcp = |security| Endpoint::Tcp {
+                host: host.clone(),
+                port: *port,
+                encoding: LinkEncoding::default(),
+                security,
+            };
+            security.and_then(|security| ask_block(tcp(security), args.patience))
+        }
+        Address::Zenoh { key } => {
+            let network = identity::site_of_terminal().and_then(|site| site.network());
+            let endpoint = network.map(|network| network.endpoint(key, LinkEncoding::default()));
+            let endpoint = endpoint.and_then(|endpoint| endpoint.ok_or_else(|| "no key".to_owned()));
+            endpoint.and_then(|endpoint| ask_block(endpoint, args.patience))
         }
         Address::Thrift { host, port } => match describe_thrift(host, *port) {
             Ok(text) => match init_of(&Source { name: args.address.to_string(), text }) {
@@ -225,17 +234,11 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-fn ask_block(
-    host: String,
-    port: u16,
-    security: Security,
-    patience: Span,
-) -> Result<InitializationBlock, String> {
+fn ask_block(endpoint: Endpoint, patience: Span) -> Result<InitializationBlock, String> {
     let mut told = Err("no answer".to_owned());
     super::with_runtime(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
-        let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security };
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());

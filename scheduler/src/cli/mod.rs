@@ -28,6 +28,7 @@ mod identity;
 mod import;
 mod init;
 mod keys;
+mod listen;
 mod live;
 mod load;
 mod metrics;

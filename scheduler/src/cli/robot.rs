@@ -1,6 +1,5 @@
 //! `downbeat robot`: one simulated robot as a process of its own.
 
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -8,7 +7,7 @@ use clap::ValueEnum;
 use downbeat_robot::sealed::{self, RevokedSerials, Secret};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::tls::{self, Credentials, Name, Revoked};
-use downbeat_robot::{Door, Host, HostError, HostOptions, Hosted, serve_behind};
+use downbeat_robot::{Door, Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::shown::{self, shown};
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::net::TcpListener;
@@ -17,6 +16,7 @@ use tokio::task::JoinHandle;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use super::metrics::MetricsArgs;
+use super::listen::{Listening, NetworkArgs};
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};
@@ -67,9 +67,11 @@ pub(super) struct ProcessArgs {
     /// Use this id instead of the file's.
     #[arg(long)]
     id: Option<RobotId>,
-    /// The address to listen on, HOST:PORT. Port 0 takes any free port.
+    /// The address to listen on, HOST:PORT, or a key of a Zenoh network, zenoh:KEY. Port 0 takes any free port.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7401")]
     listen: String,
+    #[command(flatten)]
+    network: NetworkArgs,
     /// Write every value that it sets to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
@@ -123,6 +125,23 @@ impl GuardArgs {
         }
     }
 
+    /// Who may drive a robot at a key is for the network to say.
+    pub(super) fn refuse_at_key(&self) -> Result<(), String> {
+        let given = [("identity", &self.identity), ("secret", &self.secret), ("revoked", &self.revoked)];
+        match given.into_iter().find(|(_, file)| file.is_some()) {
+            Some((name, _)) => Err(format!(
+                "--{name} guards TCP; who may drive a robot at a zenoh: address is for the access control of its routers to say \
+                 (docs/zenoh.md)"
+            )),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether `--insecure` was given.
+    pub(super) const fn permits_anyone(&self) -> bool {
+        self.insecure
+    }
+
     fn by_identity(&self, robot: &RobotId, path: &Path) -> Result<Door, String> {
         let own = Credentials::read(path).map_err(|error| error.to_string())?;
         if own.identity().name != Name::Robot(robot.clone()) {
@@ -162,12 +181,9 @@ impl ProcessArgs {
                 Ok(signals) => signals,
                 Err(error) => return failed(&format!("cannot install signal handlers: {error}")),
             };
-            let listener = match TcpListener::bind(&self.listen).await {
-                Ok(listener) => listener,
-                Err(error) => return failed(&not_listening(&self.listen, &error)),
-            };
-            let door = match self.guard.door(&id, &listener) {
-                Ok(door) => door,
+            let mut way = self.network.way(None);
+            let place = match Listening::at(&self.listen, &id, &self.guard, &mut way).await {
+                Ok(place) => place,
                 Err(error) => return failed(&error),
             };
             let metrics = match self.metrics.serve(format) {
@@ -181,8 +197,8 @@ impl ProcessArgs {
             metrics.add_host(&host, vec![id]);
             let log = LogWatch::of(&mut host);
             self.realtime.tell(&host, format);
-            announce(&host, 0, &listener, format);
-            let exit = serve_until_asked_to_end(vec![(listener, 0, door)], &host, signals).await;
+            announce(&host, 0, &place, format);
+            let exit = serve_until_asked_to_end(vec![place], &host, signals).await;
             if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }
         })
     }
@@ -284,11 +300,6 @@ pub(super) fn not_hosted(error: &HostError) -> String {
     }
 }
 
-/// Why a robot cannot be reached at an address.
-pub(super) fn not_listening(address: &str, error: &io::Error) -> String {
-    format!("cannot listen on {address}: {}", Refusal::of(Attempt::Listen, error))
-}
-
 /// Stops a host and says which of its robots may not have come to their default state; returns whether there is none.
 pub(super) fn stop(host: Host) -> bool {
     let not_at_rest = host.stop();
@@ -309,27 +320,29 @@ pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
 }
 
 /// Says where a robot listens.
-pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format: Format) {
+pub(super) fn announce(host: &Host, index: usize, listening: &Listening, format: Format) {
     let robot = host.handle().robots()[index].clone();
-    let Ok(address) = listener.local_addr() else { return };
+    let Some(place) = listening.place() else { return };
     match format {
-        Format::Text => console::print(&format!("robot {} listens on {address}\n", shown(robot.as_str()))),
+        Format::Text => {
+            console::print(&format!("robot {} listens on {}\n", shown(robot.as_str()), shown(&place)))
+        }
         Format::Json => console::print(&format!(
             "{}\n",
-            shown::json(&serde_json::json!({"robot": robot, "listens": address.to_string()}).to_string())
+            shown::json(&serde_json::json!({"robot": robot, "listens": place}).to_string())
         )),
     }
 }
 
-/// Serves robots until a signal asks the program to end.
+/// Serves robots, each at its place in the order of the host, until a signal asks the program to end.
 pub(super) async fn serve_until_asked_to_end(
-    listeners: Vec<(TcpListener, usize, Door)>,
+    places: Vec<Listening>,
     host: &Host,
     mut signals: Signals,
 ) -> Exit {
     let mut serving = tokio::task::JoinSet::new();
-    for (listener, index, door) in listeners {
-        serving.spawn(serve_behind(listener, host.handle(), index, door));
+    for (index, place) in places.into_iter().enumerate() {
+        serving.spawn(place.serve(host.handle(), index));
     }
     tokio::select! {
         _ = signals.next() => Exit::Done,

@@ -1,18 +1,18 @@
-//! `downbeat sim`: all TCP robots of a fleet as simulated ones in this process.
+//! `downbeat sim`: all robots of a fleet that are processes of their own, as simulated ones in this process.
 
 use std::path::PathBuf;
 
-use downbeat_robot::{Host, HostOptions};
+use downbeat_robot::{Door, Host, HostOptions};
 use downbeat_scripts::{Address, Protection};
-use tokio::net::TcpListener;
 
 use super::metrics::MetricsArgs;
+use super::listen::{Listening, NetworkArgs, Way};
 use super::realtime::RealtimeArgs;
 use super::{Exit, Format, ProjectArgs, console, load, robot};
 use crate::signals::{OnHangUp, Signals};
 use crate::{fleet, keys};
 
-/// Simulate all TCP robots of a fleet in one process.
+/// Simulate all TCP and Zenoh robots of a fleet in one process.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Each robot listens at its address in the fleet file until Ctrl-C.
 
@@ -25,6 +25,8 @@ pub(super) struct SimArgs {
     /// The folder of `downbeat keys` with the keys of robots at `tls://` and `hmac://` addresses.
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
+    #[command(flatten)]
+    network: NetworkArgs,
     #[command(flatten)]
     project: ProjectArgs,
     /// Write every value that they set to this file, one JSON line each.
@@ -56,7 +58,9 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     let mut addresses = Vec::new();
     let mut names = Vec::new();
     for (seed, robot) in fleet.robots.iter().enumerate() {
-        let Address::Tcp { host, port, protection } = &robot.address else { continue };
+        if !robot.address.is_served() {
+            continue;
+        }
         match fleet::simulated(robot, seed as u64) {
             Ok(machine) => machines.push(machine),
             Err(error) => {
@@ -66,18 +70,18 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         }
         names.push(robot.id.clone());
         let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
-        let door = args.keys.as_ref().map(|keys| keys::door_of(keys, own_id, *protection));
-        match door.transpose() {
-            Ok(door) => addresses.push((host.clone(), *port, door.unwrap_or_default())),
-            Err(error) => {
-                console::error(&error);
-                return Exit::Usage;
-            }
+        let door = match (&robot.address, &args.keys) {
+            (Address::Tcp { protection, .. }, Some(keys)) => keys::door_of(keys, own_id, *protection),
+            _ => Ok(Door::default()),
+        };
+        match door {
+            Ok(door) => addresses.push((&robot.address, door)),
+            Err(error) => return robot::failed(&error),
         }
     }
     if machines.is_empty() {
         console::error(
-            "no robot of this fleet has `address: tcp://host:port`; `downbeat run` simulates those with `address: sim` itself",
+            "no robot of this fleet has `address: tcp://host:port` or `address: zenoh:KEY`; `downbeat run` simulates those with `address: sim` itself",
         );
         return Exit::Failed;
     }
@@ -102,21 +106,34 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
             Err(error) => return robot::failed(&format!("cannot install signal handlers: {error}")),
         };
         let log = robot::LogWatch::of(&mut host);
-        let mut listeners = Vec::new();
-        for (index, (name, port, door)) in addresses.into_iter().enumerate() {
-            match TcpListener::bind((name.as_str(), port)).await {
-                Ok(listener) => {
-                    robot::announce(&host, index, &listener, format);
-                    listeners.push((listener, index, door));
+        let mut way = args.network.way(fleet.zenoh.as_deref());
+        let mut places = Vec::new();
+        for (index, (address, door)) in addresses.into_iter().enumerate() {
+            match listening(address, door, &mut way).await {
+                Ok(place) => {
+                    robot::announce(&host, index, &place, format);
+                    places.push(place);
                 }
-                Err(error) => {
-                    console::error(&robot::not_listening(&format!("{name}:{port}"), &error));
-                    return Exit::Usage;
-                }
+                Err(error) => return robot::failed(&error),
             }
         }
-        let exit = robot::serve_until_asked_to_end(listeners, &host, signals).await;
+        let exit = robot::serve_until_asked_to_end(places, &host, signals).await;
         host.stop();
         log.spoils(exit).await
     })
+}
+
+/// Takes the place that a fleet file names. Simulated robots move nothing, so anyone may.
+async fn listening(address: &Address, door: Door, way: &mut Way) -> Result<Listening, String> {
+    match address {
+        Address::Zenoh { key } => way.listen(key, true).await,
+        Address::Tcp { host, port, .. } => {
+            let place =
+                if host.contains(':') { format!("[{host}]:{port}") } else { format!("{host}:{port}") };
+            Ok(Listening::Tcp(Listening::bind(&place).await?, door))
+        }
+        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => {
+            Err(format!("nothing listens at {address}"))
+        }
+    }
 }

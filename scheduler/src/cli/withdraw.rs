@@ -230,7 +230,7 @@ async fn withdraw_as(
 
 /// Stops every device of a fleet, whichever mission its robots play: their certificates tell robots who may do so.
 pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String> {
-    let is_reached = |robot: &&FleetRobot| matches!(robot.address, Address::Tcp { .. });
+    let is_reached = |robot: &&FleetRobot| robot.address.is_served();
     let (robots, inside): (Vec<&FleetRobot>, Vec<&FleetRobot>) = of.robots.iter().partition(is_reached);
     let inside = inside.into_iter().map(|robot| Inside {
         robot: robot.id.clone(),
@@ -305,7 +305,7 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
         let reachable =
             how.scheduler == Scheduler::Gone && how.rest == Rest::Default && opened.init.is_some();
         let what = match (opened.address.parse(), programs.get(&opened.robot)) {
-            (Ok(address @ Address::Tcp { .. }), _) => {
+            (Ok(address), _) if address.is_served() => {
                 reached.push(fleet_robot(opened, address));
                 continue;
             }

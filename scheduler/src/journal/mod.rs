@@ -65,7 +65,7 @@ pub struct Opened {
     pub robots: Vec<OpenedRobot>,
 }
 
-/// The files by which an operator speaks to robots with TLS. Their contents are no part of a journal.
+/// The files by which an operator speaks to robots with TLS, and to a Zenoh network. Their contents are no part of a journal.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OpenedKeys {
     /// The identity file.
@@ -74,13 +74,16 @@ pub struct OpenedKeys {
     /// The list of revoked certificates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub revoked: Option<PathBuf>,
+    /// The configuration of the Zenoh network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zenoh: Option<PathBuf>,
 }
 
 impl OpenedKeys {
     /// Whether there are none.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
-        self.identity.is_none() && self.revoked.is_none()
+        self.identity.is_none() && self.revoked.is_none() && self.zenoh.is_none()
     }
 }
 

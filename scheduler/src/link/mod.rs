@@ -2,8 +2,10 @@
 //! never knows.
 
 mod budget;
+mod by_key;
 mod encoding;
 mod in_process;
+mod reach;
 mod secure;
 mod tcp;
 
@@ -11,9 +13,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 pub(crate) use budget::{Asked, Budget};
+#[cfg(not(feature = "zenoh"))]
+pub(crate) use by_key::NOT_BUILT;
+#[cfg(feature = "zenoh")]
+pub(crate) use by_key::join;
 pub use encoding::LinkEncoding;
+pub(crate) use reach::{Purpose, Reach, ReadEnd, WriteEnd, over};
+pub(crate) use secure::denial;
 pub use secure::{Hmac, Security, Site, Tls};
-pub(crate) use secure::{ReadEnd, WriteEnd, denial, secured};
 
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
@@ -70,6 +77,16 @@ pub enum Endpoint {
         /// Whether both sides prove who they are.
         security: Security,
     },
+    /// A robot at a key of a Zenoh network.
+    #[cfg(feature = "zenoh")]
+    Zenoh {
+        /// The network.
+        network: downbeat_robot::zenoh::Network,
+        /// Its key.
+        key: downbeat_robot::zenoh::Key,
+        /// How it is written to.
+        encoding: LinkEncoding,
+    },
 }
 
 /// The sending end of a link. Dropping it closes the link once all has been sent.
@@ -80,14 +97,12 @@ pub struct Link {
     task: AbortHandle,
 }
 
-/// A robot on TCP.
+/// A robot that listens.
 #[derive(Clone)]
 struct Peer {
     sink: EventSink,
-    host: String,
-    port: u16,
+    reach: Reach,
     encoding: LinkEncoding,
-    security: Security,
     asked: Asked,
 }
 
@@ -120,7 +135,8 @@ impl Link {
         after: Duration,
     ) -> Self {
         // A robot of this process is no stranger, and its host keeps what waits.
-        let places = matches!(endpoint, Endpoint::Tcp { .. }).then(|| Arc::new(Semaphore::new(PLACES)));
+        let places =
+            (!matches!(endpoint, Endpoint::InProcess { .. })).then(|| Arc::new(Semaphore::new(PLACES)));
         Self::carrying(of, (endpoint, asked), clock, Events::Placed(events, places), after)
     }
 
@@ -146,7 +162,13 @@ impl Link {
             match endpoint {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
                 Endpoint::Tcp { host, port, encoding, security } => {
-                    tcp::carry(Peer { sink, host, port, encoding, security, asked }, queue).await;
+                    let reach = Reach::Tcp { host, port, security };
+                    tcp::carry(Peer { sink, reach, encoding, asked }, queue).await;
+                }
+                #[cfg(feature = "zenoh")]
+                Endpoint::Zenoh { network, key, encoding } => {
+                    let reach = Reach::Zenoh { network, key };
+                    tcp::carry(Peer { sink, reach, encoding, asked }, queue).await;
                 }
             }
         });

@@ -1,7 +1,7 @@
 //! What lies between a link and its bytes: nothing, TLS with certificates on both sides, or records with codes by a shared secret.
 
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use downbeat_robot::sealed::{self, Held, NotSealed, Passes, Refused, Sealed};
@@ -17,11 +17,13 @@ use tokio_rustls::client::TlsStream;
 use tokio_util::either::Either;
 use urrcp::RobotId;
 
-/// The end of a connection from which is read.
-pub(crate) type ReadEnd =
+use super::by_key::{Network, OfSite};
+
+/// The end of a connection over TCP from which is read.
+pub(crate) type BareReadEnd =
     Either<OwnedReadHalf, Either<ReadHalf<TlsStream<TcpStream>>, ReadHalf<Sealed<TcpStream>>>>;
-/// The end of a connection to which is written, and then flushed: what is encrypted or sealed may wait in it.
-pub(crate) type WriteEnd =
+/// The end of a connection over TCP to which is written, and then flushed: what is encrypted or sealed may wait in it.
+pub(crate) type BareWriteEnd =
     Either<OwnedWriteHalf, Either<WriteHalf<TlsStream<TcpStream>>, WriteHalf<Sealed<TcpStream>>>>;
 
 /// How a site's robots are spoken to.
@@ -30,6 +32,7 @@ pub struct Site {
     config: Option<Arc<ClientConfig>>,
     identity: Option<Identity>,
     passes: Arc<Passes>,
+    zenoh: Arc<OfSite>,
 }
 
 impl Site {
@@ -38,7 +41,23 @@ impl Site {
     /// # Errors
     /// What is wrong with the files, as a sentence.
     pub fn of(fleet: &Fleet, identity: Option<&Path>) -> Result<Self, String> {
-        Self::of_files(identity.or(fleet.identity.as_deref()), fleet.revoked.as_deref())
+        let site = Self::of_files(identity.or(fleet.identity.as_deref()), fleet.revoked.as_deref())?;
+        Ok(site.with_zenoh(fleet.zenoh.clone()))
+    }
+
+    /// The same with the Zenoh network of this configuration.
+    #[must_use]
+    pub fn with_zenoh(mut self, file: Option<PathBuf>) -> Self {
+        self.zenoh = Arc::new(OfSite::new(file));
+        self
+    }
+
+    /// The Zenoh network, which is joined when it is asked for first.
+    ///
+    /// # Errors
+    /// Why it cannot be joined, as a sentence.
+    pub(crate) fn network(&self) -> Result<Network, String> {
+        self.zenoh.joined()
     }
 
     /// With these files; without an identity nothing but plain TCP is spoken.
@@ -59,7 +78,8 @@ impl Site {
         let passes = Passes::next_to(path);
         let passes = if passes.exists() { Passes::read(&passes) } else { Ok(Passes::default()) };
         let passes = Arc::new(passes.map_err(|error| error.to_string())?);
-        Ok(Self { config: Some(Arc::new(config)), identity: Some(own.identity().clone()), passes })
+        let identity = Some(own.identity().clone());
+        Ok(Self { config: Some(Arc::new(config)), identity, passes, ..Self::default() })
     }
 
     /// Who speaks; `None` without an identity.
@@ -176,7 +196,7 @@ impl Tls {
 pub(crate) async fn secured(
     stream: TcpStream,
     security: &Security,
-) -> io::Result<((ReadEnd, WriteEnd), Option<Met>)> {
+) -> io::Result<((BareReadEnd, BareWriteEnd), Option<Met>)> {
     let denied = |what: String| io::Error::other(Denied(what));
     stream.set_nodelay(true)?;
     let tls = match security {

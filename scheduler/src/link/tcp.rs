@@ -1,16 +1,14 @@
-//! Messages over TCP: the robot listens, the scheduler connects.
+//! Messages over TCP, or another stream of bytes: the robot listens, the scheduler connects.
 
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
-use super::secure::Met;
-use super::{Budget, EventSink, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
+use super::{Budget, EventSink, Peer, Purpose, Queue, ReadEnd, WriteEnd, denial};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
@@ -24,24 +22,24 @@ const WRITE_BATCH: usize = 64 * 1024;
 
 /// Connects and carries messages both ways until either side closes.
 pub(super) async fn carry(peer: Peer, queue: Queue) {
-    let Peer { sink, host, port, .. } = &peer;
-    let (host, port) = (host.as_str(), *port);
-    let ((reader, writer), met) = match tokio::time::timeout(CONNECT_TIMEOUT, peer.connect()).await {
+    let Peer { sink, reach, .. } = &peer;
+    let connecting = reach.connect(Purpose::Link);
+    let ((reader, writer), met) = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
         Ok(Ok(ends)) => ends,
         Ok(Err(error)) => {
             if let Some(denial) = denial(&error) {
-                return sink.down(Loss::Denied, format!("no connection to {host}:{port}: {denial}")).await;
+                return sink.down(Loss::Denied, format!("no connection to {reach}: {denial}")).await;
             }
             let loss = match error.kind() {
                 ErrorKind::ConnectionRefused => Loss::Refused,
                 _ => Loss::Unreachable,
             };
             let refusal = Refusal::of(Attempt::Connect, &error);
-            return sink.down(loss, format!("no connection to {host}:{port}: {refusal}")).await;
+            return sink.down(loss, format!("no connection to {reach}: {refusal}")).await;
         }
         Err(_) => {
             let refusal = Refusal::of(Attempt::Connect, &ErrorKind::TimedOut.into());
-            let reason = format!("no connection to {host}:{port} within 3 s: {refusal}");
+            let reason = format!("no connection to {reach} within 3 s: {refusal}");
             return sink.down(Loss::Unreachable, reason).await;
         }
     };
@@ -202,10 +200,6 @@ fn ended(error: &io::Error) -> (Loss, String) {
 }
 
 impl Peer {
-    async fn connect(&self) -> io::Result<((ReadEnd, WriteEnd), Option<Met>)> {
-        secured(TcpStream::connect((self.host.as_str(), self.port)).await?, &self.security).await
-    }
-
     /// Appends a message, which allows the robot to answer it.
     fn encode(&self, encoding: Encoding, message: &Message, bytes: &mut Vec<u8>) {
         let before = bytes.len();
@@ -226,7 +220,7 @@ impl Peer {
         peer.sink.link = None;
         // Ends when the robot closes, or when no request can be waiting for its answers any more.
         tokio::spawn(async move {
-            let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.connect()).await;
+            let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.reach.connect(Purpose::Stop)).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };
             if let Err(error) = write_out(&mut writer, &bytes).await {
                 return tracing::debug!("the stop that overtakes: {error}");

@@ -9,7 +9,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, secured};
+use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, over};
+#[cfg(feature = "zenoh")]
+use crate::link::{Purpose, Reach};
 use crate::server_clock::ServerClock;
 use crate::session;
 
@@ -23,10 +25,11 @@ const ANSWERS_WITHIN: Duration = Duration::from_secs(3);
 /// A way to a robot.
 pub(super) enum Connection {
     InProcess(RobotLink),
-    Tcp(Box<Tcp>),
+    Bytes(Box<Bytes>),
 }
 
-pub(super) struct Tcp {
+/// A stream of bytes, over TCP or through a network.
+pub(super) struct Bytes {
     reader: ReadEnd,
     writer: WriteEnd,
     encoding: LinkEncoding,
@@ -58,24 +61,37 @@ impl Connection {
                         None => TcpStream::connect((host.as_str(), *port)).await,
                     }?;
                     *known = stream.peer_addr().ok();
-                    secured(stream, security).await
+                    over(stream, security).await
                 };
-                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                let (decoder, bytes) = (Decoder::default(), vec![0; 8 * 1024]);
-                let budget = Budget::new(asked.clone());
-                Ok(Self::Tcp(Box::new(Tcp {
-                    reader,
-                    writer,
-                    encoding: encoding.clone(),
-                    decoder,
-                    bytes,
-                    clock,
-                    asked: asked.clone(),
-                    budget,
-                    torn: false,
-                })))
+                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(ends, encoding, (clock, asked)))
+            }
+            #[cfg(feature = "zenoh")]
+            Endpoint::Zenoh { network, key, encoding } => {
+                let reach = Reach::Zenoh { network: network.clone(), key: key.clone() };
+                let connect = reach.connect(Purpose::Stop);
+                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(ends, encoding, (clock, asked)))
             }
         }
+    }
+
+    fn of(
+        (reader, writer): (ReadEnd, WriteEnd),
+        encoding: &LinkEncoding,
+        (clock, asked): (ServerClock, &Asked),
+    ) -> Self {
+        Self::Bytes(Box::new(Bytes {
+            reader,
+            writer,
+            encoding: encoding.clone(),
+            decoder: Decoder::default(),
+            bytes: vec![0; 8 * 1024],
+            clock,
+            asked: asked.clone(),
+            budget: Budget::new(asked.clone()),
+            torn: false,
+        }))
     }
 
     /// Writes all of them at once.
@@ -85,7 +101,7 @@ impl Connection {
                 messages.for_each(|message| link.send(message.clone()));
                 Ok(())
             }
-            Self::Tcp(tcp) => tcp.send(messages).await,
+            Self::Bytes(bytes) => bytes.send(messages).await,
         }
     }
 
@@ -96,7 +112,7 @@ impl Connection {
                 LinkEvent::Message(message) => Some(message),
                 LinkEvent::Closed => None,
             },
-            Self::Tcp(tcp) => tcp.next().await,
+            Self::Bytes(bytes) => bytes.next().await,
         }
     }
 
@@ -123,7 +139,7 @@ impl Connection {
     }
 }
 
-impl Tcp {
+impl Bytes {
     async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
         if std::mem::replace(&mut self.torn, true) {
             return Err(io::Error::other("the last message was written in part"));

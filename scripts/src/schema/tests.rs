@@ -130,6 +130,7 @@ ntp: pool.ntp.org
 handshake: full
 identity: anna.pem
 revoked: revoked.pem
+zenoh: zenoh.json5
 insecure: false
 latency: latency.yaml
 space: {distance: 1, keep_in: {x: [0, 1], y: [0, 1], z: [0, 1]}, keep_out: {pillar: {x: [0, 1]}}}

@@ -50,7 +50,7 @@ async fn unless_stopped<T: Send + 'static>(
 pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
     let init = match robot.address {
         Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
-        Address::Tcp { .. } | Address::Simulated => None,
+        Address::Tcp { .. } | Address::Zenoh { .. } | Address::Simulated => None,
     };
     let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
     OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }

@@ -1,0 +1,304 @@
+//! Plain TCP next to Zenoh through a router, in one run: the round trip of one message, bytes a second on one connection, and from
+//! the first request of a mission to its decision. Robots are simulated in a process of their own.
+//!
+//! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; with numbers behind it those fleets: `-- 100 1000`.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a program that measures, and stops if it cannot"
+)]
+#![expect(clippy::disallowed_methods, reason = "real sockets take real time")]
+#![expect(clippy::cast_precision_loss, reason = "figures for people")]
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use downbeat::link::{Endpoint, LinkEncoding, Security};
+use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
+use downbeat::server_clock::ServerClock;
+use downbeat_robot::simulated::{Settings, SimulatedRobot};
+use downbeat_robot::zenoh::{Haste, Key, Listener, Network, connect};
+use downbeat_robot::{Host, HostOptions, serve, serve_zenoh};
+use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use urrcp::{
+    ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Setpoint, Span, Step, StopCondition,
+};
+
+const ROUNDS: usize = 3;
+const EXCHANGES: usize = 3_000;
+const BYTES: usize = 128 * 1024 * 1024;
+
+fn block(id: usize) -> InitializationBlock {
+    let json = format!(
+        r#"{{"id": "r{id}", "api_version": "1", "reports": true, "devices": [{{"id": "d", "name": "d", "available_control_types": {{
+        "position": {{"min_value": 0, "max_value": 90, "granularity": 1}},
+        "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 20}}}}}}]}}"#
+    );
+    serde_json::from_str(&json).unwrap()
+}
+
+/// 2 KB for each robot.
+fn plan(robots: usize) -> Plan {
+    let step = |i: u32| Step {
+        offset: Millis::new(f64::from(i) * 5.0).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, f64::from(i)),
+        stop_condition: None,
+    };
+    let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
+    let script = |id: usize| DeviceScript {
+        device: DeviceId::new("d").unwrap(),
+        start: Millis::new(id as f64 * 0.25).unwrap(),
+        stop_condition,
+        script: Script::new((0..20).map(step).collect()).unwrap(),
+    };
+    let robot =
+        |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };
+    Plan {
+        scenario: "crowd".into(),
+        start_tolerance: Span::from_millis(60_000),
+        lead: None,
+        stop_condition,
+        robots: (0..robots).map(robot).collect(),
+    }
+}
+
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _gone = self.0.kill();
+        let _reaped = self.0.wait();
+    }
+}
+
+fn configuration(port: u16) -> String {
+    format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
+}
+
+/// A router on a port of its own.
+fn router() -> (Killed, u16) {
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let mut command = Command::new(std::env::var("ZENOHD").unwrap_or_else(|_| "zenohd".to_owned()));
+    command.args(["--no-multicast-scouting", "--listen", &format!("tcp/127.0.0.1:{port}")]);
+    let router = Killed(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    (router, port)
+}
+
+/// This program again, as the other side; returns what it prints for each.
+fn others(role: &str, count: usize, router: u16) -> (Killed, Vec<u16>) {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command
+        .env("ZENOH_ROLE", role)
+        .env("ZENOH_COUNT", count.to_string())
+        .env("ZENOH_ROUTER", router.to_string());
+    let mut child = command.stdout(Stdio::piped()).stdin(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let ports = lines.take(count).map(|line| line.unwrap().parse().unwrap()).collect();
+    (Killed(child), ports)
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
+}
+
+fn key(id: usize) -> Key {
+    format!("bench/r{id}").parse().unwrap()
+}
+
+async fn be_robots(count: usize, router: Option<u16>) {
+    let machines = (0..count).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
+    let host = Host::start(machines, HostOptions::default()).unwrap();
+    let network = router.map(|port| Network::open_with(&configuration(port)).unwrap());
+    for index in 0..count {
+        match &network {
+            None => {
+                let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+                println!("{}", listener.local_addr().unwrap().port());
+                tokio::spawn(serve(listener, host.handle(), index));
+            }
+            Some(network) => {
+                let listener = Listener::bind(network, key(index)).await.unwrap();
+                println!("0");
+                tokio::spawn(serve_zenoh(listener, host.handle(), index));
+            }
+        }
+    }
+    std::io::stdout().flush().unwrap();
+    std::future::pending::<()>().await;
+}
+
+/// Sends back what comes behind an `e`; behind anything else it says one byte when all has come.
+async fn echo(stream: impl AsyncRead + AsyncWrite) {
+    let (mut reader, mut writer) = tokio::io::split(stream);
+    let Ok(first) = reader.read_u8().await else { return };
+    let mut bytes = vec![0; 64 * 1024];
+    let mut came = 0;
+    while let Ok(n @ 1..) = reader.read(&mut bytes).await {
+        came += n;
+        let said = match first {
+            b'e' => writer.write_all(&bytes[..n]).await,
+            _ if came == BYTES => writer.write_all(b"!").await,
+            _ => Ok(()),
+        };
+        if said.is_err() {
+            return;
+        }
+    }
+}
+
+async fn be_echo(router: Option<u16>) {
+    match router {
+        None => {
+            let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+            println!("{}", listener.local_addr().unwrap().port());
+            while let Ok((stream, _)) = listener.accept().await {
+                stream.set_nodelay(true).unwrap();
+                tokio::spawn(echo(stream));
+            }
+        }
+        Some(port) => {
+            let network = Network::open_with(&configuration(port)).unwrap();
+            let mut listener = Listener::bind(&network, key(0)).await.unwrap();
+            println!("0");
+            while let Ok(stream) = listener.accept().await {
+                tokio::spawn(echo(stream));
+            }
+        }
+    }
+}
+
+/// Round trips of 200 bytes, sorted.
+async fn round_trips(stream: &mut (impl AsyncRead + AsyncWrite + Unpin)) -> Vec<Duration> {
+    let (message, mut answer) = ([7; 200], [0; 200]);
+    let mut trips = Vec::new();
+    stream.write_all(b"e").await.unwrap();
+    for _ in 0..EXCHANGES {
+        let began = Instant::now();
+        stream.write_all(&message).await.unwrap();
+        stream.read_exact(&mut answer).await.unwrap();
+        trips.push(began.elapsed());
+    }
+    trips.sort();
+    trips
+}
+
+/// Megabytes a second, one way.
+async fn throughput(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> f64 {
+    let piece = vec![7; 64 * 1024];
+    stream.write_all(b"s").await.unwrap();
+    let began = Instant::now();
+    for _ in 0..BYTES / piece.len() {
+        stream.write_all(&piece).await.unwrap();
+    }
+    stream.read_u8().await.unwrap();
+    BYTES as f64 / 1e6 / began.elapsed().as_secs_f64()
+}
+
+fn one_connection(router: Option<u16>) {
+    let role = if router.is_some() { "echo at a key" } else { "echo" };
+    let (_other, ports) = others(role, 1, router.unwrap_or(0));
+    let (trips, rate) = runtime().block_on(async {
+        match router {
+            None => {
+                let open = async || {
+                    let stream = TcpStream::connect(("127.0.0.1", ports[0])).await.unwrap();
+                    stream.set_nodelay(true).unwrap();
+                    stream
+                };
+                (round_trips(&mut open().await).await, throughput(open().await).await)
+            }
+            Some(port) => {
+                let network = Network::open_with(&configuration(port)).unwrap();
+                let open = async || connect(&network, &key(0), Haste::None).await.unwrap();
+                (round_trips(&mut open().await).await, throughput(open().await).await)
+            }
+        }
+    });
+    println!(
+        "{:<24} round trip p50 {:>5} us, p99 {:>5} us; {rate:.0} MB/s one way",
+        way(router),
+        trips[EXCHANGES / 2].as_micros(),
+        trips[EXCHANGES * 99 / 100].as_micros()
+    );
+}
+
+const fn way(router: Option<u16>) -> &'static str {
+    if router.is_some() { "Zenoh through a router" } else { "TCP" }
+}
+
+/// From the first request to the decision.
+fn decision(count: usize, router: Option<u16>) -> Duration {
+    let role = if router.is_some() { "robots at keys" } else { "robots" };
+    let (_robots, ports) = others(role, count, router.unwrap_or(0));
+    runtime().block_on(async {
+        let clock = ServerClock::anchored(Span::ZERO);
+        let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
+        let mut options = MissionOptions::default();
+        options.patience = Span::from_millis(60_000);
+        let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
+        let network = router.map(|port| Network::open_with(&configuration(port)).unwrap());
+        let endpoint = |(id, port): (usize, &u16)| match &network {
+            None => Endpoint::Tcp {
+                host: "127.0.0.1".into(),
+                port: *port,
+                encoding: LinkEncoding::default(),
+                security: Security::Plain,
+            },
+            Some(network) => {
+                Endpoint::Zenoh { network: network.clone(), key: key(id), encoding: LinkEncoding::default() }
+            }
+        };
+        let endpoints = ports.iter().enumerate().map(endpoint).collect();
+        let (_operator, said) = tokio::sync::mpsc::channel(1);
+        let (mut sent, mut decided) = (None, None);
+        let report = downbeat::run::run(mission, endpoints, clock, said, |at, progress| match progress {
+            Progress::Preparing { .. } => sent = Some(at),
+            Progress::Decided { .. } => decided = Some(at),
+            _ => {}
+        })
+        .await;
+        assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures.first());
+        (decided.unwrap() - sent.unwrap()).to_duration()
+    })
+}
+
+fn main() {
+    downbeat::open_files::raise_limit();
+    if let Ok(role) = std::env::var("ZENOH_ROLE") {
+        let number = |name| std::env::var(name).unwrap().parse::<usize>().unwrap();
+        let (count, router) = (number("ZENOH_COUNT"), u16::try_from(number("ZENOH_ROUTER")).ok());
+        return runtime().block_on(async {
+            match role.as_str() {
+                "robots" => be_robots(count, None).await,
+                "robots at keys" => be_robots(count, router).await,
+                "echo" => be_echo(None).await,
+                _ => be_echo(router).await,
+            }
+        });
+    }
+    let (_router, port) = router();
+    one_connection(None);
+    one_connection(Some(port));
+    let mut counts: Vec<usize> = std::env::args().filter_map(|arg| arg.parse().ok()).collect();
+    if counts.is_empty() {
+        counts = vec![100, 1_000];
+    }
+    for count in counts {
+        for router in [None, Some(port)] {
+            let mut times: Vec<_> = (0..ROUNDS).map(|_| decision(count, router)).collect();
+            times.sort();
+            println!(
+                "{:<24} {count} robots: decided after {:.1} ms, best {:.1} ms",
+                way(router),
+                times[ROUNDS / 2].as_secs_f64() * 1e3,
+                times[0].as_secs_f64() * 1e3
+            );
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! Configurations of Zenoh, as its own files write them.
+
+use std::fmt;
+use std::io;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+use ::zenoh::Config;
+use serde_json::Value;
+
+/// A network cannot be joined.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NetworkError {
+    /// The configuration cannot be read or used.
+    #[error("{}: {why}; expected a configuration of Zenoh, as docs/zenoh.md shows", file.display())]
+    File {
+        /// Which file.
+        file: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+    /// No session with it.
+    #[error(
+        "no Zenoh network by {named}: {why}; check its `connect/endpoints`, and that a router listens there"
+    )]
+    NotJoined {
+        /// Which configuration.
+        named: String,
+        /// What Zenoh says.
+        why: String,
+    },
+    /// The system gives no thread.
+    #[error("cannot start a thread for Zenoh: {0}")]
+    Thread(io::Error),
+}
+
+impl NetworkError {
+    pub(super) fn not_joined(named: &str, why: impl fmt::Display + Copy) -> Self {
+        Self::NotJoined { named: named.to_owned(), why: why.to_string() }
+    }
+}
+
+pub(super) fn read(file: &Path) -> Result<Config, NetworkError> {
+    let bad = |why: String| NetworkError::File { file: file.to_owned(), why };
+    // Zenoh's own error does not say which file, or why.
+    std::fs::File::open(file).map_err(|error| bad(error.to_string()))?;
+    let config = Config::from_file(file).map_err(|error| bad(error.to_string()))?;
+    quiet(config).map_err(bad)
+}
+
+pub(super) fn parse(json5: &str) -> Result<Config, NetworkError> {
+    let bad = |why: String| NetworkError::File { file: PathBuf::from("configuration"), why };
+    let config = Config::from_json5(json5).map_err(|error| bad(error.to_string()))?;
+    quiet(config).map_err(bad)
+}
+
+/// An endpoint of this configuration beyond which anyone may stand: neither on this machine, nor with TLS.
+pub(super) fn open_endpoint(config: &Config) -> Option<String> {
+    let said = |key: &str| -> Option<Value> { serde_json::from_str(&config.get_json(key).ok()?).ok() };
+    let mode = said("mode").as_ref().and_then(Value::as_str).unwrap_or("peer").to_owned();
+    let of_mode = |value: Value| match value {
+        Value::Object(mut by_mode) => by_mode.remove(&mode).unwrap_or_default(),
+        value => value,
+    };
+    let listens = if mode == "client" { None } else { said("listen/endpoints") };
+    let endpoints = said("connect/endpoints").into_iter().chain(listens).map(of_mode);
+    let endpoints = endpoints.flat_map(|list| list.as_array().cloned().unwrap_or_default());
+    let mut named = endpoints.filter_map(|endpoint| endpoint.as_str().map(str::to_owned));
+    named.find(|endpoint| is_open(endpoint))
+}
+
+fn is_open(endpoint: &str) -> bool {
+    let Some((protocol, rest)) = endpoint.split_once('/') else { return true };
+    let address = rest.split(['?', '#']).next().unwrap_or_default();
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    let is_here =
+        host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.to_canonical().is_loopback());
+    !is_here && !matches!(protocol, "tls" | "quic" | "unixsock-stream" | "unixpipe" | "serial" | "vsock")
+}
+
+/// Multicast is a choice: without it nothing is found that was not named, and nothing unknown is joined.
+fn quiet(mut config: Config) -> Result<Config, String> {
+    const ENABLED: &str = "scouting/multicast/enabled";
+    let said = config.get_json(ENABLED).map_err(|error| error.to_string())?;
+    if said == "null" {
+        config.insert_json5(ENABLED, "false").map_err(|error| error.to_string())?;
+    }
+    Ok(config)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn multicast_is_off_unless_the_file_says_otherwise() {
+        let enabled = |json5: &str| parse(json5).unwrap().get_json("scouting/multicast/enabled").unwrap();
+        assert_eq!(enabled("{}"), "false");
+        assert_eq!(enabled("{scouting: {multicast: {enabled: true}}}"), "true");
+        assert_eq!(enabled("{scouting: {multicast: {enabled: false}}}"), "false");
+    }
+
+    #[test]
+    fn endpoints_without_tls_beyond_this_machine_are_open() {
+        let open = |json5: &str| open_endpoint(&parse(json5).unwrap());
+        assert_eq!(open(r#"{mode: "client", connect: {endpoints: ["tls/router.example:7447"]}}"#), None);
+        assert_eq!(
+            open(r#"{mode: "client", connect: {endpoints: ["tcp/127.0.0.1:7447", "tcp/[::1]:1"]}}"#),
+            None
+        );
+        let beyond = r#"{mode: "client", connect: {endpoints: ["tcp/localhost:1", "tcp/192.0.2.7:7447"]}}"#;
+        assert_eq!(open(beyond).as_deref(), Some("tcp/192.0.2.7:7447"));
+        let listens = r#"{mode: "peer", listen: {endpoints: {router: [], peer: ["udp/0.0.0.0:7447"]}}}"#;
+        assert_eq!(open(listens).as_deref(), Some("udp/0.0.0.0:7447"));
+        assert!(open("{}").is_some(), "a peer listens everywhere by default");
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_used_is_named_with_the_reason() {
+        let missing = read(Path::new("/nowhere/zenoh.json5")).unwrap_err().to_string();
+        assert!(missing.contains("/nowhere/zenoh.json5: No such file"), "{missing}");
+        let wrong = parse("{mode: 7}").unwrap_err().to_string();
+        assert!(wrong.contains("expected a configuration of Zenoh"), "{wrong}");
+    }
+}

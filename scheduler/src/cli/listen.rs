@@ -1,0 +1,133 @@
+//! Where a robot of this process listens: at a TCP address, or at a key of a Zenoh network.
+
+use std::path::{Path, PathBuf};
+
+#[cfg(feature = "zenoh")]
+use downbeat_robot::zenoh;
+use downbeat_robot::{Door, HostHandle, serve_behind};
+use downbeat_scripts::{Address, Attempt, Refusal, address_fault};
+use tokio::net::TcpListener;
+use urrcp::RobotId;
+
+use super::identity;
+use super::robot::GuardArgs;
+
+/// What every place begins with that is a key.
+const ZENOH: &str = "zenoh:";
+
+/// By which network robots of this process are reached.
+#[derive(Debug, clap::Args)]
+pub(super) struct NetworkArgs {
+    /// The configuration of Zenoh, JSON5 or YAML, for robots at zenoh: addresses; otherwise DOWNBEAT_ZENOH names it.
+    #[arg(long = "zenoh", value_name = "FILE")]
+    file: Option<PathBuf>,
+}
+
+impl NetworkArgs {
+    /// The way to Zenoh that the command line names, the environment, or else the fleet file.
+    pub(super) fn way(&self, of_fleet: Option<&Path>) -> Way {
+        let file = identity::zenoh(self.file.as_deref());
+        Way {
+            file: file.or_else(|| of_fleet.map(Path::to_owned)),
+            #[cfg(feature = "zenoh")]
+            joined: None,
+        }
+    }
+}
+
+/// A way into a Zenoh network, which is gone once it is needed.
+#[derive(Debug)]
+pub(super) struct Way {
+    #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
+    file: Option<PathBuf>,
+    #[cfg(feature = "zenoh")]
+    joined: Option<zenoh::Network>,
+}
+
+/// A robot's place, not yet served.
+#[derive(Debug)]
+pub(super) enum Listening {
+    Tcp(TcpListener, Door),
+    #[cfg(feature = "zenoh")]
+    Zenoh(zenoh::Listener),
+}
+
+impl Listening {
+    /// Takes the place that `--listen` names.
+    pub(super) async fn at(
+        place: &str,
+        robot: &RobotId,
+        guard: &GuardArgs,
+        way: &mut Way,
+    ) -> Result<Self, String> {
+        if place.starts_with(ZENOH) {
+            let Ok(Address::Zenoh { key }) = place.parse() else {
+                let (fault, hint) = address_fault(place);
+                return Err(format!("--listen {place} {fault}; {}", hint.unwrap_or_default()));
+            };
+            guard.refuse_at_key()?;
+            return way.listen(&key, guard.permits_anyone()).await;
+        }
+        let listener = Self::bind(place).await?;
+        let door = guard.door(robot, &listener)?;
+        Ok(Self::Tcp(listener, door))
+    }
+
+    /// A socket at HOST:PORT.
+    pub(super) async fn bind(place: &str) -> Result<TcpListener, String> {
+        let refused = |error| format!("cannot listen on {place}: {}", Refusal::of(Attempt::Listen, &error));
+        TcpListener::bind(place).await.map_err(refused)
+    }
+
+    /// Where the robot is reached now; `None` for a socket that the system has taken back.
+    pub(super) fn place(&self) -> Option<String> {
+        match self {
+            Self::Tcp(listener, _) => listener.local_addr().ok().map(|address| address.to_string()),
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh(listener) => Some(format!("{ZENOH}{}", listener.key())),
+        }
+    }
+
+    /// Serves a robot there until its host stops.
+    pub(super) async fn serve(self, host: HostHandle, robot: usize) -> std::io::Result<()> {
+        match self {
+            Self::Tcp(listener, door) => serve_behind(listener, host, robot, door).await,
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh(listener) => downbeat_robot::serve_zenoh(listener, host, robot).await,
+        }
+    }
+}
+
+#[cfg(feature = "zenoh")]
+impl Way {
+    /// Takes a key. `anyone`: the operator knows that anyone who reaches the network could drive the robot.
+    pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
+        let network = match &self.joined {
+            Some(network) => network.clone(),
+            None => {
+                let file = self.file.clone();
+                // It waits for routers.
+                let joining = tokio::task::spawn_blocking(move || crate::link::join(file.as_deref()));
+                joining.await.map_err(|error| error.to_string())??
+            }
+        };
+        if let Some(endpoint) = network.open_endpoint().filter(|_| !anyone) {
+            return Err(format!(
+                "the configuration of Zenoh speaks with {endpoint}, where anyone in between could drive the robot; use tls/, or \
+                 give --insecure in a network of its own"
+            ));
+        }
+        self.joined = Some(network.clone());
+        let key = key.parse().map_err(|error| format!("{ZENOH}{key}: {error}"))?;
+        let place = format!("{ZENOH}{key}");
+        let listener = zenoh::Listener::bind(&network, key).await;
+        listener.map(Listening::Zenoh).map_err(|error| format!("cannot listen on {place}: {error}"))
+    }
+}
+
+#[cfg(not(feature = "zenoh"))]
+impl Way {
+    pub(super) async fn listen(&mut self, _: &str, _: bool) -> Result<Listening, String> {
+        Err(crate::link::NOT_BUILT.to_owned())
+    }
+}

@@ -1,0 +1,83 @@
+//! The configurations of docs/zenoh with certificates: who is let in, and who is not. They need `zenohd`, which `ZENOHD` names.
+
+use std::process::Stdio;
+
+use rcgen::{BasicConstraints, Certificate, CertificateParams, DnType, IsCa, Issuer, KeyPair};
+
+use crate::network::{Router, fleet, lies, names, outcome, sets, simulated, stage};
+use crate::robots::{Stage, free_port};
+
+/// A file of docs/zenoh with the places of this test, and the certificate of `name` instead of that of `of`.
+fn documented(of: &str, name: &str, port: u16, connects: &str) -> String {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../docs/zenoh/{of}.json5"));
+    let text = std::fs::read_to_string(path).unwrap();
+    let text = text.replace("\"tls/router-a.example:7447\"", connects).replace("hall-2/", "hall/");
+    let text = text.replace("\"tls/router-b.example:7447\"", connects);
+    let text = text.replace("tls/[::]:7447", &format!("tls/127.0.0.1:{port}"));
+    text.replace(&format!("{of}.pem"), &format!("{name}.pem"))
+        .replace(&format!("{of}.key"), &format!("{name}.key"))
+}
+
+fn authority(name: &str) -> (Certificate, Issuer<'static, KeyPair>) {
+    let mut params = CertificateParams::new(Vec::<String>::new()).unwrap();
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.distinguished_name.push(DnType::CommonName, name);
+    let key = KeyPair::generate().unwrap();
+    let certificate = params.self_signed(&key).unwrap();
+    (certificate, Issuer::new(params, key))
+}
+
+/// Writes a certificate of an authority and its key.
+fn certify(stage: &Stage, name: &str, file: &str, authority: &Issuer<'static, KeyPair>) {
+    let mut params = CertificateParams::new(vec!["127.0.0.1".to_owned(), "localhost".to_owned()]).unwrap();
+    params.distinguished_name.push(DnType::CommonName, name);
+    let key = KeyPair::generate().unwrap();
+    let certificate = params.signed_by(&key, authority).unwrap();
+    stage.file(&format!("{file}.pem"), certificate.pem()).file(&format!("{file}.key"), key.serialize_pem());
+}
+
+#[test]
+#[ignore = "needs zenohd: .ci/zenoh runs it"]
+fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
+    let stage = stage("2s");
+    let ((ca, site), (_, strange)) = (authority("site"), authority("elsewhere"));
+    stage.file("ca.pem", ca.pem());
+    for name in ["router", "robot", "scheduler"] {
+        certify(&stage, name, name, &site);
+    }
+    certify(&stage, "scheduler", "stranger", &strange);
+    let (a, b) = (free_port(), free_port());
+    let place = |port: u16| format!("\"tls/localhost:{port}\"");
+    let _a = Router::of(&stage, "router-a", a, documented("router", "router", a, ""));
+    let _b = Router::of(&stage, "router-b", b, documented("router", "router", b, &place(a)));
+    stage.file("robot.json5", documented("robot", "robot", 0, &place(b)));
+    stage.file("scheduler.json5", documented("scheduler", "scheduler", 0, &place(a)));
+    stage.file("stranger.json5", documented("scheduler", "stranger", 0, &place(a)));
+    stage.file("robot-as-scheduler.json5", documented("robot", "robot", 0, &place(a)));
+    stage.file("fleet.yaml", fleet(&names(0, 4), "scheduler.json5"));
+    let _robots = simulated(&stage, "fleet.yaml", 4, &["--zenoh", "robot.json5"]);
+    let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
+    assert_eq!((ended.code, outcome(&ended)), (Some(0), "done".into()), "{ended}");
+    assert_eq!(lies(&ended, &sets(&stage, &["fleet.yaml"])), [""; 0]);
+
+    let ping_by = |file: &str| {
+        let ping =
+            stage.command(&["fleet", "ping", "fleet.yaml"]).env("DOWNBEAT_ZENOH", file).output().unwrap();
+        (ping.status.code(), String::from_utf8(ping.stderr).unwrap())
+    };
+    assert_eq!(ping_by("scheduler.json5").0, Some(0));
+    let (code, told) = ping_by("stranger.json5");
+    assert!(code == Some(1) && told.contains("no Zenoh network by"), "{told}");
+    let (code, told) = ping_by("robot-as-scheduler.json5");
+    assert!(code == Some(1) && told.contains("no robot answers there"), "{told}");
+
+    // A scheduler's certificate makes no robot.
+    let mut command =
+        stage.command(&["robot", "--init", "robot.yaml", "--id", "r9", "--listen", "zenoh:hall/r9"]);
+    let spawned = command.args(["--zenoh", "scheduler.json5"]).stdout(Stdio::null()).spawn().unwrap();
+    let _false_robot = crate::robots::Process(spawned);
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    stage.file("fleet.yaml", fleet(&names(9, 1), "scheduler.json5"));
+    let (code, told) = ping_by("scheduler.json5");
+    assert!(code == Some(1) && told.contains("no robot answers there"), "{told}");
+}

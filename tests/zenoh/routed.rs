@@ -1,0 +1,115 @@
+//! Three routers, a fleet behind two of them, the scheduler at the third, and a router that is killed and started again.
+//! `.ci/zenoh` runs these: they need `zenohd`, which `ZENOHD` names. `ZENOH_ROBOTS` is the size of the fleet.
+#![expect(clippy::print_stdout, reason = "figures for docs/zenoh.md")]
+
+use std::time::{Duration, Instant};
+
+use crate::network::{Router, STEPS, client, fleet, lies, names, outcome, sets, simulated, stage, start};
+use crate::robots::{Ended, Process, Stage};
+
+/// The fleet, and all that it takes to reach it.
+struct Hall {
+    stage: Stage,
+    count: usize,
+    routers: [Router; 3],
+    _robots: [Process; 2],
+}
+
+impl Hall {
+    fn open(running: &str) -> Self {
+        let count: usize = std::env::var("ZENOH_ROBOTS").map_or(1_000, |count| count.parse().unwrap());
+        let stage = stage(running);
+        let a = Router::start(&stage, "a", &[]);
+        let b = Router::start(&stage, "b", &[a.port]);
+        let c = Router::start(&stage, "c", &[a.port]);
+        stage.file("scheduler.json5", client(a.port));
+        stage.file("fleet.yaml", fleet(&names(0, count), "scheduler.json5"));
+        let half = count / 2;
+        let robots =
+            [("b", &b, 0, half), ("c", &c, half, count - half)].map(|(name, router, first, count)| {
+                let (file, config) = (format!("{name}.yaml"), format!("robots-{name}.json5"));
+                stage.file(&config, client(router.port)).file(&file, fleet(&names(first, count), &config));
+                simulated(&stage, &file, count, &[])
+            });
+        Self { stage, count, routers: [a, b, c], _robots: robots }
+    }
+
+    fn run(&self) -> crate::robots::Running {
+        self.stage.start(&["run", "play.yaml", "--format", "json", "--patience", "60s"])
+    }
+
+    /// What all robots have set; fails where the report says something else.
+    #[track_caller]
+    fn agree(&self, ended: &Ended, what: &str) -> usize {
+        let sets = sets(&self.stage, &["b.yaml", "c.yaml"]);
+        assert_eq!(lies(ended, &sets), [""; 0], "{what}: {ended}");
+        let whole = sets.values().filter(|sets| sets.len() == STEPS as usize).count();
+        let report = ended.report();
+        println!(
+            "{what}: {}, exit code {:?}; of {} robots {} moved, {whole} to the end; spread {}, reports agree with all logs",
+            outcome(ended),
+            ended.code,
+            self.count,
+            sets.len(),
+            report["spread_ms"],
+        );
+        sets.len()
+    }
+}
+
+#[test]
+#[ignore = "needs zenohd: .ci/zenoh runs it"]
+fn a_fleet_behind_two_routers_prepares_starts_and_reports() {
+    let hall = Hall::open("5s");
+    let began = Instant::now();
+    let ended = hall.run().ended_within(Duration::from_secs(180)).unwrap();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    assert_eq!(hall.agree(&ended, "undisturbed"), hall.count);
+    println!("all of it took {:.1} s", began.elapsed().as_secs_f64());
+}
+
+#[test]
+#[ignore = "needs zenohd: .ci/zenoh runs it"]
+fn a_router_that_is_killed_while_scripts_are_sent_lets_no_robot_start_alone() {
+    for after in [5_u64, 60, 150] {
+        let mut hall = Hall::open("5s");
+        let run = hall.run();
+        start(&hall.stage);
+        std::thread::sleep(Duration::from_millis(after));
+        hall.routers[1].kill();
+        std::thread::sleep(Duration::from_millis(700));
+        hall.routers[1].restart();
+        let ended = run.ended_within(Duration::from_secs(180)).unwrap();
+        let moved = hall.agree(&ended, &format!("killed {after} ms after the first request"));
+        assert!(
+            moved == 0 || moved == hall.count || moved == hall.count - hall.count / 2,
+            "{moved} moved: {ended}"
+        );
+    }
+}
+
+#[test]
+#[ignore = "needs zenohd: .ci/zenoh runs it"]
+fn a_router_that_is_back_within_the_lease_costs_nothing() {
+    let mut hall = Hall::open("20s");
+    let run = hall.run();
+    crate::robots::sleep_until(start(&hall.stage) + 1_000_000_000);
+    hall.routers[1].kill();
+    std::thread::sleep(Duration::from_millis(300));
+    hall.routers[1].restart();
+    let ended = run.ended_within(Duration::from_secs(180)).unwrap();
+    hall.agree(&ended, "killed for 0.3 s while it played, under a lease of 20 s");
+    assert_eq!(ended.code, Some(0), "{ended}");
+}
+
+#[test]
+#[ignore = "needs zenohd: .ci/zenoh runs it"]
+fn a_router_that_stays_away_ends_its_robots_with_their_lease_and_no_others() {
+    let mut hall = Hall::open("1s");
+    let run = hall.run();
+    crate::robots::sleep_until(start(&hall.stage) + 1_000_000_000);
+    hall.routers[1].kill();
+    let ended = run.ended_within(Duration::from_secs(180)).unwrap();
+    hall.agree(&ended, "killed for good while it played, under a lease of 1 s");
+    assert_eq!(ended.code, Some(5), "{ended}");
+}
