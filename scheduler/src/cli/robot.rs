@@ -15,8 +15,8 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
-use super::metrics::MetricsArgs;
 use super::listen::{Listening, NetworkArgs};
+use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use downbeat_robot::{Door, Host, HostOptions};
 use downbeat_scripts::{Address, Protection};
 
-use super::metrics::MetricsArgs;
 use super::listen::{Listening, NetworkArgs, Way};
+use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::{Exit, Format, ProjectArgs, console, load, robot};
 use crate::signals::{OnHangUp, Signals};
