@@ -57,8 +57,12 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
     command.get_subcommands().for_each(|inner| options(inner, found));
 }
 
-/// Options of cargo, Blender and `soak`, which documents call too.
-const FOREIGN: [&str; 12] = [
+/// Options of cargo, systemctl, zenohd, Blender and `soak`, which documents call too.
+const FOREIGN: [&str; 16] = [
+    "version",
+    "locked",
+    "now",
+    "config",
     "release",
     "features",
     "workspace",
