@@ -253,10 +253,12 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::LinkUp(robot) = happened else { continue };
         let by = *at + drawn.delay.1 * 3 + drawn.robots[*robot].slow + AT_ONCE;
-        let holds = facts.acts.iter().any(|act| {
+        let mut held = facts.acts.iter().filter(|act| {
             let ends = act.of(*robot).map(|script| act.start_of(script) + script.promised.duration).max();
-            act.at < *at && ends.is_some_and(|ends| by < ends) && !is_hushed(facts, act, *at, by)
+            act.at < *at && ends.is_some_and(|ends| by < ends)
         });
+        // Every message renews all leases of a robot, so one act silences the others.
+        let holds = held.clone().next().is_some() && !held.any(|act| is_hushed(facts, act, *at, by));
         let over = |until: Timestamp<Server>| until <= by;
         let done = facts.stopping.iter().any(|at| over(*at)) || facts.dropped[*robot].is_some_and(over);
         let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
