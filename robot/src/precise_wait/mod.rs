@@ -41,7 +41,8 @@ pub enum Woken<T> {
 pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
-    place: Place,
+    /// Under real-time scheduling. A thread that does not run before all others would wait for each program that comes to its core.
+    place: Option<Place>,
 }
 
 impl PreciseWait {
@@ -50,7 +51,7 @@ impl PreciseWait {
     pub fn new(scheduling: &Scheduling) -> Self {
         let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
         let (approach, machine) = (Approach::new(scheduled), Machine::watched());
-        Self { approach, machine, place: Place::of_this_thread() }
+        Self { approach, machine, place: scheduling.is_realtime().then(Place::of_this_thread) }
     }
 
     /// Waits for the next message, until the deadline if there is one.
@@ -74,10 +75,10 @@ impl PreciseWait {
             self.approach.looked(Instant::now(), cores);
         }
         let now = Instant::now();
-        if deadline.saturating_duration_since(now) >= STAY_FROM {
-            // A core that something else keeps busy is no place to stay.
-            let takes_turns = self.approach.yields(now);
-            self.place.stay(now, takes_turns);
+        if let Some(place) = &mut self.place
+            && deadline.saturating_duration_since(now) >= STAY_FROM
+        {
+            place.choose(now);
         }
         let lead = self.approach.lead(Instant::now(), deadline);
         let wake_at = deadline.checked_sub(lead).unwrap_or(deadline);

@@ -1,4 +1,4 @@
-//! Which core a thread waits on, if more threads of this host wait for their instants than it has cores.
+//! Which core a thread under real-time scheduling waits on, if more threads of this host wait for their instants than it has cores.
 //!
 //! The kernel does not spread waiting threads evenly: of six on two cores, five may share one, and move their robots one
 //! after another. So each takes the lowest free number of this host, and stays on the core that goes with it: no core has
@@ -38,10 +38,10 @@ impl Place {
         Self { number, cores, is_kept: false, crowded: None }
     }
 
-    /// Stays on its core where that is wanted and there are more threads than cores, or else runs on any.
-    pub(super) fn stay(&mut self, now: Instant, wanted: bool) {
+    /// Stays on its core while there are more threads than cores, or else runs on any.
+    pub(super) fn choose(&mut self, now: Instant) {
         let Some((number, _)) = self.number else { return };
-        let stays = wanted && self.is_crowded(now, number);
+        let stays = self.is_crowded(now, number);
         if stays == self.is_kept {
             return;
         }
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_stays_on_its_core_while_that_is_wanted_and_there_are_more_threads_than_cores() {
+    fn a_thread_stays_on_its_core_while_there_are_more_threads_than_cores() {
         std::thread::spawn(|| {
             let mut place = Place::of_this_thread();
             let Some((number, _)) = place.number else { return };
@@ -130,15 +130,18 @@ mod tests {
             };
             let now = Instant::now();
             place.crowded = Some((false, now));
-            place.stay(now, true);
+            place.choose(now);
             if number < all.len() {
                 assert_eq!(allowed(), all);
             }
             place.crowded = Some((true, now));
-            place.stay(now, true);
+            place.choose(now);
             assert_eq!(allowed(), [all[number % all.len()]]);
-            place.stay(now, false);
-            assert_eq!(allowed(), all);
+            if number < all.len() {
+                place.crowded = Some((false, now));
+                place.choose(now);
+                assert_eq!(allowed(), all);
+            }
         })
         .join()
         .unwrap();
