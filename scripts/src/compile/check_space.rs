@@ -13,7 +13,7 @@ use crate::finding::{Code, Place, names};
 use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::requirements::Requirements;
-use crate::scenario::Act;
+use crate::scenario::{Act, Action};
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
     depth, first_contact, furthest_out,
@@ -331,7 +331,21 @@ impl TooClose {
                 None => "both are there from the beginning".to_owned(),
             };
         }
-        let hint = Some("let one of them move later or elsewhere, or lower `distance` of `space`".to_owned());
+        let forms = |cue: usize| {
+            let group = stage.act.cues[cue].group.as_ref();
+            group.is_some_and(|group| matches!(group.action, Action::Form(_)))
+        };
+        let hint = Some(match self.cues {
+            [Some(one), Some(other)] if one == other && forms(one) => {
+                let short = (stage.cast.fleet.space.distance.unwrap_or(0.0) - distance) * 1e3;
+                format!(
+                    "steps on the grid of their devices are off by that much where bodies begin or end as close as they may be: \
+                     let their places be {:.3} m further apart, as in a larger formation",
+                    short.ceil() / 1e3
+                )
+            }
+            _ => "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned(),
+        });
         findings.add_related(Code::TooClose, lines, message, expected, hint);
     }
 }

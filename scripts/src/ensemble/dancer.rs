@@ -63,8 +63,21 @@ impl<'a> Axis<'a> {
     pub(super) fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
         let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
-        let own = || self.limits().into_iter().flatten().map(own).fold(0.0, f64::max);
-        scale.abs() * tolerance.unwrap_or_else(own)
+        scale.abs() * tolerance.unwrap_or_else(|| self.most(own))
+    }
+
+    /// The tolerance of its steps, in its units, with which they use this part of their error: no less than its grid needs.
+    pub(crate) fn tolerance(&self, tolerance: Option<f64>, error_share: f64) -> Option<f64> {
+        let Self::Moved { scale, .. } = self else { return tolerance };
+        if error_share >= 1.0 {
+            return tolerance;
+        }
+        let error = self.error(tolerance) / scale.abs();
+        Some((error * error_share).max(self.most(|limits| limits.granularity)).min(error))
+    }
+
+    fn most(&self, value: impl Fn(&Limits) -> f64) -> f64 {
+        self.limits().into_iter().flatten().map(value).fold(0.0, f64::max)
     }
 
     /// The least and the largest coordinate that the device reaches, in metres.

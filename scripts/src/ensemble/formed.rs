@@ -33,11 +33,16 @@ pub(super) fn formed(
     let bodies = bodies(asked, dancers, &goals, ground);
     let goals = if own { transit::Goals::Own(&goals) } else { transit::Goals::Any(&goals, &spare) };
     let crossing = transit::Crossing { bodies: &bodies, goals, least: form.least, over: asked.seconds() };
-    let ways = transit::cross(&crossing).map_err(|refused| match refused {
+    let crossed = transit::cross(&crossing).map_err(|refused| match refused {
         Refused::TooShort { body, seconds } => Fault::TooShort { dancer: body, seconds },
         Refused::Blocked(blocked) => Fault::Blocked(blocked),
     })?;
-    Ok(ways.iter().zip(dancers).map(|(way, dancer)| Moved::of_way(way, dancer)).collect())
+    let shares = bodies.iter().zip(&crossed.errors).map(|(body, error)| match *error < body.error {
+        true => error / body.error,
+        false => 1.0,
+    });
+    let ways = crossed.ways.iter().zip(shares).zip(dancers);
+    Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
 }
 
 /// The places of a formation, as many as there are robots or a choice is made; none for home.
@@ -116,7 +121,8 @@ fn bodies(
         let keep_in = space.keep_in.as_ref().map_or(f64::INFINITY, |volume| volume.most[2] - radius);
         transit::Body {
             from: dancer.from,
-            keep: apart + radius + x.hypot(y).hypot(z),
+            keep: apart + radius,
+            error: x.hypot(y).hypot(z),
             begin: dancer.delay_seconds(),
             limits: dancer.limits(ground.fleet),
             heights: dancer.axes[2].ends().map(|[low, high]| [low.max(lowest), high.min(keep_in)]),
@@ -148,13 +154,13 @@ fn settable(mut places: Vec<Point>, dancers: &[Dancer<'_>]) -> Vec<Point> {
 }
 
 impl Moved {
-    fn of_way(way: &Way, dancer: &Dancer<'_>) -> Self {
+    fn of_way(way: &Way, dancer: &Dancer<'_>, error_share: f64) -> Self {
         let lifts = [0.0, 0.0, 4.0 * way.lift];
         let axes = std::array::from_fn(|axis| {
             let (from, lift) = (way.from[axis], lifts[axis]);
             let to = dancer.axes[axis].nearest(way.to[axis]);
             Swept { line: [from, to - from + lift, -lift], ..Swept::default() }
         });
-        Self { begin: way.begin, length: way.length, axes }
+        Self { begin: way.begin, length: way.length, axes, error_share }
     }
 }

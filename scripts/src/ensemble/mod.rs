@@ -57,6 +57,8 @@ pub(crate) struct Moved {
     pub(crate) length: f64,
     /// x, y and z in metres.
     pub(crate) axes: [Swept; 3],
+    /// The part of the error that its devices or the cue allow which its steps may use: less than 1 where others are close.
+    pub(crate) error_share: f64,
 }
 
 impl Moved {

@@ -36,7 +36,7 @@ pub(super) fn swept(
         for (swept, carried) in axes.iter_mut().zip(carried) {
             swept.carried = Some(carried);
         }
-        Moved { begin: dancer.delay_seconds(), length, axes }
+        Moved { begin: dancer.delay_seconds(), length, axes, error_share: 1.0 }
     };
     let all: Vec<Moved> = dancers.iter().enumerate().map(moved).collect();
     let times: Vec<Needed> =

@@ -270,6 +270,44 @@ cues:
 }
 
 #[test]
+fn bodies_whose_places_are_close_are_set_more_finely() {
+    // Two bodies have to be 0.4 m apart, from middle to middle, and the steps of each may be off by up to 35 mm.
+    for spacing in ["0.402", "0.41", "0.43"] {
+        let text = format!(
+            "scenario: close
+formations:
+  row: {{line: {{spacing: {spacing}}}, at: [6, 4, 2], rotate: 25}}
+cues:
+  - {{cue: row, at: 0s, robots: all, form: row, over: 8s, tolerance: 0.02}}
+  - {{cue: home, after: row, robots: all, form: home, over: 8s, tolerance: 0.02}}
+"
+        );
+        let act = sound(8, &text);
+        let (stated, sampled) =
+            (act.in_space.closest.as_ref().unwrap().distance, closest(&act, &steps(&act, 8)));
+        assert!(stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6, "{sampled} {stated}");
+    }
+}
+
+#[test]
+fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
+    let mut fleet = fleet(3);
+    fleet.robots[2].body.as_mut().unwrap().shape = Shape::Ball { radius: 0.5 };
+    let cue = |cue: &str| {
+        let text = format!(
+            "scenario: s\nformations: {{f: {{line: {{spacing: 0.5}}, at: [5, 5, 3]}}}}\ncues: [{{cue: c, at: 0s, robots: all, {cue}, over: 9s}}]\n"
+        );
+        let found = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles).findings;
+        let [finding] = found.as_slice() else { panic!("{found:#?}") };
+        (finding.code, finding.expected.clone(), finding.hint.clone().unwrap())
+    };
+    // 0.1 m, 0.5 m and 0.2 m between them.
+    let (code, expected, hint) = cue("form: f");
+    assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
+    assert!(hint.contains("formation larger"), "{hint}");
+}
+
+#[test]
 fn a_group_begins_where_movements_before_it_end_also_in_the_next_act() {
     let text = "scenario: acts
 acts:

@@ -4,7 +4,7 @@ use super::approach::{Approach, SLACK, closest, meet};
 use super::assignment::{Assignment, Least, Price, cheapest, shortest_longest};
 use super::way::{CURVATURE, SLOPE, Way};
 use crate::budget::Budget;
-use crate::formation::{Point, metres_between};
+use crate::formation::{Point, ROUNDING, metres_between};
 
 /// Prices that are tried one after another, as powers of the ways. The least sum of squares keeps straight ways apart if
 /// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
@@ -54,9 +54,10 @@ impl Limits {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Body {
     pub(crate) from: Point,
-    /// The distance that another body keeps from its middle: half of what is required between both, its own radius, and by how
-    /// much its steps may be off.
+    /// The distance that another body keeps from its middle, in metres: half of what is required between both, and its own radius.
     pub(crate) keep: f64,
+    /// By how much its steps may be off, in metres.
+    pub(crate) error: f64,
     /// When its time begins, in seconds.
     pub(crate) begin: f64,
     pub(crate) limits: Limits,
@@ -81,6 +82,25 @@ pub(crate) struct Crossing<'a> {
     pub(crate) over: f64,
 }
 
+/// The distance that two bodies have to keep, in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Required {
+    /// With what their steps may be off.
+    Apart(f64),
+    /// As far apart as where they begin or end, which is less than that.
+    AsAtEnds(f64),
+    /// They end closer than they may be at all: how far apart they end, and may be.
+    AtEnd { end: f64, least: f64 },
+}
+
+impl Required {
+    /// Ways that come closer than this at some time are refused.
+    fn metres(self) -> f64 {
+        let (Self::Apart(metres) | Self::AsAtEnds(metres) | Self::AtEnd { least: metres, .. }) = self;
+        metres - DUST
+    }
+}
+
 /// Two bodies for which there is no way past each other.
 #[derive(Clone, Debug)]
 pub(crate) struct Blocked {
@@ -90,8 +110,8 @@ pub(crate) struct Blocked {
     pub(crate) at: f64,
     /// From middle to middle, in metres.
     pub(crate) distance: f64,
-    /// The same with what is required.
-    pub(crate) required: f64,
+    /// What is required between them, in metres.
+    pub(crate) required: Required,
     /// How many pairs come too close.
     pub(crate) pairs: usize,
 }
@@ -108,13 +128,21 @@ pub(crate) enum Refused {
 }
 
 /// A time that is enough but for the rounding of its computation is enough.
-const ROUNDING: f64 = 1.0 + 1e-9;
+const ENOUGH: f64 = 1.0 + 1e-9;
+
+/// Ways that keep all bodies apart, and by how much the steps of each may be off, in metres: by less than its error where two bodies
+/// begin or end close to each other.
+#[derive(Clone, Debug)]
+pub(crate) struct Crossed {
+    pub(crate) ways: Vec<Way>,
+    pub(crate) errors: Vec<f64>,
+}
 
 /// Finds ways that keep all bodies apart, in their order.
 ///
 /// # Errors
 /// There is too little time, or there are bodies for which no way past each other is found.
-pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
+pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
     let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
     let mut needed = (0, f64::INFINITY);
     for goals in crossing.candidates() {
@@ -122,7 +150,7 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
         let times = crossing.bodies.iter().zip(&ways).map(|(body, way)| body.limits.time_for(way));
         let (body, seconds) =
             times.enumerate().fold((0, 0.0), |most, time| if time.1 > most.1 { time } else { most });
-        if seconds > crossing.over * ROUNDING {
+        if seconds > crossing.over * ENOUGH {
             if seconds < needed.1 {
                 needed = (body, seconds);
             }
@@ -130,7 +158,7 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
         }
         let near = crossing.near(&ways);
         if near.is_empty() {
-            return Ok(ways);
+            return Ok(crossing.crossed(ways));
         }
         if best.as_ref().is_none_or(|(_, known)| near.len() < known.len()) {
             best = Some((ways, near));
@@ -141,9 +169,14 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
         return Err(Refused::TooShort { body, seconds });
     };
     match crossing.detours(&mut ways, near) {
-        None => Ok(ways),
+        None => Ok(crossing.crossed(ways)),
         Some(blocked) => Err(Refused::Blocked(blocked)),
     }
+}
+
+/// How far apart two bodies begin and end, in metres.
+fn ends(a: &Way, b: &Way) -> [f64; 2] {
+    [metres_between(a.from, b.from), metres_between(a.to, b.to)]
 }
 
 /// Two bodies that come too close.
@@ -197,22 +230,51 @@ impl Crossing<'_> {
     }
 
     /// What has to be between the middles of two bodies. Where they begin or end closer, the way between cannot help it.
-    fn required(&self, ways: &[Way], a: usize, b: usize) -> f64 {
-        let ends = metres_between(ways[a].from, ways[b].from).min(metres_between(ways[a].to, ways[b].to));
-        (self.bodies[a].keep + self.bodies[b].keep + SLACK).min(ends) - DUST
+    fn required(&self, ways: &[Way], a: usize, b: usize) -> Required {
+        let [begin, end] = ends(&ways[a], &ways[b]);
+        let [least, apart] = [self.least(a, b), self.apart(a, b)];
+        match begin.min(end) {
+            _ if end < least - ROUNDING => Required::AtEnd { end, least },
+            closest if closest < apart => Required::AsAtEnds(closest),
+            _ => Required::Apart(apart),
+        }
+    }
+
+    /// The least distance between two bodies, in metres.
+    fn least(&self, a: usize, b: usize) -> f64 {
+        self.bodies[a].keep + self.bodies[b].keep
+    }
+
+    /// The same with what their steps may be off.
+    fn apart(&self, a: usize, b: usize) -> f64 {
+        self.least(a, b) + self.bodies[a].error + self.bodies[b].error + SLACK
+    }
+
+    /// What is between the ends of two bodies beyond what they keep is shared by the errors of both.
+    fn crossed(&self, ways: Vec<Way>) -> Crossed {
+        let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
+        for (a, b) in (0..ways.len()).flat_map(|a| (0..a).map(move |b| (a, b))) {
+            if let Required::AsAtEnds(distance) = self.required(&ways, a, b) {
+                let room = ((distance - self.least(a, b)) / 2.0).max(0.0);
+                errors[a] = errors[a].min(room);
+                errors[b] = errors[b].min(room);
+            }
+        }
+        Crossed { ways, errors }
     }
 
     fn near(&self, ways: &[Way]) -> Vec<Near> {
         let mut order: Vec<usize> = (0..ways.len()).collect();
         let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
         order.sort_by(|a, b| bounds[*a][0][0].total_cmp(&bounds[*b][0][0]));
-        let keep_max = self.bodies.iter().map(|body| body.keep).fold(0.0, f64::max);
+        let reach = |body: &Body| body.keep + body.error;
+        let reach_max = self.bodies.iter().map(reach).fold(0.0, f64::max);
         let mut near = Vec::new();
         for (index, &a) in order.iter().enumerate() {
-            let reaches = bounds[a][1][0] + self.bodies[a].keep + keep_max + SLACK;
+            let reaches = bounds[a][1][0] + reach(&self.bodies[a]) + reach_max + SLACK;
             for &b in order[index + 1..].iter().take_while(|b| bounds[**b][0][0] <= reaches) {
                 let pair = [a.min(b), a.max(b)];
-                let found = closest(&ways[pair[0]], &ways[pair[1]], self.required(ways, a, b));
+                let found = closest(&ways[pair[0]], &ways[pair[1]], self.required(ways, a, b).metres());
                 near.extend(found.map(|approach| Near { pair, approach }));
             }
         }
@@ -224,7 +286,7 @@ impl Crossing<'_> {
     fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
         let others = (0..ways.len()).filter(|other| *other != body);
         others
-            .filter(|other| meet(&ways[body], &ways[*other], self.required(ways, body, *other)))
+            .filter(|other| meet(&ways[body], &ways[*other], self.required(ways, body, *other).metres()))
             .take(most)
             .count()
     }
@@ -234,7 +296,11 @@ impl Crossing<'_> {
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
         let mut room = Budget::new(PAIRS_MAX);
         let mut fewest = (near.clone(), ways.to_vec());
-        for round in 0..ROUNDS_MAX {
+        let ends_close =
+            |near: &Near| matches!(self.required(ways, near.pair[0], near.pair[1]), Required::AtEnd { .. });
+        // No detour helps where two end too close.
+        let rounds = if near.iter().any(ends_close) { 0 } else { ROUNDS_MAX };
+        for round in 0..rounds {
             let mut crowded = vec![0usize; ways.len()];
             near.iter().flat_map(|near| near.pair).for_each(|body| crowded[body] += 1);
             let mut bodies: Vec<usize> = (0..ways.len()).filter(|body| crowded[*body] > 0).collect();
@@ -300,7 +366,7 @@ impl Crossing<'_> {
         let mut lifts = vec![0.0];
         for layer in 1..=LAYERS_MAX {
             // An arc is that much higher over its middle half at least.
-            let height = 2.0 * body.keep * f64::from(layer) * 4.0 / 3.0;
+            let height = 2.0 * (body.keep + body.error) * f64::from(layer) * 4.0 / 3.0;
             lifts.extend([height, -height]);
         }
         let within = |way: &Way| {
@@ -315,6 +381,6 @@ impl Crossing<'_> {
                 ..*straight
             })
         });
-        ways.filter(|way| body.limits.time_for(way) <= way.length * ROUNDING && within(way)).collect()
+        ways.filter(|way| body.limits.time_for(way) <= way.length * ENOUGH && within(way)).collect()
     }
 }

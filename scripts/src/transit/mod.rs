@@ -11,5 +11,7 @@ mod tests;
 mod way;
 
 pub(crate) use assignment::Least;
-pub(crate) use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, cross};
+#[cfg(test)]
+use crossing::Crossed;
+pub(crate) use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, Required, cross};
 pub(crate) use way::Way;

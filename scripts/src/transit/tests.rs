@@ -4,14 +4,14 @@ use proptest::prelude::*;
 
 use super::approach::{SLACK, closest};
 use super::assignment::{Price, cheapest, shortest_longest};
-use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
-use crate::formation::{Point, metres_between};
+use super::{Body, Crossed, Crossing, Goals, Least, Limits, Refused, Way, cross};
+use crate::formation::{Point, metres_between, nearest_pair};
 
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
 const WAYS: Price = Price { exponent: 1.0, longest: f64::INFINITY };
 
 fn body(from: Point, keep: f64) -> Body {
-    Body { from, keep, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
+    Body { from, keep, error: 0.0, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
 }
 
 fn points(count: impl Into<prop::collection::SizeRange>) -> impl Strategy<Value = Vec<Point>> {
@@ -92,23 +92,27 @@ fn a_ring_of_exchanges_that_shortens_the_sum_is_found() {
 #[test]
 fn ways_of_a_hundred_bodies_are_at_most_one_percent_longer_than_the_least_on_twenty_pairs() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
-    for _ in 0..20 {
+    let mut pairs = 0;
+    while pairs < 20 {
         let tree = points(200).new_tree(&mut runner).unwrap();
         let all = proptest::strategy::ValueTree::current(&tree);
         let (starts, places) = all.split_at(100);
+        if nearest_pair(places).unwrap().distance < 0.2 {
+            continue;
+        }
+        pairs += 1;
         let order = order_of(&cheapest(starts, places, WAYS));
         assert!(is_least(starts, places, &order));
         let least: f64 = ways(starts, places, &order).iter().sum();
         let bodies: Vec<Body> = starts.iter().map(|start| body(*start, 0.1)).collect();
         let goals = Goals::Any(places, starts);
         let crossing = Crossing { bodies: &bodies, goals, least: Least::Total, over: 10.0 };
-        let crossed = cross(&crossing).unwrap();
+        let crossed = cross(&crossing).unwrap().ways;
         let total: f64 = crossed.iter().map(|way| metres_between(way.from, way.to)).sum();
         assert!(total <= 1.01 * least, "{total} {least}");
         for (index, a) in crossed.iter().enumerate() {
             for b in &crossed[index + 1..] {
-                let ends = metres_between(a.from, b.from).min(metres_between(a.to, b.to));
-                let required = ends.min(0.2) - SLACK;
+                let required = metres_between(a.from, b.from).min(0.2) - SLACK;
                 assert!(closest(a, b, required - SLACK).is_none(), "{a:?} {b:?}");
             }
         }
@@ -122,7 +126,7 @@ fn two_bodies_that_change_places_go_past_each_other_only_if_one_can_move_aside()
         let (bodies, goals) = ([at(0.0), at(3.0)], [[3.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
         cross(&Crossing { bodies: &bodies, goals: Goals::Own(&goals), least: Least::Total, over: 4.0 })
     };
-    let ways = crossing(Some([1.0, 3.0])).unwrap();
+    let ways = crossing(Some([1.0, 3.0])).unwrap().ways;
     assert!(sampled(&ways[0], &ways[1]) >= 0.4 - SLACK, "{ways:?}");
     let Err(Refused::Blocked(blocked)) = crossing(None) else { panic!("they cannot change their height") };
     assert_eq!((blocked.pair, blocked.pairs), ([0, 1], 1));
@@ -175,7 +179,7 @@ fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way()
     let places: Vec<Point> = (0..300).map(turn).collect();
     let bodies: Vec<Body> = starts.iter().map(|start| body(*start, 0.6)).collect();
     let goals = Goals::Any(&places, &starts);
-    let ways = cross(&Crossing { bodies: &bodies, goals, least: Least::Longest, over: 30.0 }).unwrap();
+    let ways = cross(&Crossing { bodies: &bodies, goals, least: Least::Longest, over: 30.0 }).unwrap().ways;
     for (index, a) in ways.iter().enumerate() {
         assert!(ways[index + 1..].iter().all(|b| closest(a, b, 1.2 - SLACK).is_none()), "{index}");
     }
@@ -251,10 +255,10 @@ proptest! {
             starts.iter().zip(begins).map(|(start, begin)| Body { begin, ..body(*start, keep) }).collect();
         let least = if longest { Least::Longest } else { Least::Total };
         let crossing = Crossing { bodies: &bodies, goals: Goals::Any(&goals, &starts), least, over: 5.0 };
-        if let Ok(ways) = cross(&crossing) {
+        if let Ok(Crossed { ways, .. }) = cross(&crossing) {
             for (a, b) in ways.iter().enumerate().flat_map(|(i, a)| ways[i + 1..].iter().map(move |b| (a, b))) {
-                let ends = metres_between(a.from, b.from).min(metres_between(a.to, b.to));
-                prop_assert!(sampled(a, b) >= ends.min(2.0 * keep) - SLACK - 1e-6, "{a:?} {b:?}");
+                let begin = metres_between(a.from, b.from);
+                prop_assert!(sampled(a, b) >= begin.min(2.0 * keep) - SLACK - 1e-6, "{a:?} {b:?}");
             }
             for (way, body) in ways.iter().zip(&bodies) {
                 prop_assert!(way.begin >= body.begin - 1e-9 && way.end() <= body.begin + 5.0 + 1e-9);

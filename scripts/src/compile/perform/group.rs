@@ -190,7 +190,8 @@ impl<'a> Performer<'_, 'a> {
             // What begins late ends with the others, to the nanosecond.
             let begin = Span::from_millis_f64(moved.begin * 1_000.0);
             let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;
-            let track = track(cue, group, device, curve(swept.in_units(scale, offset), length));
+            let curve = curve(swept.in_units(scale, offset), length);
+            let track = track(group, device, curve, axis.tolerance(cue.tolerance, moved.error_share));
             let robots = [dancer.robot];
             let on = OnDevice { cue, track: &track, device, robots: &robots, cast: self.cast };
             let part = self.part(&on, Stretch { from: length, to: length });
@@ -218,7 +219,7 @@ fn curve(swept: Swept, length: Span) -> Curve {
     Curve::new(vec![begin, Knot { at: length, to, shape, item }], vec![function])
 }
 
-fn track(cue: &Cue, group: &Together, device: &Device, curve: Curve) -> Track {
+fn track(group: &Together, device: &Device, curve: Curve, tolerance: Option<f64>) -> Track {
     Track {
         device: device.id.to_string(),
         control: Some(ControlType::Position),
@@ -227,7 +228,7 @@ fn track(cue: &Cue, group: &Together, device: &Device, curve: Curve) -> Track {
         begin: Exact::ZERO,
         starts: Span::ZERO,
         pieces: Vec::new(),
-        tolerance: cue.tolerance,
+        tolerance,
         steps_max: None,
         place: group.place.clone(),
         turns: 1,

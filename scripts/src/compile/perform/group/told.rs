@@ -9,7 +9,7 @@ use crate::finding::{Code, Place, Severity, one_of};
 use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{Action, Course, Cue, Form, Sweep, Target, Together};
-use crate::transit::Blocked;
+use crate::transit::{Blocked, Required};
 use urrcp::Span;
 
 use super::Ground;
@@ -248,15 +248,24 @@ impl Performer<'_, '_> {
             told(at),
             shortened(&cue.name)
         );
-        let expected = format!(
-            "at least {:.3} m, with what steps may be off; delays and arcs were tried",
-            blocked.required
-        );
-        let hint = match &group.action {
-            Action::Form(Form { to: Target::Home, .. }) => {
+        let is_home = matches!(&group.action, Action::Form(Form { to: Target::Home, .. }));
+        let tried = "delays and arcs were tried";
+        let expected = match blocked.required {
+            Required::Apart(metres) => format!("at least {metres:.3} m, with what steps may be off; {tried}"),
+            Required::AsAtEnds(metres) => {
+                format!("at least {metres:.3} m, as where they begin or end; {tried}")
+            }
+            Required::AtEnd { end, least } => format!("at least {least:.3} m; they end {end:.3} m apart"),
+        };
+        let hint = match (blocked.required, is_home) {
+            (Required::AtEnd { .. }, true) => "let the homes of these two be further apart",
+            (Required::AtEnd { .. }, false) => {
+                "make the formation larger: these two need more room where they end"
+            }
+            (_, true) => {
                 "give it more time, let them begin one after another with `canon`, or form a row first"
             }
-            _ => "give it more time, make the formation larger, or form another one on the way",
+            (_, false) => "give it more time, make the formation larger, or form another one on the way",
         };
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
     }
