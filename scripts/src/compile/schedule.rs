@@ -1,7 +1,8 @@
 //! When the cues of an act take place: their times and relations as a simple temporal network (Dechter, Meiri and Pearl,
 //! Artificial Intelligence 49, 1991), solved for the earliest schedule.
 
-use std::collections::HashMap;
+use std::cell::RefCell;
+use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Span};
 
@@ -111,6 +112,8 @@ struct Timetable<'a> {
     /// Start and end of each cue.
     events: Vec<(Event, Event)>,
     by_name: HashMap<&'a str, Option<usize>>,
+    /// Names of several cues that are told already.
+    ambiguous: RefCell<HashSet<String>>,
 }
 
 impl<'a> Timetable<'a> {
@@ -122,7 +125,7 @@ impl<'a> Timetable<'a> {
             // A name that stands twice cannot be referred to.
             by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
         }
-        Self { act, network, origins: HashMap::new(), events, by_name }
+        Self { act, network, origins: HashMap::new(), events, by_name, ambiguous: RefCell::default() }
     }
 
     fn constrain(
@@ -235,9 +238,7 @@ impl<'a> Timetable<'a> {
         match self.by_name.get(name.text.as_str()) {
             Some(Some(index)) => Some(*index),
             Some(None) => {
-                let message = format!("several cues are called `{}`", shortened(&name.text));
-                let hint = Some("give each cue to which others refer a different name".to_owned());
-                findings.add(Code::NameTwice, name.place.clone(), message, "the name of one cue", hint);
+                self.ambiguous(findings, name);
                 None
             }
             None => {
@@ -249,6 +250,20 @@ impl<'a> Timetable<'a> {
                 None
             }
         }
+    }
+
+    /// A name of several cues: told where it is used first.
+    fn ambiguous(&self, findings: &mut Reader, name: &Name) {
+        if !self.ambiguous.borrow_mut().insert(name.text.clone()) {
+            return;
+        }
+        let mut cues = self.act.cues.iter().filter(|cue| cue.name == name.text).map(|cue| cue.place.clone());
+        let mut related = vec![(name.place.clone(), "which of them?".to_owned())];
+        related.extend(cues.next().map(|place| (place, "one of this name".to_owned())));
+        related.extend(cues.next().map(|place| (place, "another one".to_owned())));
+        let message = format!("several cues are called `{}`", shortened(&name.text));
+        let hint = Some("give each cue to which others refer a different name".to_owned());
+        findings.add_related(Code::NameTwice, related, message, "the name of one cue", hint);
     }
 
     /// What cues share, in the order of their first use.

@@ -36,6 +36,11 @@ enum Kind {
 }
 
 impl Formula {
+    /// Whether chance has a part in it.
+    pub(crate) fn is_random(&self) -> bool {
+        self.steps.iter().any(|step| matches!(step, Operation::Random(_)))
+    }
+
     /// With its variables put in.
     pub(super) fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };

@@ -33,7 +33,7 @@ impl Files for Shelf {
     }
 }
 
-fn compiled_with(text: &str, files: &[(&'static str, &str)]) -> Compiled {
+pub(super) fn compiled_with(text: &str, files: &[(&'static str, &str)]) -> Compiled {
     let shelf = Shelf(files.iter().map(|(name, text)| (*name, (*text).to_owned())).collect());
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, &fleet(), &shelf)
 }
