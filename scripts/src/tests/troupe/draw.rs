@@ -69,7 +69,8 @@ fn sweeps() -> impl Strategy<Value = Sweep> {
 }
 
 fn forms() -> impl Strategy<Value = Does> {
-    let choice = || any::<Option<bool>>();
+    // Without a choice, most are refused.
+    let choice = || prop::option::weighted(0.8, any::<bool>());
     (formations(), any::<bool>(), choice(), choice())
         .prop_map(|(formation, longest, spare, evenly)| Does::Form { formation, longest, spare, evenly })
 }

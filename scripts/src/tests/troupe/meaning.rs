@@ -343,6 +343,8 @@ fn may_be(show: &Show, code: Code) -> bool {
         }),
         // Devices reach as far as 50 m.
         Code::OutOfRange => cues().any(|cue| matches!(&cue.does, Does::Sweep(sweep) if sweep.grow > 1_000)),
+        // Drones hold one script, and an act may move them up to its end.
+        Code::ActHasToWait => show.acts.len() > 1,
         Code::TooClose | Code::NoWayPast | Code::BodyTooFast => true,
         _ => false,
     }
