@@ -5,13 +5,14 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::Name;
+use super::across::is_spread;
 use super::library::{Library, Shared, scalar};
 use crate::budget::{Budget, DEPTH_MAX, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
 use crate::duration::parse_duration;
 use crate::exact::Beginning;
 use crate::expression;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Place, Use, one_of};
+use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
 use crate::node::{Node, shortened};
 
 /// Which moves and sequences are being read, one within another.
@@ -218,21 +219,28 @@ pub(super) fn arguments(
     given: Option<&At<'_>>,
 ) -> Vec<(String, Option<Node>)> {
     let given = given.map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
-    let mut values = Vec::with_capacity(given.len());
+    let (mut values, mut meant) = (Vec::with_capacity(given.len()), Vec::new());
     for (parameter, at) in &given {
         match declared(parameters).find(|(known, _)| known == parameter) {
             Some((_, default)) => {
-                let value = scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value));
+                let value = match ends_suit(reader, at, parameter, default) {
+                    true => scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value)),
+                    false => None,
+                };
                 values.push(((*parameter).to_owned(), value));
             }
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());
                 let hint = reader.did_you_mean(parameter, known());
+                // What is misspelt is not missing as well.
+                let is_meant = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
+                meant.extend(known().find(is_meant).map(|name| (name.to_owned(), None)));
                 let message = format!("{} has no parameter `{}`", used.what(), shortened(parameter));
                 reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
             }
         }
     }
+    values.extend(meant);
     values
 }
 
@@ -281,19 +289,25 @@ fn is_word(text: &str) -> bool {
     text.starts_with(char::is_alphabetic) && !expression::is_one(text)
 }
 
+/// Whether the ends of a value that is spread over the robots are of the kind of the parameter's default. Each that is not is told.
+fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) -> bool {
+    let Node::Map(entries) = at.node else { return true };
+    let ends = entries.iter().filter(|(key, _)| is_spread(at.node) && (key == "from" || key == "to"));
+    ends.fold(true, |all, (key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end) && all)
+}
+
 /// Whether a value is of the kind of the parameter's default, where both are known by their form.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
-    if let Node::Map(entries) = at.node {
-        let mut ends = entries.iter().filter(|(key, _)| key == "from" || key == "to");
-        return ends.all(|(key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end));
-    }
     let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
     if wanted == found || wanted == Kind::Word {
         return true;
     }
     let hint = match (wanted, value) {
         (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
-        (Kind::Number, Node::Text(_)) => Some("write the number alone".to_owned()),
+        (Kind::Number, Node::Text(_)) if found == Kind::Time => Some("write the number alone".to_owned()),
+        (_, Node::Text(word)) if reader.scope.get(word).is_some() => {
+            Some(format!("the variable is written `${}`", shortened(word)))
+        }
         _ => None,
     };
     let message = format!(
@@ -345,7 +359,7 @@ fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     }
     let message = format!("{} needs a value for `{parameter}`", used.what());
     let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-    reader.add(Code::Variable, place, message, "every parameter without default", hint);
+    reader.add(Code::Variable, place, message, "a value for every parameter without default", hint);
 }
 
 /// Whether everything in a move or a sequence has a value when nothing is given.
