@@ -8,6 +8,7 @@ use urrcp::{ControlType, Span};
 
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
+use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
 use crate::motion::Stretch;
@@ -243,7 +244,10 @@ impl<'a> Timetable<'a> {
             }
             None => {
                 let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
-                let hint = findings.did_you_mean(&name.text, known());
+                let hint = match parse_duration(&name.text).is_some() {
+                    true => Some(format!("a time goes under `at`: write `at: {}`", shortened(&name.text))),
+                    false => findings.did_you_mean(&name.text, known()),
+                };
                 let message = format!("no cue `{}`", shortened(&name.text));
                 let expected = one_of(known());
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
@@ -258,10 +262,11 @@ impl<'a> Timetable<'a> {
             return;
         }
         let mut cues = self.act.cues.iter().filter(|cue| cue.name == name.text).map(|cue| cue.place.clone());
-        let mut related = vec![(name.place.clone(), "which of them?".to_owned())];
-        related.extend(cues.next().map(|place| (place, "one of this name".to_owned())));
-        related.extend(cues.next().map(|place| (place, "another one".to_owned())));
-        let message = format!("several cues are called `{}`", shortened(&name.text));
+        let called = shortened(&name.text);
+        let mut related = vec![(name.place.clone(), "expected the name of one cue".to_owned())];
+        related.extend(cues.next().map(|place| (place, format!("one cue called `{called}`"))));
+        related.extend(cues.next().map(|place| (place, format!("another cue called `{called}`"))));
+        let message = format!("several cues are called `{called}`");
         let hint = Some("give each cue to which others refer a different name".to_owned());
         findings.add_related(Code::NameTwice, related, message, "the name of one cue", hint);
     }

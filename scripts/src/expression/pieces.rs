@@ -57,7 +57,7 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
         });
         let rates = found.filter(|(values, _, curvature)| {
             *curvature == 0.0
-                || (bends(end - begin, *curvature, *values) <= BENDS_MAX
+                || (bending(end - begin, *curvature, *values) <= BENDS_MAX
                     && (end - begin <= (whole / SHORTEST_PART).max(1)
                         || *curvature <= LOOSE * sampled_curvature(formula, from, to)))
         });
@@ -85,7 +85,7 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
 }
 
 /// How often something of such a length, in nanoseconds, with this curvature and range of values bends.
-fn bends(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
+fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
     match curvature == 0.0 {
         true => 0.0,
         false => seconds(length) * (curvature / (most - least).max(f64::MIN_POSITIVE)).sqrt(),
@@ -95,7 +95,7 @@ fn bends(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
 impl Piece {
     fn bends(&self) -> f64 {
         let length = (self.end - self.begin).as_nanos();
-        self.rates.map_or(0.0, |(_, curvature)| bends(length, curvature, self.values))
+        self.rates.map_or(0.0, |(_, curvature)| bending(length, curvature, self.values))
     }
 }
 
@@ -114,7 +114,7 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
                 let short = 4 * one.min(other).as_nanos() <= one.max(other).as_nanos()
                     || 64 * (one + other).as_nanos() <= whole;
                 let alike = short
-                    && self::bends((one + other).as_nanos(), high, values) <= BENDS_MAX
+                    && bending((one + other).as_nanos(), high, values) <= BENDS_MAX
                     && bends(one + other, high) <= 2.0 * most
                     && is_smooth(formula, last.end);
                 alike.then_some(Some((slope.max(next_slope), high)))
