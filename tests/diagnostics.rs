@@ -12,7 +12,7 @@ fn folder() -> PathBuf {
 }
 
 /// Files that others include.
-const PARTS: [&str; 2] = ["fleet", "shared"];
+const PARTS: [&str; 3] = ["fleet", "hand", "shared"];
 
 fn names() -> Vec<String> {
     let entries = std::fs::read_dir(folder()).unwrap().map(|entry| entry.unwrap().path());

@@ -1,13 +1,13 @@
-//! Any text as a scenario for a small fleet: no panic, no hang, bounded memory; findings stand in the text, and there is a
-//! choreography exactly when there is no error.
+//! Any text as a scenario for a small fleet, with what follows a line `%%` as the file `a.yaml` that it can include: no panic, no hang,
+//! bounded memory; findings stand in the text, and there is a choreography exactly when there is no error.
 #![no_main]
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use downbeat_scripts::{
-    Address, Body, Coordinate, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Shape, Source, Space,
-    compile, render, sarif,
+    Address, Body, Coordinate, Files, Finding, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Shape, Source,
+    Space, compile, render, sarif,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -69,13 +69,27 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     Fleet { robots, groups, space, ..Fleet::default() }
 });
 
+/// The only file that there is.
+struct Included<'t>(&'t str);
+
+impl Files for Included<'_> {
+    fn read(&self, name: &str) -> Result<Source, Finding> {
+        match name {
+            "a.yaml" => Ok(Source { name: name.into(), text: self.0.to_owned() }),
+            _ => NoFiles.read(name),
+        }
+    }
+}
+
 fuzz_target!(|text: &str| {
+    let (text, included) = text.split_once("\n%%\n").unwrap_or((text, ""));
     let source = Source { name: "s.yaml".into(), text: text.to_owned() };
-    let compiled = compile(&source, &FLEET, &NoFiles);
+    let compiled = compile(&source, &FLEET, &Included(included));
     let error = |finding: &downbeat_scripts::Finding| finding.severity == Severity::Error;
     assert_eq!(compiled.choreography.is_none(), compiled.findings.iter().any(error));
-    let lines = text.matches(['\n', '\r']).count() + 1;
     for finding in &compiled.findings {
+        let text = if finding.file == "s.yaml" { text } else { included };
+        let lines = text.matches(['\n', '\r']).count() + 1;
         assert!(finding.line <= lines, "{finding:?}");
     }
     let shown = render(&compiled.findings, true);

@@ -2,6 +2,8 @@
 
 use urrcp::Span;
 
+use crate::budget::longest;
+
 /// What a duration looks like, for messages.
 pub(crate) const EXPECTED: &str = "a time with its unit, such as 250ms, 2s or 1m30s";
 
@@ -60,8 +62,40 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     if text.contains(':') {
         return almost_of_clock(text);
     }
+    if text
+        .split_once("..")
+        .is_some_and(|(from, to)| [from, to].iter().all(|end| parse_duration(end).is_some()))
+    {
+        return Some("a range has no place here: write one time".to_owned());
+    }
+    if is_too_long(text) {
+        return Some(format!("no time is longer than {}", written(longest())));
+    }
+    if let Some(length) = musical(text) {
+        return Some(format!("write `{length}`"));
+    }
     let span = in_words(&with_point)?;
     Some(format!("write `{}`", written(span)))
+}
+
+/// Whether a text would be a time if its numbers were smaller.
+fn is_too_long(text: &str) -> bool {
+    let mut short = String::new();
+    for c in text.chars() {
+        match c.is_ascii_digit() {
+            true if short.ends_with('1') => {}
+            true => short.push('1'),
+            false => short.push(c),
+        }
+    }
+    parse_duration(text).is_none() && parse_duration(&short).is_some()
+}
+
+/// `2beats`: a length in the music without a space.
+fn musical(text: &str) -> Option<String> {
+    let (number, word) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
+    let known = matches!(word, "beat" | "beats" | "bar" | "bars");
+    (known && number.parse::<f64>().is_ok()).then(|| format!("{number} {word}"))
 }
 
 /// Hours, minutes and seconds, all three, so that nobody has to guess which of them two numbers are: `00:01:30`, `00:01:30.5`.

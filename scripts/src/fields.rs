@@ -435,12 +435,20 @@ impl Reader {
         }
     }
 
+    /// Where the value of the parameter that stands here is given, if it is one of a sequence.
+    pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
+        let Node::Text(text) = at.node else { return None };
+        self.scope.place(text.strip_prefix('$')?).cloned()
+    }
+
     fn variable(&mut self, at: &At<'_>, text: &str) -> Option<Node> {
         let (negated, name) = match text.strip_prefix('-') {
             Some(rest) => (true, &rest[1..]),
             None => (false, &text[1..]),
         };
         match (self.scope.get(name), negated) {
+            // What is wrong with its value is told already.
+            (Some(Node::Null), _) => {}
             (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
             (Some(value), false) => return Some(value.clone()),
             (Some(_), true) => {

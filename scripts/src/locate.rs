@@ -1,6 +1,7 @@
 //! Where paths into the tree are in the text: one pass of a parser that keeps places, made only when there is something
 //! to report. What stands behind an alias is placed where the alias is used.
 
+mod spelled;
 mod uses;
 
 use std::borrow::Borrow;
@@ -12,6 +13,8 @@ use crate::events::{Events, Extent};
 use crate::finding::{Finding, Part, Pending, Place, Related, Within};
 use crate::render::line_starts;
 use crate::source::Source;
+
+use spelled::offsets;
 
 /// Longest line that every finding carries whole, in bytes.
 const LINE_BYTES_MAX: usize = 500;
@@ -150,16 +153,19 @@ impl LineStarts {
         }
     }
 
-    /// Some characters of a text, if it stands in one line as it is meant.
+    /// Some characters of a text, if it is written there.
     fn part(&self, text: &str, spot: Spot, within: &Within) -> Spot {
-        let ahead = spot.column.saturating_sub(1);
-        let found: String = self.line(text, spot.line).chars().skip(ahead).take(spot.width).collect();
-        let quotes = match found.strip_prefix(['"', '\'']) {
-            _ if found == *within.text => 0,
-            Some(rest) if rest.get(..rest.len().saturating_sub(1)) == Some(&*within.text) => 1,
-            _ => return spot,
-        };
-        Spot { line: spot.line, column: spot.column + quotes + within.from, width: within.width }
+        let Some(&start) = spot.line.checked_sub(1).and_then(|index| self.0.get(index)) else { return spot };
+        let ahead = self.line(text, spot.line).chars().take(spot.column.saturating_sub(1));
+        let begin = start + ahead.map(char::len_utf8).sum::<usize>();
+        let wanted = (within.from, within.from + within.width);
+        let Some((from, to)) = offsets(&text[begin..], &within.text, wanted) else { return spot };
+        let (from, to) = (begin + from, begin + to);
+        let line = self.0.partition_point(|start| *start <= from);
+        let own = self.0.get(line.saturating_sub(1)).copied().unwrap_or(start);
+        let end = to.min(own + self.line(text, line).len()).max(from);
+        let count = |from: usize, to: usize| text.get(from..to).map_or(1, |part| part.chars().count());
+        Spot { line, column: count(own, from) + 1, width: count(from, end).max(1) }
     }
 
     fn line<'a>(&self, text: &'a str, number: usize) -> &'a str {

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use crate::scenario::CUE_KEYS;
-use crate::{Address, Code, Fleet, FleetRobot, Source, compile};
+use crate::{Address, Code, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "d", "name": "d", "interpolation": "linear", "available_control_types": {
@@ -32,12 +32,30 @@ fn compile_text(text: &str) -> crate::Compiled {
     compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, &fleet(), &crate::NoFiles)
 }
 
+/// A file that scenarios can include.
+struct Included(String);
+
+impl Files for Included {
+    fn read(&self, name: &str) -> Result<Source, Finding> {
+        match name {
+            "a.yaml" => Ok(Source { name: name.into(), text: self.0.clone() }),
+            _ => crate::NoFiles.read(name),
+        }
+    }
+}
+
 /// Every finding names a line of the text, and there is a plan exactly when there are none.
 fn check_laws(text: &str) {
-    let compiled = compile_text(text);
+    check_laws_with(text, "");
+}
+
+fn check_laws_with(text: &str, included: &str) {
+    let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+    let compiled = compile(&source, &fleet(), &Included(included.to_owned()));
     let error = |finding: &crate::Finding| finding.severity == crate::Severity::Error;
     assert_eq!(compiled.choreography.is_none(), compiled.findings.iter().any(error));
     for finding in &compiled.findings {
+        let text = if finding.file == "a.yaml" { included } else { text };
         assert!(finding.line <= text.matches(['\n', '\r']).count() + 1, "{finding:?}");
     }
     let _shown = crate::render(&compiled.findings, true);
@@ -118,7 +136,7 @@ proptest! {
 }
 
 /// Values that may stand somewhere, right and wrong ones.
-const VALUES: [&str; 50] = [
+const VALUES: [&str; 53] = [
     "$v * 2",
     "$index * 500ms",
     "2 * $w / 3",
@@ -144,6 +162,9 @@ const VALUES: [&str; 50] = [
     "[arm, arm]",
     "nobody",
     "m",
+    "i.m",
+    "j.x",
+    "{from: 0, to: $v, across: group}",
     "{d: [{at: 0s, to: 1}]}",
     "{p: 2}",
     "{d: e}",
@@ -210,8 +231,17 @@ proptest! {
         cues in prop::collection::vec(cue(), 1..6),
         auto in any::<bool>(),
         tempo in prop::option::of(1u32..300),
+        given in prop::collection::vec(prop::option::of(0..VALUES.len()), 2),
+        declared in prop::collection::vec(0..VALUES.len(), 2),
     ) {
         let mut text = "scenario: s\nvariables: {v: 3, w: 2s}\n".to_owned();
+        let argument = |(name, value): (&str, &Option<usize>)| value.map(|value| format!("{name}: {}", VALUES[value]));
+        let arguments: Vec<String> = ["p", "q"].into_iter().zip(&given).filter_map(argument).collect();
+        text.push_str(&format!("include: [{{file: a.yaml, as: i, parameters: {{{}}}}}, {{file: a.yaml, as: j}}]\n", arguments.join(", ")));
+        let included = format!(
+            "parameters: {{p: {}, q: {}}}\nvariables: {{r: $p * 2}}\nmoves: {{m: {{parameters: {{p: $r}}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 1s, to: $p}}]}}}}}}\nsequences: {{x: {{cues: [{{robots: arm, move: m, parameters: {{p: $q}}}}]}}}}\n",
+            VALUES[declared[0]], VALUES[declared[1]],
+        );
         text.push_str("moves: {m: {parameters: {p: 1}, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: $p}]}}}\n");
         text.push_str("  n: {play: [{move: m, repeat: 2}, [{move: m, at: $w}, {move: n, parameters: {p: $v}}], {move: o, duration: $w}]}\n");
         text.push_str("  o: {parameters: {p: 1s}, play: [{move: m, reverse: true, delay: $p}, {tracks: {d: [{at: 1s, to: 3}]}}]}\n");
@@ -222,7 +252,7 @@ proptest! {
         }
         text.push_str("cues:\n");
         text.push_str(&cues.concat());
-        check_laws(&text);
+        check_laws_with(&text, &included);
     }
 }
 
@@ -232,9 +262,11 @@ mod expressions;
 mod groups;
 mod hints;
 mod numbers;
+mod once;
 mod patterns;
 mod rehearsed;
 mod standing;
 mod told;
+mod troupe;
 mod verified;
 mod whole;

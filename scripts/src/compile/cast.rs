@@ -216,7 +216,7 @@ fn unset_parameter(findings: &mut Reader, unset: &Unset) {
     let Unset { place, of_move, parameter } = unset;
     let message = format!("the move `{}` needs a value for `{parameter}`", shortened(of_move));
     let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-    findings.add(Code::Variable, place.clone(), message, "every parameter without default", hint);
+    findings.add(Code::Variable, place.clone(), message, "a value for every parameter without default", hint);
 }
 
 /// How much later each robot begins, if the last of them begins in time.

@@ -1,12 +1,14 @@
 //! When the cues of an act take place: their times and relations as a simple temporal network (Dechter, Meiri and Pearl,
 //! Artificial Intelligence 49, 1991), solved for the earliest schedule.
 
-use std::collections::HashMap;
+use std::cell::RefCell;
+use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Span};
 
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
+use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
 use crate::motion::Stretch;
@@ -111,6 +113,8 @@ struct Timetable<'a> {
     /// Start and end of each cue.
     events: Vec<(Event, Event)>,
     by_name: HashMap<&'a str, Option<usize>>,
+    /// Names of several cues that are told already.
+    ambiguous: RefCell<HashSet<String>>,
 }
 
 impl<'a> Timetable<'a> {
@@ -122,7 +126,7 @@ impl<'a> Timetable<'a> {
             // A name that stands twice cannot be referred to.
             by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
         }
-        Self { act, network, origins: HashMap::new(), events, by_name }
+        Self { act, network, origins: HashMap::new(), events, by_name, ambiguous: RefCell::default() }
     }
 
     fn constrain(
@@ -235,20 +239,36 @@ impl<'a> Timetable<'a> {
         match self.by_name.get(name.text.as_str()) {
             Some(Some(index)) => Some(*index),
             Some(None) => {
-                let message = format!("several cues are called `{}`", shortened(&name.text));
-                let hint = Some("give each cue to which others refer a different name".to_owned());
-                findings.add(Code::NameTwice, name.place.clone(), message, "the name of one cue", hint);
+                self.ambiguous(findings, name);
                 None
             }
             None => {
                 let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
-                let hint = findings.did_you_mean(&name.text, known());
+                let hint = match parse_duration(&name.text).is_some() {
+                    true => Some(format!("a time goes under `at`: write `at: {}`", shortened(&name.text))),
+                    false => findings.did_you_mean(&name.text, known()),
+                };
                 let message = format!("no cue `{}`", shortened(&name.text));
                 let expected = one_of(known());
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
                 None
             }
         }
+    }
+
+    /// A name of several cues: told where it is used first.
+    fn ambiguous(&self, findings: &mut Reader, name: &Name) {
+        if !self.ambiguous.borrow_mut().insert(name.text.clone()) {
+            return;
+        }
+        let mut cues = self.act.cues.iter().filter(|cue| cue.name == name.text).map(|cue| cue.place.clone());
+        let called = shortened(&name.text);
+        let mut related = vec![(name.place.clone(), "expected the name of one cue".to_owned())];
+        related.extend(cues.next().map(|place| (place, format!("one cue called `{called}`"))));
+        related.extend(cues.next().map(|place| (place, format!("another cue called `{called}`"))));
+        let message = format!("several cues are called `{called}`");
+        let hint = Some("give each cue to which others refer a different name".to_owned());
+        findings.add_related(Code::NameTwice, related, message, "the name of one cue", hint);
     }
 
     /// What cues share, in the order of their first use.

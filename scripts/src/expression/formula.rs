@@ -35,7 +35,21 @@ enum Kind {
     In(Unit),
 }
 
+impl Kind {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Truth => "a truth value",
+            Self::In(unit) => unit.name(),
+        }
+    }
+}
+
 impl Formula {
+    /// Whether chance has a part in it.
+    pub(crate) fn is_random(&self) -> bool {
+        self.steps.iter().any(|step| matches!(step, Operation::Random(_)))
+    }
+
     /// With its variables put in.
     pub(super) fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };
@@ -288,11 +302,12 @@ impl Maker {
                 self.truth(span)?;
                 let (Some(no), Some(yes)) = (no, yes) else { return Ok(()) };
                 if no != yes {
-                    return Err(Fault::new(
-                        span,
-                        "`if` chooses between different kinds",
-                        "two of the same kind",
-                    ));
+                    let message = format!("`if` chooses between {} and {}", yes.name(), no.name());
+                    let hint = match (yes, no) {
+                        (Kind::In(yes), Kind::In(no)) => yes.hint_of_two(no).map(str::to_owned),
+                        _ => None,
+                    };
+                    return Err(Fault::new(span, message, "two of the same kind").hint_or(hint));
                 }
                 self.put(Operation::Call(function), yes);
             }

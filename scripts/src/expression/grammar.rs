@@ -10,6 +10,7 @@
 //! primary    = NUMBER | TIME | ANGLE | PERCENTAGE | LENGTH | "$" NAME | "t" | "pi" | "true" | "false"
 //!            | FUNCTION "(" any { "," any } ")" | "(" any ")"
 //! TIME       = "250ms" | "1m30s" | "00:01:30.5"        ANGLE = "1.5rad"        PERCENTAGE = "50%"
+//! NUMBER     = "1.5" | "1e-3"
 //! LENGTH     = NUMBER ("beat" | "beats" | "bar" | "bars") [NUMBER ("beat" | "beats")]
 //! ```
 //!
@@ -344,6 +345,9 @@ impl Parser<'_> {
             (Some((_, hint)), _) => Some((*hint).to_owned()),
             (None, ',') => self.comma_hint(),
             (None, ')') => Some("a bracket is closed that was not opened".to_owned()),
+            (None, c) if c.is_ascii_digit() || matches!(c, '$' | '(') => {
+                Some("to multiply, write `*` between the two".to_owned())
+            }
             _ => None,
         };
         let word = self.word();
@@ -458,9 +462,15 @@ impl Parser<'_> {
         while self.peek().as_ref().is_some_and(glued) {
             self.at += 1;
         }
+        if self.has_signed_exponent(from) {
+            self.at += 1;
+            while self.peek().is_some_and(|c| c.is_ascii_alphanumeric()) {
+                self.at += 1;
+            }
+        }
         let span = (from, self.at);
         let text = self.text(span);
-        let amount = if let Some(number) = decimal(&text).map(Num::fraction) {
+        let amount = if let Some(number) = written(&text, span)? {
             if self.is_percentage() {
                 self.at += 1;
                 let part = number.over(Num::whole(100)).unwrap_or(Num::ZERO);
@@ -481,6 +491,17 @@ impl Parser<'_> {
         self.spaces();
         self.add(Step::Amount(amount), (from, span.1));
         Ok(())
+    }
+
+    /// Whether what begins there is the `1e` of `1e-3`.
+    fn has_signed_exponent(&self, from: usize) -> bool {
+        let (digits, exponent) = self.chars[from..self.at].split_at(self.at - from - 1);
+        let is_number = digits.iter().all(|c| c.is_ascii_digit() || *c == '.') && !digits.is_empty();
+        let follows = |ahead: usize| self.chars.get(self.at + ahead).copied();
+        is_number
+            && matches!(exponent, ['e' | 'E'])
+            && matches!(follows(0), Some('-' | '+'))
+            && follows(1).is_some_and(|c| c.is_ascii_digit())
     }
 
     /// Whether the `%` that follows a number at once is no operator: nothing follows that it could divide by.
@@ -531,10 +552,24 @@ impl Parser<'_> {
     }
 }
 
+/// A number without a unit; exact if it is short.
+fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
+    if let Some(number) = decimal(text) {
+        return Ok(Some(Num::fraction(number)));
+    }
+    let is_number = text.chars().all(|c| c.is_ascii_digit() || matches!(c, '.' | 'e' | 'E' | '-' | '+'));
+    let Some(number) = text.parse::<f64>().ok().filter(|_| is_number) else { return Ok(None) };
+    match number.is_finite() {
+        true => Ok(Some(Num::of(number))),
+        false => Err(Fault::new(span, "the number is too large", "a number below 1e308")),
+    }
+}
+
 fn unreadable(text: &str, span: Span) -> Fault {
     let number: String = text.chars().take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     let hint = match &text[number.len()..] {
         "deg" => Some(format!("plain numbers are degrees: write `{number}`")),
+        factor @ ("pi" | "t") => Some(format!("to multiply, write `{number} * {factor}`")),
         _ => duration::hint(text),
     };
     let expected = "a number such as 1.5, or a time with its unit, such as 250ms, 2s or 00:01:30";

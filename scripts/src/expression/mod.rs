@@ -126,6 +126,15 @@ impl Fault {
         Self { span, code: Code::Expression, message: message.into(), expected: expected.into(), hint: None }
     }
 
+    /// That something is wrong elsewhere, where it is told.
+    pub(crate) fn told(span: Span) -> Self {
+        Self::new(span, "", "")
+    }
+
+    pub(crate) fn is_told(&self) -> bool {
+        self.message.is_empty()
+    }
+
     pub(crate) fn hint(self, hint: impl Into<String>) -> Self {
         Self { hint: Some(hint.into()), ..self }
     }

@@ -14,8 +14,11 @@ const LOOKS_MAX: usize = 100_000;
 const LOOSE: f64 = 1.5;
 /// Smooth pieces are not made shorter than this part of the whole for a better bound.
 const SHORTEST_PART: i64 = 512;
-/// A piece bends no more than this: its length times the root of its curvature over the range of its values.
-const BENDS_MAX: f64 = 200.0;
+/// A piece bends no more than this: its length times the root of its curvature over the range of its values, which is 4.4 for a turn of a
+/// sine. Longer ones would need more samples than are fitted together.
+const BENDS_MAX: f64 = 40.0;
+/// All pieces together bend no more than this: some ten thousand turns.
+const BENDS_IN_ALL_MAX: f64 = 45_000.0;
 /// Values beyond this are none.
 const VALUE_MAX: f64 = 1e12;
 
@@ -26,6 +29,8 @@ pub(crate) struct Piece {
     pub(crate) end: Span,
     /// Largest slope in units a second, and its largest slope. None of a nanosecond or two with a corner or a jump.
     pub(crate) rates: Option<(f64, f64)>,
+    /// Bounds of its values.
+    values: (f64, f64),
 }
 
 /// Why a formula is no movement.
@@ -48,12 +53,11 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
         }
         let (from, to) = (seconds(begin), seconds(end));
         let found = jet(formula, (from, to)).map(|jet| {
-            (jet.value.1 - jet.value.0, jet.slope.largest(), jet.curvature.largest() * (1.0 + 1e-9))
+            ((jet.value.0, jet.value.1), jet.slope.largest(), jet.curvature.largest() * (1.0 + 1e-9))
         });
-        let rates = found.filter(|(range, _, curvature)| {
-            let bends = (to - from) * (curvature / range.max(f64::MIN_POSITIVE)).sqrt();
+        let rates = found.filter(|(values, _, curvature)| {
             *curvature == 0.0
-                || (bends <= BENDS_MAX
+                || (bending(end - begin, *curvature, *values) <= BENDS_MAX
                     && (end - begin <= (whole / SHORTEST_PART).max(1)
                         || *curvature <= LOOSE * sampled_curvature(formula, from, to)))
         });
@@ -70,18 +74,35 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
             continue;
         }
         let (begin, end) = (Span::from_nanos(begin), Span::from_nanos(end));
-        join(
-            &mut done,
-            (formula, whole),
-            Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) },
-        );
+        let values = rates.map_or((0.0, 0.0), |(values, ..)| values);
+        let rates = rates.map(|(_, slope, curvature)| (slope, curvature));
+        join(&mut done, (formula, whole), Piece { begin, end, rates, values });
     }
-    Ok(done)
+    match done.iter().map(Piece::bends).sum::<f64>() <= BENDS_IN_ALL_MAX {
+        true => Ok(done),
+        false => Err(Trouble::TooMany),
+    }
+}
+
+/// How often something of such a length, in nanoseconds, with this curvature and range of values bends.
+fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
+    match curvature == 0.0 {
+        true => 0.0,
+        false => seconds(length) * (curvature / (most - least).max(f64::MIN_POSITIVE)).sqrt(),
+    }
+}
+
+impl Piece {
+    fn bends(&self) -> f64 {
+        let length = (self.end - self.begin).as_nanos();
+        self.rates.map_or(0.0, |(_, curvature)| bending(length, curvature, self.values))
+    }
 }
 
 /// Adds a piece, to the last one if they are alike.
 fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
     if let Some(last) = done.last_mut() {
+        let values = (last.values.0.min(piece.values.0), last.values.1.max(piece.values.1));
         let joined = match (last.rates, piece.rates) {
             (None, None) => Some(None),
             (Some((slope, curvature)), Some((next_slope, next_curvature))) => {
@@ -92,13 +113,17 @@ fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) 
                 // What is short next to a corner is not worth a piece of its own.
                 let short = 4 * one.min(other).as_nanos() <= one.max(other).as_nanos()
                     || 64 * (one + other).as_nanos() <= whole;
-                let alike = short && bends(one + other, high) <= 2.0 * most && is_smooth(formula, last.end);
+                let alike = short
+                    && bending((one + other).as_nanos(), high, values) <= BENDS_MAX
+                    && bends(one + other, high) <= 2.0 * most
+                    && is_smooth(formula, last.end);
                 alike.then_some(Some((slope.max(next_slope), high)))
             }
             _ => None,
         };
         if let Some(rates) = joined {
             (last.end, last.rates) = (piece.end, rates);
+            last.values = values;
             return;
         }
     }

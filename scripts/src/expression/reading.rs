@@ -76,6 +76,7 @@ impl Here<'_> {
             }
             Node::Bool(value) => return Ok(Quantity::Truth(*value)),
             Node::Text(text) => text,
+            Node::Null => return Err(Fault::told(span)),
             _ => return Err(no_quantity(node, name, span)),
         };
         let known = |name: &str| matches!(name, "index" | "count");
@@ -181,8 +182,27 @@ impl Reader {
         }
     }
 
+    /// Whether both ends of a spread are of one kind, as far as they have values.
+    pub(crate) fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
+        let unit = |value: Result<Quantity, Fault>| match value {
+            Ok(Quantity::Amount(amount)) => Some(amount.unit),
+            _ => None,
+        };
+        let [Some(from), Some(other)] = ends.map(|text| unit(self.evaluated(text))) else { return true };
+        if from == other {
+            return true;
+        }
+        let message = format!("a spread from {} to {}", from.name(), other.name());
+        let hint = from.hint_of_two(other).map(str::to_owned);
+        self.add(Code::Expression, to.place(), message, "two of the same kind", hint);
+        false
+    }
+
     /// Adds a finding at the characters of a text that stands here, or at all of what stands here.
     fn faulty(&mut self, at: &At<'_>, text: &str, fault: Fault) {
+        if fault.is_told() {
+            return;
+        }
         let Fault { span: (from, to), code, message, expected, hint } = fault;
         let place = match at.node {
             Node::Text(whole) => {
@@ -346,6 +366,7 @@ impl Reader {
                 }
                 Some(Node::Bool(value)) => written.push_str(&value.to_string()),
                 Some(Node::Text(value)) => written.push_str(&format!("({value})")),
+                Some(Node::Null) => return Err(Fault::told(span)),
                 Some(node) => return Err(no_quantity(node, name, span)),
                 None if matches!(name, "index" | "count") => written.extend(&chars[span.0..span.1]),
                 None => return Err(self.unknown(name, span)),

@@ -28,6 +28,7 @@ impl Unit {
             (-1, 0, _) => "something per time",
             (-1, 1, _) => "an angle per time",
             (1, 1, _) => "an angle times a time",
+            (2.., 0, _) => "a product of times",
             _ => "a product of times and angles",
         }
     }

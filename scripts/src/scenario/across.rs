@@ -464,8 +464,9 @@ impl Reader {
         let across = across.and_then(|at| self.word(&at, &[("group", ())]));
         let ease = ease.map_or(Some(Easing::Linear), |at| self.word(&at, &Easing::WORDS));
         let order = Across::read(self, by, seed, direction);
-        let from = from.and_then(|at| self.written(&at));
-        let to = to.and_then(|at| self.written(&at));
+        let (from_at, to_at) = (from, to);
+        let from = from_at.and_then(|at| self.written(&at));
+        let to = to_at.and_then(|at| self.written(&at));
         let Some(robot) = self.robots.current else {
             let message = "a value spread over the robots, and this is for all of them";
             let hint = Some("use it in what each robot does: tracks, parameters, scale".to_owned());
@@ -474,6 +475,11 @@ impl Reader {
         };
         self.robots.asked = true;
         let ((), ease, order, from, to) = (across?, ease?, order?, from?, to?);
+        if let (0, Some(at)) = (robot.index, to_at)
+            && !self.is_alike(&at, [&from, &to])
+        {
+            return None;
+        }
         let shares = order.shares(self, at)?;
         let share = shares.get(robot.index).copied().unwrap_or_default();
         self.robots.results.push(to_f64(share).to_bits());

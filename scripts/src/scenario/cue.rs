@@ -11,7 +11,7 @@ use super::when::{Timing, When, range};
 use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing};
 use crate::exact::Beginning;
 use crate::fields::{At, Reader};
-use crate::finding::Code;
+use crate::finding::{Code, Place};
 use crate::node::Node;
 
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
@@ -198,7 +198,11 @@ pub(super) fn name_list(reader: &mut Reader, at: &At<'_>, expected: &str) -> Vec
         Node::List(_) => reader.list(at, expected),
         _ => vec![*at],
     };
-    let name = |item: &At<'_>| Some(Name { text: reader.name(item, expected)?, place: item.place() });
+    let name = |item: &At<'_>| {
+        let text = reader.name(item, expected)?;
+        let place = reader.given_at(item).map_or_else(|| item.place(), |given| Place::clone(&given));
+        Some(Name { text, place })
+    };
     items.iter().filter_map(name).collect()
 }
 

@@ -41,13 +41,17 @@ pub(super) fn moved(
                 Trouble::NoValue(time) => {
                     (format!("the formula has no value at {time}"), "a number at every time")
                 }
-                Trouble::TooMany => {
-                    ("the formula has too many corners and jumps".to_owned(), "a movement of fewer pieces")
-                }
+                Trouble::TooMany => (
+                    "the formula has too many turns, corners or jumps".to_owned(),
+                    "a movement of fewer pieces",
+                ),
             };
             let hint = match trouble {
                 Trouble::NoValue(_) => {
                     "a division by zero, or the root of a negative number: choose with `if`"
+                }
+                Trouble::TooMany if formula.is_random() => {
+                    "let `random` have the same number for a while: `random(7, floor(t / 2s))`"
                 }
                 Trouble::TooMany => "let it last a shorter time and `repeat` it",
             };

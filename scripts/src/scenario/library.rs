@@ -22,6 +22,7 @@ use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
+use crate::scope::Variable;
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
@@ -132,7 +133,7 @@ pub(super) struct Copy {
     /// What its names begin with, such as `left.`.
     pub(super) prefix: String,
     /// Its parameters and variables.
-    pub(super) values: Vec<(String, Node)>,
+    pub(super) values: Vec<Variable>,
     /// Where it is included.
     pub(super) used: Option<Arc<Use>>,
 }
@@ -265,9 +266,8 @@ impl<'a> Library<'a> {
     ) {
         if let Some(at) = variables {
             for (name, at) in reader.entries(&at, "variable to its value") {
-                if let Some(value) = scalar(reader, &at) {
-                    reader.scope.set(name, value);
-                }
+                let value = scalar(reader, &at).unwrap_or(Node::Null);
+                reader.scope.set(name, value);
             }
         }
         let parts = [

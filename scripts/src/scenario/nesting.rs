@@ -1,15 +1,18 @@
 //! What is read because something else uses it: moves within moves, cues of sequences, files with parameters. Its parameters,
 //! the names that it sees, and the bounds that keep what leads back to itself, or doubles again and again, from being followed.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use super::Name;
+use super::across::is_spread;
 use super::library::{Library, Shared, scalar};
 use crate::budget::{Budget, DEPTH_MAX, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
 use crate::duration::parse_duration;
 use crate::exact::Beginning;
+use crate::expression;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Place, Use, one_of};
+use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
 use crate::node::{Node, shortened};
 
 /// Which moves and sequences are being read, one within another.
@@ -33,6 +36,8 @@ pub(crate) struct Nesting {
     pub(super) robots: Option<Arc<[Name]>>,
     /// Where the cue that was read last begins, as far as that is fixed.
     pub(super) began: Beginning,
+    /// What is said of uses that lead back to themselves, with the number of the finding.
+    circles: HashMap<String, usize>,
 }
 
 impl Default for Nesting {
@@ -47,6 +52,7 @@ impl Default for Nesting {
             sequences: 0,
             robots: None,
             began: Beginning::default(),
+            circles: HashMap::new(),
         }
     }
 }
@@ -123,14 +129,15 @@ pub(super) fn within<R>(
         return None;
     }
     let arguments = arguments(reader, used, parameters.as_ref(), given.as_ref());
+    let places = given.filter(|_| used.kind == "sequence").map(|at| places(reader, &at)).unwrap_or_default();
     let hidden = reader.scope.hide(library.globals);
     let copy = std::mem::replace(&mut reader.nesting.copy, used.part.copy);
-    library.copies[used.part.copy]
-        .values
-        .iter()
-        .for_each(|(name, value)| reader.scope.set(name, value.clone()));
+    reader.scope.restore(library.copies[used.part.copy].values.iter().cloned());
     let values = with_defaults(reader, used, parameters.as_ref(), arguments);
-    values.into_iter().for_each(|(name, value)| reader.scope.set(name, value));
+    for (name, value) in values {
+        let place = places.iter().find(|(given, _)| *given == name).map(|(_, place)| place.clone());
+        reader.scope.set_given(name, value, place);
+    }
     reader.nesting.inside.push(what);
     let result = read(reader);
     reader.nesting.inside.pop();
@@ -140,21 +147,28 @@ pub(super) fn within<R>(
     Some(result)
 }
 
+/// Where each parameter is given its value; of one that is handed on, where it was given first.
+fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
+    let Node::Map(entries) = given.node else { return Vec::new() };
+    let place = |(name, node): &(String, Node)| {
+        let at = given.entry(name, 0, node);
+        (name.clone(), reader.given_at(&at).unwrap_or_else(|| Arc::new(at.place())))
+    };
+    entries.iter().map(place).collect()
+}
+
 /// Whether it is being read already, or as deep as may be.
 fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
     let inside = &reader.nesting.inside;
     let (place, depth) = (used.place.clone(), inside.len());
     if let Some(first) = inside.iter().position(|known| known == what) {
-        let around =
-            inside[first..].iter().map(|what| what.split_once(' ').map_or(what.as_str(), |(_, rest)| rest));
-        let chain: Vec<&str> = around.collect();
-        let message = match chain.as_slice() {
-            [_] => format!("{what} uses itself"),
-            [_, others @ ..] => format!("{what} uses itself, by way of the {}", others.join(", the ")),
-            [] => what.to_owned(),
-        };
-        let hint = Some("take one of these uses out".to_owned());
-        reader.add(Code::PlaysItself, place, message, "no way back to where it began", hint);
+        let message = around(&inside[first..]);
+        let told = reader.nesting.circles.get(&message).and_then(|index| reader.found.get(*index));
+        if told.is_none_or(|told| told.message != message) {
+            reader.nesting.circles.insert(message.clone(), reader.found.len());
+            let hint = Some("take one of these uses out".to_owned());
+            reader.add(Code::PlaysItself, place, message, "no way back to where it began", hint);
+        }
         return true;
     }
     if depth >= DEPTH_MAX {
@@ -167,6 +181,18 @@ fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
         return true;
     }
     false
+}
+
+/// What is said of a circle, the same wherever one comes into it.
+fn around(inside: &[String]) -> String {
+    let least = (0..inside.len()).min_by_key(|index| &inside[*index]).unwrap_or(0);
+    let mut chain = inside.iter().cycle().skip(least).take(inside.len());
+    let first = chain.next().map_or("it", String::as_str);
+    let others: Vec<&str> = chain.map(String::as_str).collect();
+    match others.is_empty() {
+        true => format!("{first} uses itself"),
+        false => format!("{first} uses itself, by way of {}", others.join(", ")),
+    }
 }
 
 /// Whether one more move may be played; the first that may not is found.
@@ -193,21 +219,28 @@ pub(super) fn arguments(
     given: Option<&At<'_>>,
 ) -> Vec<(String, Option<Node>)> {
     let given = given.map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
-    let mut values = Vec::with_capacity(given.len());
+    let (mut values, mut meant) = (Vec::with_capacity(given.len()), Vec::new());
     for (parameter, at) in &given {
         match declared(parameters).find(|(known, _)| known == parameter) {
             Some((_, default)) => {
-                let value = scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value));
+                let value = match ends_suit(reader, at, parameter, default) {
+                    true => scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value)),
+                    false => None,
+                };
                 values.push(((*parameter).to_owned(), value));
             }
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());
                 let hint = reader.did_you_mean(parameter, known());
+                // What is misspelt is not missing as well.
+                let is_meant = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
+                meant.extend(known().find(is_meant).map(|name| (name.to_owned(), None)));
                 let message = format!("{} has no parameter `{}`", used.what(), shortened(parameter));
                 reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
             }
         }
     }
+    values.extend(meant);
     values
 }
 
@@ -226,6 +259,7 @@ enum Kind {
     Number,
     Time,
     Truth,
+    Word,
 }
 
 impl Kind {
@@ -234,6 +268,8 @@ impl Kind {
             Node::Number(_) => Some(Self::Number),
             Node::Bool(_) => Some(Self::Truth),
             Node::Text(text) if parse_duration(text).is_some() => Some(Self::Time),
+            // What it is the name of is known only where it is used.
+            Node::Text(text) if is_word(text) => Some(Self::Word),
             _ => None,
         }
     }
@@ -243,19 +279,35 @@ impl Kind {
             Self::Number => "a number",
             Self::Time => "a time",
             Self::Truth => "true or false",
+            Self::Word => "a word",
         }
     }
+}
+
+/// Whether a text is neither an expression nor a length in the music.
+fn is_word(text: &str) -> bool {
+    text.starts_with(char::is_alphabetic) && !expression::is_one(text)
+}
+
+/// Whether the ends of a value that is spread over the robots are of the kind of the parameter's default. Each that is not is told.
+fn ends_suit(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node) -> bool {
+    let Node::Map(entries) = at.node else { return true };
+    let ends = entries.iter().filter(|(key, _)| is_spread(at.node) && (key == "from" || key == "to"));
+    ends.fold(true, |all, (key, end)| suits(reader, &at.entry(key, 0, end), parameter, default, end) && all)
 }
 
 /// Whether a value is of the kind of the parameter's default, where both are known by their form.
 fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
     let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
-    if wanted == found {
+    if wanted == found || wanted == Kind::Word {
         return true;
     }
     let hint = match (wanted, value) {
         (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
-        (Kind::Number, Node::Text(_)) => Some("write the number alone".to_owned()),
+        (Kind::Number, Node::Text(_)) if found == Kind::Time => Some("write the number alone".to_owned()),
+        (_, Node::Text(word)) if reader.scope.get(word).is_some() => {
+            Some(format!("the variable is written `${}`", shortened(word)))
+        }
         _ => None,
     };
     let message = format!(
@@ -293,7 +345,7 @@ pub(super) fn with_defaults(
             _ => scalar(reader, default),
         };
         // One fault, one finding: what uses the parameter shall not find it missing again.
-        values.push(((*parameter).to_owned(), value.unwrap_or(Node::Number(0.0))));
+        values.push(((*parameter).to_owned(), value.unwrap_or(Node::Null)));
     }
     values
 }
@@ -307,7 +359,7 @@ fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     }
     let message = format!("{} needs a value for `{parameter}`", used.what());
     let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-    reader.add(Code::Variable, place, message, "every parameter without default", hint);
+    reader.add(Code::Variable, place, message, "a value for every parameter without default", hint);
 }
 
 /// Whether everything in a move or a sequence has a value when nothing is given.

@@ -191,6 +191,20 @@ cues: [{robots: a, tracks: {d: [{at: 0s, to: $a-b}, {at: $t, to: -$a-b}, {at: 2s
 }
 
 #[test]
+fn a_formula_of_very_many_turns_is_fitted_or_has_too_many() {
+    let text = |hours: u32| {
+        format!(
+            "cues: [{{robots: a, tracks: {{d: {{tolerance: 20, formula: \"400 * sin(360 * t / 8s)\", for: {hours}h}}}}}}]\n"
+        )
+    };
+    let compiled = of_four(&text(3));
+    assert!(compiled.choreography.is_some(), "{:#?}", compiled.findings);
+    for hours in [24, 300] {
+        assert_eq!(found(&text(hours)), ["2:57-25 the formula has too many turns, corners or jumps"]);
+    }
+}
+
+#[test]
 fn a_formula_that_is_no_movement_is_told() {
     let message = |formula: &str| {
         let text = format!(
@@ -202,6 +216,6 @@ fn a_formula_that_is_no_movement_is_told() {
     assert_eq!(message("90 * t"), "the formula gives a time");
     assert_eq!(message("1 / (t / 1s - 2)"), "the formula has no value at 2 s");
     assert_eq!(message("sqrt(2 - t / 1s)").split(" at ").next(), Some("the formula has no value"));
-    assert_eq!(message("floor(1000000 * t / 1s)"), "the formula has too many corners and jumps");
+    assert_eq!(message("floor(1000000 * t / 1s)"), "the formula has too many turns, corners or jumps");
     assert!(message("200 * t / 1s").contains("800"), "{}", message("200 * t / 1s"));
 }

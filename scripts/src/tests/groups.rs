@@ -64,11 +64,22 @@ pub(super) type Steps = Vec<[Vec<(f64, f64)>; 3]>;
 
 pub(super) fn steps(act: &Act, count: usize) -> Steps {
     let fleet = fleet(count);
-    let of = |robot: &FleetRobot| {
+    let home = |robot: &FleetRobot| {
+        let devices = &robot.init.as_ref().unwrap().devices;
         ["x", "y", "z"].map(|axis| {
-            let device =
-                robot.init.as_ref().unwrap().devices.iter().find(|device| device.id.as_str() == axis);
-            let mut steps = vec![(0.0, device.unwrap().default_value.unwrap())];
+            let device = devices.iter().find(|device| device.id.as_str() == axis);
+            device.unwrap().default_value.unwrap()
+        })
+    };
+    steps_of(act, &fleet, &fleet.robots.iter().map(home).collect::<Vec<_>>())
+}
+
+/// The same of robots that begin elsewhere.
+pub(super) fn steps_of(act: &Act, fleet: &Fleet, from: &[[f64; 3]]) -> Steps {
+    let of = |(robot, from): (&FleetRobot, &[f64; 3])| {
+        std::array::from_fn(|number| {
+            let axis = ["x", "y", "z"][number];
+            let mut steps = vec![(0.0, from[number])];
             let plan = act.plan.robots.iter().find(|plan| plan.robot == robot.id);
             for script in
                 plan.iter().flat_map(|plan| &plan.scripts).filter(|script| script.device.as_str() == axis)
@@ -80,7 +91,7 @@ pub(super) fn steps(act: &Act, count: usize) -> Steps {
             steps
         })
     };
-    fleet.robots.iter().map(of).collect()
+    fleet.robots.iter().zip(from).map(of).collect()
 }
 
 fn value(steps: &[(f64, f64)], at: f64) -> f64 {

@@ -426,7 +426,7 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
     let to = |to: &str, expected: &str| finds(&format!("tracks: {{d: [{{at: 1s, to: {to}}}]}}"), &[expected]);
     to("{from: 1, to: 2}", "`{` DB0006 a spread has no `across`");
     to("{from: 1, across: group}", "`{` DB0006 a spread has no `to`");
-    to("{from: 1, to: 2s, across: group}", "`{` DB0070 a time and a plain number cannot be subtracted");
+    to("{from: 1, to: 2s, across: group}", "`2s` DB0070 a spread from a plain number to a time");
     to("{from: 1s, to: 2s, across: group}", "`{` DB0070 the expression gives a time");
     to("{from: 1, to: 2, across: all}", "`all` DB0020 unknown word `all`");
     to("{from: [1], to: 2, across: group}", "`[` DB0003 found a list");
@@ -504,7 +504,7 @@ fn a_formula_has_another_chance_for_each_robot_and_turn() {
     }
     let text = track("formula: 'random(t / 1s)', for: 6s");
     assert!(
-        found(&text)[0].contains("DB0041 the formula has too many corners and jumps"),
+        found(&text)[0].contains("DB0041 the formula has too many turns, corners or jumps"),
         "{:?}",
         found(&text)
     );

@@ -234,9 +234,9 @@ fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
 }
 
 pub(super) fn shows() -> impl Strategy<Value = Show> {
-    (tempos(), any::<bool>(), prop::bool::weighted(0.3), acts()).prop_map(
-        |(tempos, auto, by_sequence, mut acts)| {
-            let probe = Show { tempos, auto, acts: Vec::new(), by_sequence };
+    (tempos(), any::<bool>(), [0.3, 0.3].map(prop::bool::weighted), acts()).prop_map(
+        |(tempos, auto, [by_sequence, by_include], mut acts)| {
+            let probe = Show { tempos, auto, acts: Vec::new(), by_sequence, by_include };
             for (index, cue) in acts.iter_mut().flatten().enumerate() {
                 if probe.tempos.len() > 1 {
                     with_fixed_start(cue, 1 + index as i64 % 6);

@@ -152,6 +152,8 @@ struct Show {
     acts: Vec<Vec<Cue>>,
     /// Cues of an act without positions in the music are those of a sequence.
     by_sequence: bool,
+    /// Moves stand in a file that is included under a name, with the unit of their values as a parameter.
+    by_include: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -222,7 +224,7 @@ fn fleet() -> Fleet {
     Fleet { robots, groups, ..Fleet::default() }
 }
 
-fn scenarios() -> u32 {
+pub(super) fn scenarios() -> u32 {
     std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(500)
 }
 
@@ -248,6 +250,8 @@ struct Tally {
     spreads: usize,
     expressions: usize,
     everys: usize,
+    /// Cues whose move is that of an included file.
+    included: usize,
 }
 
 impl Tally {
@@ -276,6 +280,7 @@ impl Tally {
                 self.expressions +=
                     differing.iter().filter(|each| matches!(each, Each::Expression { .. })).count();
                 self.everys += usize::from(cue.change.pause.is_some());
+                self.included += usize::from(cue.by_move && show.by_include);
             }
         }
     }

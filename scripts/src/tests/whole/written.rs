@@ -9,6 +9,9 @@ use super::{Canon, Cue, DEVICES, Lag, NAMES, ROBOTS, SENSOR, Show, Tempo, When, 
 
 /// The cue that plays a sequence.
 pub(super) const SEQUENCE: &str = "q";
+/// The file with the moves, and the name of its copy.
+const INCLUDED: &str = "moves.yaml";
+const COPY: &str = "lib.";
 
 fn quarters(value: i64) -> String {
     (value as f64 / 4.0).to_string()
@@ -54,7 +57,13 @@ impl Canon {
 }
 
 impl Cue {
-    fn yaml(&self, index: usize, csvs: &mut HashMap<String, String>, moves: &mut String) -> String {
+    fn yaml(
+        &self,
+        index: usize,
+        csvs: &mut HashMap<String, String>,
+        moves: &mut String,
+        by_include: bool,
+    ) -> String {
         let mut yaml = format!("cue: {}, robots: {}", name(index), NAMES[self.who].0);
         match self.when {
             When::Free => {}
@@ -110,7 +119,7 @@ impl Cue {
         let wish = self.tolerance.map_or(String::new(), |tolerance| format!("tolerance: {tolerance}, "));
         let tracks = |some: Range<usize>| {
             let written = match &self.beats {
-                Some(_) => self.keyframes(some),
+                Some(_) => self.keyframes(some, by_include && self.by_move),
                 None => self.movement.yaml.replace("c.csv", &csv),
             };
             format!("{{{}: {{{wish}{written}}}}}", DEVICES[self.device].0)
@@ -121,6 +130,7 @@ impl Cue {
             return yaml;
         }
         let own = format!("m{}", csvs.len());
+        let copy = if by_include { COPY } else { "" };
         let given = |name: &str, value: &str| format!("{name}: {value}");
         let unset = |name: &str, _: &str| format!("{name}: ~");
         let passed = |name: &str, _: &str| format!("{name}: ${name}");
@@ -129,9 +139,9 @@ impl Cue {
             _ => self.needed(all.clone(), unset),
         };
         if self.parameters == Some(false) {
-            yaml.push_str(&format!(", {}move: {own}", self.needed(all.clone(), given)));
+            yaml.push_str(&format!(", {}move: {copy}{own}", self.needed(all.clone(), given)));
         } else {
-            yaml.push_str(&format!(", move: {own}"));
+            yaml.push_str(&format!(", move: {copy}{own}"));
         }
         if !self.composed {
             moves.push_str(&format!("  {own}: {{{outer}tracks: {}}}\n", tracks(all)));
@@ -162,14 +172,18 @@ impl Cue {
     }
 
     /// Some of the keyframes in beats, from the first of them on.
-    fn keyframes(&self, some: Range<usize>) -> String {
+    fn keyframes(&self, some: Range<usize>, in_units: bool) -> String {
         let keyframes = self.beats.as_deref().unwrap_or_default();
         let from = keyframes[some.start].0.most();
         let is_parameter = |each: Each| self.by_move && self.parameters.is_some() && each.differs();
         let text = |index: usize| {
             let (at, to) = keyframes[index];
             let at = if is_parameter(at) { format!("$t{index}") } else { at.plus(-from).yaml("", beats) };
-            let to = if is_parameter(to) { format!("$p{index}") } else { to.yaml("", quarters) };
+            let to = match (is_parameter(to), to) {
+                (true, _) => format!("$p{index}"),
+                (false, Each::Same(_)) if in_units => format!("{} * $unit", to.yaml("", quarters)),
+                (false, _) => to.yaml("", quarters),
+            };
             format!("{{at: {at}, to: {to}}}")
         };
         format!("keyframes: [{}]", some.map(text).collect::<Vec<_>>().join(", "))
@@ -211,13 +225,19 @@ impl Show {
                 target.push_str(&format!("  s{index}:\n    cues:\n"));
             }
             for (index, cue) in act.iter().enumerate() {
-                target.push_str(&format!("      - {{{}}}\n", cue.yaml(index, csvs, &mut moves)));
+                let cue = cue.yaml(index, csvs, &mut moves, self.by_include);
+                target.push_str(&format!("      - {{{cue}}}\n"));
             }
             if by_sequence {
                 acts.push_str(&format!("      - {{cue: {SEQUENCE}, at: 0s, sequence: s{index}}}\n"));
             }
         }
-        let moves = if moves.is_empty() { moves } else { format!("moves:\n{moves}") };
+        let mut moves = if moves.is_empty() { moves } else { format!("moves:\n{moves}") };
+        if self.by_include {
+            let file = format!("parameters: {{one: 3}}\nvariables: {{unit: $one / 2}}\n{moves}");
+            csvs.insert(INCLUDED.to_owned(), file);
+            moves = format!("include: {{file: {INCLUDED}, as: lib, parameters: {{one: 2}}}}\n");
+        }
         let sequences = if sequences.is_empty() { sequences } else { format!("sequences:\n{sequences}") };
         format!(
             "scenario: s\noff_grid: snap\n{}zones: {{z0: {order}, z1: given}}\nroles: {{cast: [b, c]}}\n{moves}{sequences}acts:\n{acts}",

@@ -1,0 +1,195 @@
+//! The second reading of groups: random shows of bodies that form, turn, grow, shift, and go along paths, with cues of their own or of a
+//! sequence, and with formations and paths of an included file. Where each robot should be follows from what is written and from where the
+//! robots were; where it is follows from the steps of the plan. Which robot takes which place is left to the compiler, but the places have
+//! to be those of the formation, and the ways as short as the best of all assignments.
+//!
+//! It looks at a fifth of the scenarios at which `whole` looks.
+
+mod draw;
+mod meaning;
+mod path;
+
+use std::cell::RefCell;
+use std::io::Write as _;
+
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+
+use self::draw::shows;
+use self::meaning::compare;
+use super::groups::{Steps, drone, steps_of};
+use crate::space::Space;
+use crate::{Compiled, Files, Finding, Fleet, FleetRobot, Source, compile};
+
+type Point = [f64; 3];
+
+/// How many robots there are, and how far apart they stand at first, in metres.
+const ROBOTS: usize = 5;
+const GAP: f64 = 1.0;
+/// A beat at the tempo of all shows, in milliseconds.
+const BEAT: i64 = 500;
+
+#[derive(Clone, Debug)]
+struct Show {
+    acts: Vec<Vec<Cue>>,
+    /// The cues of an act are those of a sequence, which is given the time that each takes.
+    by_sequence: bool,
+    /// Formations and paths stand in a file that is included under a name, with their size as a parameter.
+    by_include: bool,
+}
+
+/// Each cue follows the one before it.
+#[derive(Clone, Debug)]
+struct Cue {
+    robots: Vec<usize>,
+    does: Does,
+    /// In milliseconds.
+    over: i64,
+    in_beats: bool,
+    lag: i64,
+    /// Each robot so much later than the one before it.
+    canon: i64,
+}
+
+#[derive(Clone, Debug)]
+enum Does {
+    /// Each robot for itself, to places in millimetres.
+    Go(Vec<[i64; 3]>),
+    Home,
+    Form {
+        formation: Formation,
+        longest: bool,
+        /// What becomes of robots that are too many: they stay, or go home.
+        spare: Option<bool>,
+        /// Which places robots that are too few take: at even steps, or the nearest.
+        evenly: Option<bool>,
+    },
+    Sweep(Sweep),
+}
+
+/// Angles in degrees, other numbers in thousandths.
+#[derive(Clone, Debug)]
+struct Sweep {
+    turn: i64,
+    about: Option<[i64; 2]>,
+    grow: i64,
+    shift: [i64; 3],
+    along: Option<Along>,
+}
+
+#[derive(Clone, Debug)]
+struct Along {
+    path: Path,
+    laps: i64,
+    turning: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Path {
+    shape: PathShape,
+    rotate: i64,
+    scale: i64,
+}
+
+#[derive(Clone, Debug)]
+enum PathShape {
+    Circle(i64),
+    Points(Vec<[i64; 3]>),
+}
+
+#[derive(Clone, Debug)]
+struct Formation {
+    shape: Shape,
+    at: [i64; 3],
+    /// About the vertical, or as roll, pitch and yaw.
+    rotate: Result<i64, [i64; 3]>,
+    scale: i64,
+}
+
+/// Lengths in millimetres.
+#[derive(Clone, Debug)]
+enum Shape {
+    Points(Vec<[i64; 3]>),
+    LineSpacing(i64),
+    LineLength(i64),
+    CircleRadius(i64),
+    CircleSpacing(i64),
+    Grid(i64, i64),
+    Vee(i64, i64),
+}
+
+fn fleet() -> Fleet {
+    let robots: Vec<FleetRobot> =
+        (0..ROBOTS).map(|index| drone(index, [index as f64 * GAP, 0.0, 0.0])).collect();
+    let space = Space { distance: Some(0.2), ..Space::default() };
+    Fleet { robots, space, ..Fleet::default() }
+}
+
+/// The file that a show includes.
+struct Shapes(String);
+
+impl Files for Shapes {
+    fn read(&self, name: &str) -> Result<Source, Finding> {
+        Ok(Source { name: name.into(), text: self.0.clone() })
+    }
+}
+
+impl Show {
+    fn compiled(&self) -> (String, Compiled) {
+        let (text, shapes) = self.yaml();
+        let source = Source { name: "s.yaml".into(), text };
+        let compiled = compile(&source, &fleet(), &Shapes(shapes.clone()));
+        (format!("{}\n{shapes}", source.text), compiled)
+    }
+}
+
+/// What has been compared.
+#[derive(Debug, Default)]
+struct Tally {
+    planned: usize,
+    refused: usize,
+    cues: usize,
+    formed: usize,
+    swept: usize,
+    carried: usize,
+}
+
+impl Tally {
+    fn count(&mut self, show: &Show, compiled: &Compiled) {
+        if compiled.choreography.is_none() {
+            self.refused += 1;
+            return;
+        }
+        self.planned += 1;
+        for cue in show.acts.iter().flatten() {
+            self.cues += 1;
+            match &cue.does {
+                Does::Form { .. } => self.formed += 1,
+                Does::Sweep(Sweep { along: Some(_), .. }) => self.carried += 1,
+                Does::Sweep(_) => self.swept += 1,
+                Does::Go(_) | Does::Home => {}
+            }
+        }
+    }
+}
+
+#[test]
+fn whole_groups_are_where_a_second_reading_finds_them() {
+    let config = ProptestConfig {
+        max_shrink_iters: 2_000,
+        failure_persistence: None,
+        ..ProptestConfig::with_cases(super::whole::scenarios() / 5)
+    };
+    let tally = RefCell::new(Tally::default());
+    let looked_at = TestRunner::new(config).run(&shows(), |show| {
+        let (text, compiled) = show.compiled();
+        tally.borrow_mut().count(&show, &compiled);
+        compare(&show, &compiled)
+            .map_err(|error| TestCaseError::fail(format!("{text}\n{:#?}\n{error}", compiled.findings)))
+    });
+    looked_at.unwrap_or_else(|error| panic!("{error}"));
+    let tally = tally.into_inner();
+    // What is refused is compared with nothing but the reasons.
+    assert!(2 * tally.planned > tally.refused, "{tally:?}");
+    drop(writeln!(std::io::stderr(), "{tally:?}"));
+}
