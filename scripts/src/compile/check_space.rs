@@ -340,7 +340,7 @@ impl TooClose {
                 let short = (stage.cast.fleet.space.distance.unwrap_or(0.0) - distance) * 1e3;
                 format!(
                     "steps on the grid of their devices are off by that much where bodies begin or end as close as they may be: \
-                     let their places be {:.3} m further apart, as in a larger formation",
+                     let their places be at least {:.3} m further apart, as in a larger formation",
                     short.ceil() / 1e3
                 )
             }
