@@ -267,8 +267,9 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
                 leases_end.insert(named, (ends, inquiry.timestamp));
             }
             None => {
+                // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.
                 let lifts = |(ends, asked): &(_, _)| at < ends && inquiry.timestamp >= *asked;
-                if leases_end.get(named).is_some_and(lifts) {
+                if leases_end.contains_key(named) && leases_end.values().all(lifts) {
                     return true;
                 }
             }

@@ -161,14 +161,26 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
 }
 
 #[test]
-fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+fn a_commitment_that_is_written_down_after_the_start_is_found() {
+    finds('a', |ran| {
+        let after = promised(ran).start + Span::from_nanos(1);
+        let commitment = |record: &Record| matches!(record, Record::Committed { .. });
+        ran.records.iter_mut().filter(|(_, record)| commitment(record)).for_each(|(at, _)| *at = after);
+    });
+}
+
+/// A robot of the act misses its start, shortly after its link carried nothing for a moment.
+fn missing_behind_a_link() -> (Ran, usize) {
     let mut ran = played();
     let missing = one_misses(&mut ran);
-    hit(
-        &mut ran,
-        Span::from_millis(1),
-        Fault::Partition { robot: missing, lasts: Span::from_millis(5), breaks: false },
-    );
+    let fault = Fault::Partition { robot: missing, lasts: Span::from_millis(5), breaks: false };
+    hit(&mut ran, Span::from_millis(1), fault);
+    (ran, missing)
+}
+
+#[test]
+fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+    let (mut ran, missing) = missing_behind_a_link();
     assert!(violated(&ran).contains('a'));
     // As if the commitment had not come.
     ran.history.retain(|(_, happened)| match happened {
@@ -177,6 +189,25 @@ fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
         }
         _ => true,
     });
+    assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commitment_came() {
+    let (mut ran, missing) = missing_behind_a_link();
+    let shortened = |(at, happened): &(_, Happened)| match happened {
+        Happened::AtRobot(robot, Message::Inquiry(inquiry)) if *robot == missing => {
+            inquiry.pending_until.map(|until| (*at, until, inquiry.clone()))
+        }
+        _ => None,
+    };
+    let (at, until, inquiry) = ran.history.iter().find_map(shortened).unwrap();
+    // Another of its devices begins at another instant.
+    let requests = urrcp::RequestId::new("another".to_owned()).into_iter().collect();
+    let pending_until = Some(until - promised(&ran).lease);
+    let message = Message::Inquiry(urrcp::Inquiry { requests, pending_until, ..inquiry });
+    let place = ran.history.partition_point(|(when, _)| *when <= at);
+    ran.history.insert(place, (at, Happened::AtRobot(missing, message)));
     assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
 }
 
