@@ -185,7 +185,8 @@ impl Act {
         approach.heard += heard;
         let all = approach.heard == self.members.len();
         let on_disk = approach.on_disk;
-        if all && on_disk == OnDisk::Nothing {
+        // When it is too late, robots may have lost what they held: a process that takes the act up must not find it committed.
+        if all && on_disk == OnDisk::Nothing && now <= commit_by {
             approach.on_disk = OnDisk::Asked;
             return vec![ActAction::Record(Record::Committed { number: self.number })];
         }

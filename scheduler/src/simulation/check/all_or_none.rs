@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use urrcp::{Message, RequestId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit};
-use super::facts::{Facts, SentAct};
+use super::facts::{Facts, SentAct, SentScript};
 use super::{ActStarts, DRIFT, Starts, Verdict};
 use crate::dry_run::BEGIN;
 use crate::mission::ClockMode;
@@ -83,14 +83,14 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
 /// not missed its start.
 fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let Some(first) = act.first_start(robot).filter(|_| facts.honest(robot)) else { return false };
-    let began = act.of(robot).any(super::facts::SentScript::began);
+    let began = act.of(robot).any(SentScript::began);
     let left_out = facts.dropped[robot].is_some_and(|at| at < act.promise.start);
     let stopped = facts.stopping.iter().any(|at| *at > act.at && *at >= act.promise.start && *at <= first);
     began || !(left_out || stopped)
 }
 
 fn started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Started {
-    let began = act.of(robot).any(super::facts::SentScript::began);
+    let began = act.of(robot).any(SentScript::began);
     let excuse = match began {
         true => why_it_started(facts, act, robot),
         false => why_it_missed(facts, act, robot),
@@ -178,6 +178,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot))
         .or_else(|| came_late(facts, act, robot, until))
+        .or_else(|| carried_over(facts, act, robot))
         .or_else(|| facts.was_stopped_in_part(act, robot).then_some(Cause::SchedulerCrash));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let Some(stop) = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min() else {
@@ -198,6 +199,44 @@ fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestam
     let late = |hit: &&Hit| hit.is_of(robot) && keeps_waiting(hit.cause);
     let hits = facts.hits.iter().filter(|_| away && act.decided.is_none());
     hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
+}
+
+/// A robot takes no inquiries, so no question says when its lease ends at the latest: one that was sent in time, but that its own link
+/// or process kept for too long, renewed it beyond the start of an act that was not committed, and the scheduler was not there to take
+/// the act back.
+fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let first = |script: &SentScript<'_>| {
+        let entry = script.log.first()?;
+        Some(Timestamp::<Server>::from_nanos(entry.true_ns) - script.first_offset())
+    };
+    let began = act.of(robot).filter_map(first).min()?;
+    let stood_still = |cause: Cause| matches!(cause, Cause::SchedulerCrash | Cause::SchedulerPause);
+    let away = |hit: &Hit| stood_still(hit.cause) && hit.overlaps(act.doubtful_from(), began);
+    let uncommitted = act.committed.is_none_or(|at| at > began);
+    if facts.drawn().robots[robot].block.inquiry || !uncommitted || !facts.hits.iter().any(away) {
+        return None;
+    }
+    // What comes later carries its lease over its start. It was sent by then, or it was sent too late.
+    let (early, _) = early_and_late(facts, robot);
+    let latest = act.promise.start - early - act.promise.lease;
+    let kept = |at: Timestamp<Server>, message: &Message| {
+        let Message::AvailabilityRequest(question) = message else { return None };
+        let sent = question.timestamp? - facts.ahead_at(at);
+        let keeps = |hit: &Hit| match hit.cause {
+            Cause::Slow => hit.from == sent,
+            cause => cause == Cause::RobotPause,
+        };
+        let own = |hit: &&Hit| hit.is_of(robot) && hit.overlaps(at, at) && keeps(hit);
+        let mut causes = facts.hits.iter().filter(own).map(|hit| hit.cause);
+        causes.next().filter(|_| sent <= latest)
+    };
+    let carries = |(at, happened): &(Timestamp<Server>, Happened)| match happened {
+        Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
+        Happened::AtRobot(r, message) if *r == robot => Some(kept(*at, message)),
+        _ => None,
+    };
+    let causes: Option<Vec<Cause>> = facts.between(latest, began).iter().filter_map(carries).collect();
+    causes?.into_iter().min()
 }
 
 /// Its clock was set so short a time before it started by it that no question showed it: the answer and a stop after it would
@@ -228,8 +267,9 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
                 leases_end.insert(named, (ends, inquiry.timestamp));
             }
             None => {
+                // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.
                 let lifts = |(ends, asked): &(_, _)| at < ends && inquiry.timestamp >= *asked;
-                if leases_end.get(named).is_some_and(lifts) {
+                if leases_end.contains_key(named) && leases_end.values().all(lifts) {
                     return true;
                 }
             }

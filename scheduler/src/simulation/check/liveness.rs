@@ -3,6 +3,7 @@
 
 use std::iter;
 
+use downbeat_scripts::Wait;
 use urrcp::{Command, Message, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit};
@@ -19,6 +20,8 @@ const AT_ONCE: Span = Span::from_millis(2);
 /// A lead or a gap may be so many times that of the same mission without faults, and `MORE` beyond it.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
+/// Where it is known when an act is to start, it is sent up to 2 s ahead, and with a lease that is longer by up to 2 s.
+const AHEAD: Span = Span::from_millis(2_000 + 2_000);
 /// No lead is shorter: one margin, the least pending lease and another margin.
 pub(in crate::simulation) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
 /// So many of the round trips that its links keep to nearly always are in a lead, of which the longest counts as this one: three
@@ -304,10 +307,19 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
 }
 
 /// How much a lead may exceed its share of a lead without faults. It contains twice the time that the disk took recently, for the
-/// promise and for the commitment, and the delays of links as slow as they were. No other fault is in it.
+/// promise and for the commitment, and the delays of links as slow as they were. No other fault is in it. Nobody waits for an act
+/// that starts at its own time: after a fault it is sent sooner than without, if those before it do not play, and no later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
-    MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow
+    let ahead = if starts_at_its_time(facts, act) { AHEAD } else { Span::ZERO };
+    MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow + ahead
+}
+
+/// It waits for an instant, and is not late for it.
+fn starts_at_its_time(facts: &Facts<'_>, act: &SentAct<'_>) -> bool {
+    let written = facts.drawn().choreography.acts.get(act.promise.act);
+    let waits_for = written.map(|written| &written.wait);
+    matches!(waits_for, Some(Wait::Instant(at)) if act.promise.start + act.ahead <= *at)
 }
 
 /// How much a gap may exceed its share of a gap without faults and the excess of the lead: an act is sent later by the amount by
@@ -360,15 +372,22 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
         let slow = |hit: &&Hit| {
             hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
         };
+        let slow: Vec<&Hit> = facts.hits.iter().filter(slow).collect();
+        let lasts = |hit: &Hit| hit.until - hit.from;
         // A question that is asked at the end of a moment meets the rest of what overlaps with it.
-        let mut lasted: Vec<Span> = Vec::new();
+        let mut rests: Vec<Span> = Vec::new();
         let mut until = Timestamp::from_nanos(0);
-        for hit in facts.hits.iter().filter(slow) {
-            lasted.push((hit.until - hit.from.max(until)).max(Span::ZERO));
+        for hit in &slow {
+            rests.push((hit.until - hit.from.max(until)).max(Span::ZERO));
             until = until.max(hit.until);
         }
-        lasted.sort_unstable();
-        lasted.into_iter().rev().nth(1)
+        rests.sort_unstable();
+        // On a link that carries little, each message overlaps with the one before. Two that do not overlap are two moments.
+        let apart = slow.iter().enumerate().flat_map(|(index, first)| {
+            let others = slow[index + 1..].iter().filter(move |second| second.from >= first.until);
+            others.map(move |second| lasts(first).min(lasts(second)))
+        });
+        apart.max().max(rests.into_iter().rev().nth(1))
     };
     act.robots().into_iter().filter_map(of_robot).max().unwrap_or_default()
 }

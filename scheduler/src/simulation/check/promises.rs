@@ -1,5 +1,5 @@
 //! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
-//! was not committed; (c) only a stop cancels,
+//! was not committed, and nothing is committed that should have started; (c) only a stop cancels,
 //! and only the end of a lease ends what plays; (d) only the intended robots move; (f) nothing is sent whose skew
 //! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
 //! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
@@ -32,6 +32,19 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     those_who_return_hear(facts, verdict);
     those_who_start_are_awaited(facts, verdict);
     starts_are_committed(facts, verdict);
+    commitments_are_in_time(facts, verdict);
+}
+
+/// The commitment is not written down any more when the act should have started, by the clock of the process that writes: another one
+/// would take robots for started that had lost what they held.
+fn commitments_are_in_time(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in &facts.acts {
+        let start = act.promise.start + act.ahead;
+        if act.committed.is_some_and(|at| at + facts.ahead_at(at) > start) {
+            let number = act.promise.number;
+            return verdict.violated('a', format!("act {number} was committed after it should have started"));
+        }
+    }
 }
 
 /// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late, or whose

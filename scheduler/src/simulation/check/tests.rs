@@ -111,15 +111,76 @@ fn a_start_on_some_robots_is_found_and_excused_only_by_a_fault_of_the_robot_that
     assert_eq!(with(3_000, pause), (true, vec![]), "before the commitment");
 }
 
+/// A robot without inquiries starts alone, and whether that is excused: the last question to it was sent so much later than its lease
+/// before the start, arrived 120 ms after that, and was slow on the link of a robot.
+fn is_carried_over(sent_late: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
+    let as_with_inquiries = |drawn: &Drawn| {
+        let mut drawn = drawn.clone();
+        drawn.robots.iter_mut().for_each(|robot| robot.block.inquiry = true);
+        calm(&drawn)
+    };
+    let takes_none = |ran: &Ran| done(ran) && !ran.drawn.robots[member(ran)].block.inquiry;
+    let mut ran = first(as_with_inquiries, takes_none);
+    let (promise, robot) = (promised(&ran), member(&ran));
+    let other = (0..ran.drawn.robots.len()).find(|other| *other != robot).unwrap();
+    ran.logs.iter_mut().enumerate().filter(|(of, _)| *of != robot).for_each(|(_, log)| log.clear());
+    ran.records.retain(|(_, record)| !matches!(record, Record::Committed { .. }));
+    let sent = promise.start - promise.lease + Span::from_millis(sent_late);
+    let alone = promise.start - promise.lease - Span::from_millis(150);
+    let told = |(at, happened): &(_, Happened)| {
+        matches!(happened, Happened::AtRobot(..)) && *at >= alone && *at <= promise.start
+    };
+    ran.history.retain(|happened| !told(happened));
+    let mut add = |at, happened| {
+        let place = ran.history.partition_point(|(when, _)| *when <= at);
+        ran.history.insert(place, (at, happened));
+    };
+    let question = urrcp::AvailabilityRequest { timestamp: Some(sent), session: None, seize: false };
+    let takes = Span::from_millis(120);
+    add(sent, Happened::Slow(slow(robot, other), takes));
+    add(sent + takes, Happened::AtRobot(robot, Message::AvailabilityRequest(question)));
+    if stands_still {
+        let lasts = promise.lease + Span::from_millis(200);
+        add(alone, Happened::Fault(Fault::SchedulerPause { lasts }));
+    }
+    let verdict = ran.verdict();
+    let found = verdict.violations.iter().any(|violation| violation.invariant == 'a');
+    let causes: Vec<_> =
+        verdict.excuses.iter().filter(|excuse| excuse.invariant == 'a').map(|excuse| excuse.cause).collect();
+    assert_eq!(causes, if found { vec![] } else { vec![Cause::Slow] }, "{:?}", verdict.violations);
+    !found
+}
+
 #[test]
-fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_while_the_scheduler_stood_still()
+{
+    assert!(is_carried_over(-100, |robot, _| robot, true));
+    assert!(!is_carried_over(-100, |_, other| other, true), "the link of another robot");
+    assert!(!is_carried_over(-100, |robot, _| robot, false), "the scheduler could take it back");
+    assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
+}
+
+#[test]
+fn a_commitment_that_is_written_down_after_the_start_is_found() {
+    finds('a', |ran| {
+        let after = promised(ran).start + Span::from_nanos(1);
+        let commitment = |record: &Record| matches!(record, Record::Committed { .. });
+        ran.records.iter_mut().filter(|(_, record)| commitment(record)).for_each(|(at, _)| *at = after);
+    });
+}
+
+/// A robot of the act misses its start, shortly after its link carried nothing for a moment.
+fn missing_behind_a_link() -> (Ran, usize) {
     let mut ran = played();
     let missing = one_misses(&mut ran);
-    hit(
-        &mut ran,
-        Span::from_millis(1),
-        Fault::Partition { robot: missing, lasts: Span::from_millis(5), breaks: false },
-    );
+    let fault = Fault::Partition { robot: missing, lasts: Span::from_millis(5), breaks: false };
+    hit(&mut ran, Span::from_millis(1), fault);
+    (ran, missing)
+}
+
+#[test]
+fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+    let (mut ran, missing) = missing_behind_a_link();
     assert!(violated(&ran).contains('a'));
     // As if the commitment had not come.
     ran.history.retain(|(_, happened)| match happened {
@@ -128,6 +189,25 @@ fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
         }
         _ => true,
     });
+    assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commitment_came() {
+    let (mut ran, missing) = missing_behind_a_link();
+    let shortened = |(at, happened): &(_, Happened)| match happened {
+        Happened::AtRobot(robot, Message::Inquiry(inquiry)) if *robot == missing => {
+            inquiry.pending_until.map(|until| (*at, until, inquiry.clone()))
+        }
+        _ => None,
+    };
+    let (at, until, inquiry) = ran.history.iter().find_map(shortened).unwrap();
+    // Another of its devices begins at another instant.
+    let requests = urrcp::RequestId::new("another".to_owned()).into_iter().collect();
+    let pending_until = Some(until - promised(&ran).lease);
+    let message = Message::Inquiry(urrcp::Inquiry { requests, pending_until, ..inquiry });
+    let place = ran.history.partition_point(|(when, _)| *when <= at);
+    ran.history.insert(place, (at, Happened::AtRobot(missing, message)));
     assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
 }
 
@@ -359,6 +439,50 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
     }
     let found = slow.compared_with(&ran).violations;
     assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
+}
+
+/// A mission whose lead is so much longer than allowed, and what is found of it.
+fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &crate::mission::Promise)) -> usize {
+    let ran = played();
+    let mut slow = played();
+    for (_, record) in &mut slow.records {
+        if let Record::Prepared(promise) = record {
+            let allowed = (promise.start - promise.timestamp) * 3 + Span::from_millis(500);
+            promise.start = promise.timestamp + allowed + Span::from_millis(by);
+        }
+    }
+    let promise = promised(&slow);
+    wrong(&mut slow, &promise);
+    slow.compared_with(&ran).violations.len()
+}
+
+#[test]
+fn a_long_lead_of_an_act_that_starts_at_its_own_time_is_sound_if_it_is_sent_only_a_little_ahead() {
+    let at_its_time = |by, late| {
+        with_a_lead_beyond(by, |ran, promise| {
+            let at = promise.start - Span::from_nanos(late);
+            ran.drawn.choreography.acts[0].wait = downbeat_scripts::Wait::Instant(at);
+        })
+    };
+    assert_eq!(with_a_lead_beyond(1_000, |_, _| {}), 1);
+    assert_eq!(at_its_time(1_000, 0), 0);
+    assert_eq!(at_its_time(1_000, 1), 1, "it is late");
+    assert_eq!(at_its_time(5_000, 0), 1, "it is sent far too early");
+}
+
+#[test]
+fn a_link_on_which_messages_wait_for_each_other_is_slow_at_several_moments_if_two_of_them_do_not_overlap() {
+    let queues_for = |lasts: i64| {
+        with_a_lead_beyond(1_000, |ran, promise| {
+            let robot = member(ran);
+            let begins = promise.timestamp - Span::from_millis(1_000);
+            let slow =
+                |k| (begins + Span::from_millis(10) * k, Happened::Slow(robot, Span::from_millis(200)));
+            ran.history.splice(0..0, (0..lasts / 10).map(slow));
+        })
+    };
+    assert_eq!(queues_for(190), 1, "all of them are one moment");
+    assert_eq!(queues_for(220), 0);
 }
 
 #[test]

@@ -143,6 +143,25 @@ fn a_process_that_stood_still_over_the_commitment_blames_no_robot_whose_word_it_
 }
 
 #[test]
+fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        for late in [Span::from_nanos(1), ms(1_000)] {
+            let mut bench = Bench::pair();
+            bench.decide(leases);
+            bench.run_until(bench.timing().record_from() - ms(1));
+            let last = bench.asked.last().unwrap().at;
+            bench.now = bench.timing().commit_by(last) + late;
+            bench.pump();
+            assert_eq!(bench.commitments(), [], "{leases:?} {late}: robots may have lost what they held");
+            assert!(
+                matches!(bench.withdrawn, Some((_, Outcome::CommitmentLate { .. }))),
+                "{leases:?} {late}"
+            );
+        }
+    }
+}
+
+#[test]
 fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() {
     let mut bench = Bench::of_three(Policy::Abort);
     bench.decide(Leases::Shortened);
