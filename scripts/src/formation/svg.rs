@@ -19,6 +19,8 @@ const CHORDS: u8 = 32;
 /// The stack of the thread that reads a drawing: groups within groups are read by recursion, 1024 of them at most.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 
+const SVG: &str = "http://www.w3.org/2000/svg";
+
 const EXPECTED: &str = "an SVG drawing with at least one path that is seen";
 
 /// The paths that are seen, with the y axis up, in the unit of the drawing.
@@ -66,7 +68,8 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
         return Err(Unfit { message, expected: "a simpler drawing" });
     }
     if pen.lines.is_empty() {
-        let message = match tree.has_text_nodes() {
+        // The tree has no texts, for it has no fonts.
+        let message = match document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
             true => "the drawing has no paths, only texts, which are not read: convert them to paths",
             false => "the drawing has no paths",
         };

@@ -120,3 +120,16 @@ fn a_sphere_is_covered_evenly() {
         assert!(nearest > 0.75 * even, "{count}: {nearest} of {even}");
     }
 }
+
+#[test]
+fn a_drawing_of_texts_alone_is_told_to_have_no_paths_but_texts() {
+    let drawing = |content: &str| {
+        let text = format!(r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9">{content}</svg>"#);
+        super::svg::read(text.as_bytes()).unwrap_err().message
+    };
+    assert_eq!(
+        drawing("<text x='1' y='5'>hi</text>"),
+        "the drawing has no paths, only texts, which are not read: convert them to paths"
+    );
+    assert_eq!(drawing(""), "the drawing has no paths");
+}
