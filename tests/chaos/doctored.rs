@@ -118,7 +118,9 @@ fn the_judge_finds_every_lie_and_every_wrong_movement() {
         let whole = played.clone();
         doctor(&mut played);
         let verdict = judge(&played);
-        if !verdict.wrong.iter().any(|wrong| wrong.starts_with(name)) {
+        // On a busy machine the judge sees that a robot is blamed, and excuses it.
+        let excused = *name == "(blame)" && !verdict.busy.is_empty();
+        if !excused && !verdict.wrong.iter().any(|wrong| wrong.starts_with(name)) {
             missed.push(format!("{which} {name}: {:?}, busy {:?}", verdict.wrong, verdict.busy));
         }
         played = whole;
