@@ -410,7 +410,9 @@ fn pending_until(trial: &Trial) -> Checked {
         let sent = format!("{}, after one with pending_until", lifting.sent.trim_end());
         return Err(differs(&sent, &more.text, "nothing: an inquiry without pending_until lifts it"));
     }
-    let (asked, until) = (until_soon(trial, &lifted), trial.now() + PERIOD);
+    // Taken first: a pause between the two must not make the robot look early.
+    let until = trial.now() + PERIOD;
+    let asked = until_soon(trial, &lifted);
     let inquired = line.inquire(&asked)?;
     // What is heard until then renews leases and does not name the request.
     while trial.now() < until + trial.slack() && line.asked(ticket).heard.len() < 2 {
