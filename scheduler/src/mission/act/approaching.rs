@@ -48,6 +48,8 @@ pub(crate) struct Commitment {
     since: Timestamp<Server>,
     /// When the last robot has started.
     begun: Timestamp<Server>,
+    /// When a robot may next have played something, and have room for more.
+    room: Timestamp<Server>,
     /// Members before it have answered since the commitment.
     heard: usize,
     told: Told,
@@ -114,7 +116,7 @@ impl Approach {
 
 impl Commitment {
     pub(super) fn wakeup(&self) -> Timestamp<Server> {
-        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.begun)
+        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.begun).min(self.room)
     }
 }
 
@@ -238,7 +240,9 @@ impl Act {
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;
         let begun = timing.out_of_quiet(timing.begun());
-        self.stage = Stage::Committed(Commitment { next_round, since: now, begun, heard: 0, told, doubt });
+        let room = timing.begins();
+        self.stage =
+            Stage::Committed(Commitment { next_round, since: now, begun, room, heard: 0, told, doubt });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
@@ -257,8 +261,23 @@ impl Act {
             commitment.next_round = timing.out_of_quiet(now + timing.pace.period);
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
-        if begun {
-            self.begin(now);
+        match begun {
+            true => self.begin(now),
+            false => actions.extend(self.make_room(now, robots)),
+        }
+        actions
+    }
+
+    /// Robots whose clocks are ahead may have played a script, and need the next one, before the last robot has started.
+    fn make_room(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        if !matches!(&self.stage, Stage::Committed(commitment) if now >= commitment.room) {
+            return Vec::new();
+        }
+        let actions = self.look_for_ends(now, robots);
+        let next = self.next_watch(now, robots);
+        if let Stage::Committed(commitment) = &mut self.stage {
+            // Also in the quiet around the start: what comes later is refused as late.
+            commitment.room = next;
         }
         actions
     }

@@ -229,10 +229,7 @@ impl Act {
         if playing.watch.is_some_and(|at| now < at) {
             return actions;
         }
-        let lapsed = self.lapse(now, robots);
-        if !lapsed.is_empty() {
-            actions.push(ActAction::Refill(lapsed));
-        }
+        actions.extend(self.refill_lapsed(now, robots));
         let over = |member: &Member| {
             member.is_done() || (self.may_lapse(member, &robots[member.robot]) && member.is_over())
         };
@@ -246,6 +243,18 @@ impl Act {
             playing.watch = Some(next);
         }
         actions
+    }
+
+    /// What is due by the clocks of single robots, before the act plays on all of them.
+    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = self.refill_lapsed(now, robots);
+        actions.extend(self.ask_for_overdue(now, robots));
+        actions
+    }
+
+    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let lapsed = self.lapse(now, robots);
+        if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
     }
 
     /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
@@ -352,7 +361,7 @@ impl Act {
         }
     }
 
-    fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
+    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| {
             let robot = &robots[member.robot];

@@ -328,6 +328,11 @@ impl Timing {
         if at > self.start - before && at < until { until } else { at }
     }
 
+    /// Before it no robot starts.
+    pub(crate) fn begins(&self) -> Timestamp<Server> {
+        self.start - self.pace.early
+    }
+
     /// When the last robot has started.
     pub(crate) fn begun(&self) -> Timestamp<Server> {
         self.start + self.pace.late

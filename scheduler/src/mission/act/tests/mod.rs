@@ -71,6 +71,8 @@ struct Bench {
     policy: Policy,
     /// How long the disk takes; `None`: forever.
     disk: Option<Span>,
+    /// How much later than planned the last robot may start.
+    late: Span,
     /// Robots that say nothing at all.
     silent: Vec<usize>,
     /// Robots that play without a word of their own, whatever they can.
@@ -108,6 +110,7 @@ impl Bench {
             options: MissionOptions::default(),
             policy: Policy::Abort,
             disk: Some(ms(2)),
+            late: ms(1),
             silent: Vec::new(),
             mum: Vec::new(),
             says_always: None,
@@ -141,7 +144,7 @@ impl Bench {
     fn promise(&mut self, leases: Leases) {
         self.pump();
         assert_eq!(self.act.progress(), Progressed::Ready);
-        let timing = timing(&self.act, self.now, leases);
+        let timing = timing(&self.act, self.now, leases, self.late);
         let (_, actions) = self.act.promise(timing, &self.robots, None, |_| Span::ZERO);
         self.carry_out(actions);
     }
@@ -404,9 +407,9 @@ fn robots(tells: &[Tells], queue: usize) -> Vec<RobotState> {
 }
 
 /// The instants of an act that is sent now to robots on a fast link.
-fn timing(act: &Act, now: Timestamp<Server>, leases: Leases) -> Timing {
+fn timing(act: &Act, now: Timestamp<Server>, leases: Leases, late: Span) -> Timing {
     let (robots, scripts) = (act.members().len(), act.members().iter().map(|m| m.scripts().len()).sum());
-    let (early, late) = (ms(1), ms(1));
+    let early = ms(1);
     let measured = Measured {
         robots,
         scripts,

@@ -94,6 +94,29 @@ fn a_script_that_begins_late_on_another_device_does_not_hold_up_refills_and_read
     assert_eq!(bench.reads.first().map(|(at, ..)| *at), Some(bench.start() + ms(50)));
 }
 
+/// The last robot may start 100 ms late; the first is on time, and by then has played most of what it has.
+fn beside_a_late_one(tells: Tells) -> Bench {
+    let scripts: [&[Planned]; 2] =
+        [&[("a", 0, 30), ("a", 30, 30), ("a", 60, 30), ("a", 90, 30)], &[("a", 0, 400)]];
+    let bench = Bench::of(&[tells, Tells::Everything], 2, bench::played(&scripts));
+    let mut bench = Bench { late: ms(100), ..bench };
+    bench.commit(Leases::Fixed);
+    bench
+}
+
+#[test]
+fn what_a_robot_has_played_by_its_own_clock_makes_room_before_the_last_one_has_started() {
+    for tells in [Tells::Nothing, Tells::Answers] {
+        let mut bench = beside_a_late_one(tells);
+        bench.run_until(bench.start() + ms(95));
+        assert_eq!(bench.act.progress(), Progressed::Committed);
+        let sent = sent_at(&bench);
+        assert!(sent[2] > ms(30) && sent[2] < ms(60) && sent[3] > ms(60) && sent[3] < ms(90), "{sent:?}");
+        bench.run_to_the_end();
+        assert!(bench.act.is_over() && bench.failed.is_empty());
+    }
+}
+
 #[test]
 fn a_lease_that_was_shortened_for_a_device_that_begins_later_is_what_has_to_be_renewed() {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)], &[("a", 150, 400)]];

@@ -43,7 +43,7 @@ fn a_script_is_broken_off_where_its_robot_was_sent_it_by_a_clock_that_is_ahead()
     let mut bench =
         Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 300, 4_000)]]);
     bench.pump();
-    let timing = timing(&bench.act, bench.now, Leases::Fixed);
+    let timing = timing(&bench.act, bench.now, Leases::Fixed, bench.late);
     let (_, actions) = bench
         .act
         .promise(timing, &bench.robots, None, |robot| if robot.id.as_str() == "r1" { ms(50) } else { ms(0) });
