@@ -330,10 +330,12 @@ fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Sp
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// An act waits this long for a report of the one before it that may be lost.
+/// An act waits this long for a report of the one before it that may be lost, alone or with its connection.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    let lost =
-        |hit: &&Hit| hit.cause == Cause::Lost && hit.from >= before.promise.start && hit.from <= act.at;
+    let lost = |hit: &&Hit| {
+        let may_lose = matches!(hit.cause, Cause::Lost | Cause::LinkDown);
+        may_lose && hit.from >= before.promise.start && hit.from <= act.at
+    };
     let robots = facts.hits.iter().filter(lost).filter_map(|hit| hit.robot);
     // So is what a robot that lies never reports.
     let liars = (0..facts.drawn().robots.len()).filter(|robot| !facts.honest(*robot));
@@ -418,7 +420,14 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
-    let robots: Vec<usize> = so_far.flat_map(SentAct::robots).collect();
+    let waited_for = match facts.drawn().choreography.acts.get(act.promise.act).map(|written| &written.wait) {
+        Some(Wait::Sensor { robot, .. }) => {
+            facts.drawn().robots.iter().position(|drawn| drawn.block.id.as_str() == robot)
+        }
+        _ => None,
+    };
+    // And the one whose sensor this one waits for, which may play in none.
+    let robots: Vec<usize> = so_far.flat_map(SentAct::robots).chain(waited_for).collect();
     let (begins, until) = (before.at, act.promise.start);
     let mut from = begins;
     let mut lasted = Span::ZERO;

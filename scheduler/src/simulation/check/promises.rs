@@ -127,8 +127,10 @@ fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
             continue;
         }
         let Some((from, lease)) = least_lease(facts, robot, *at) else { continue };
-        let last = facts.heard(robot).filter(|heard| *heard <= from).last().unwrap_or(from);
-        let heard = facts.heard(robot).filter(|heard| *heard > from && heard <= at);
+        // It begins at some time in between, and a lease that has run out by then ends it at once.
+        let planned = from - START_LATE_MAX;
+        let last = facts.heard(robot).filter(|heard| *heard <= planned).last().unwrap_or(planned);
+        let heard = facts.heard(robot).filter(|heard| *heard > planned && heard <= at);
         let instants: Vec<_> = std::iter::once(last).chain(heard).chain(std::iter::once(*at)).collect();
         let longest = instants.windows(2).map(|two| two[1] - two[0]).max().unwrap_or_default();
         if longest + DRIFT < lease {
