@@ -37,6 +37,20 @@ test("a stopped act, a withdrawn one and those that were never sent are told as 
   await close();
 });
 
+test("a scenario without acts is one row, as its report names it once by the scenario and once by nothing", async () => {
+  const { mission, columns } = await choreography();
+  mission.acts = [{ ...mission.acts[0], name: mission.scenario }];
+  mission.report.acts[0].act = mission.scenario;
+  mission.report.course = [{ act: "", played: 1, fate: "played" }];
+  const { page, complaints, close } = await open({ mission, columns });
+  const rows = await page.locator("#acts tbody tr").allInnerTexts();
+  assert.deepEqual(rows.map((row) => row.split("\t").slice(0, 2).join(": ")), [`${mission.scenario}: played`]);
+  const devices = mission.robots.flatMap((robot) => robot.devices).length;
+  assert.match(await page.locator(".facts").innerText(), new RegExp(`with a body, ${devices} devices`));
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("the bars of an act, and of a robot that was left out, tell it to the pointer", async () => {
   const { page, complaints, close } = await open(await stopped());
   const box = await page.locator(".timeline-canvas").boundingBox();

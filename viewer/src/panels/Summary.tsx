@@ -9,8 +9,9 @@ import { clock, duration } from "../text/time";
 import { outcomeText } from "./outcome";
 
 export function Summary() {
-  const { mission, tracks } = useSession().show;
+  const { mission } = useSession().show;
   const { report } = mission;
+  const devices = mission.robots.flatMap((robot) => robot.devices).length;
   const bodies = mission.robots.filter(({ body }) => body !== null).length;
   return (
     <>
@@ -29,7 +30,7 @@ export function Summary() {
         </dd>
         <dt>robots</dt>
         <dd>
-          {mission.robots.length}, {bodies} with a body, {tracks.length} devices
+          {mission.robots.length}, {bodies} with a body, {devices} devices
         </dd>
         {report !== null && <Outcome report={report} />}
         <dt>written by</dt>
@@ -134,7 +135,7 @@ interface ActRow {
 }
 
 /** Acts as they were sent, then those of the scenario that were not, or not any more. */
-function rowsOf({ acts, report }: Mission & { report: Report | null }): ActRow[] {
+function rowsOf({ acts, report, scenario }: Mission & { report: Report | null }): ActRow[] {
   const fateOf = new Map(acts.map((act) => [act.number, act.fate === undefined ? "–" : fateText(act)]));
   const reported = report?.acts ?? [];
   const sent = reported.map(({ act, number, spread_ms, robots }) => ({
@@ -153,7 +154,9 @@ function rowsOf({ acts, report }: Mission & { report: Report | null }): ActRow[]
       robots: act.robots.filter((robot) => !robot.left_out).length,
     }));
   const known = new Set([...acts.map(({ name }) => name), ...reported.map(({ act }) => act)]);
+  // The only act of a scenario without acts has no name in the course, and that of the scenario where it was sent.
   const skipped = (report?.course ?? [])
+    .map((act) => ({ ...act, act: act.act || scenario }))
     .filter(({ act, fate }) => !(known.has(act) && SENT.has(fate)))
     .map((act) => ({ name: act.act || "act", fate: courseText(act), spread: null, robots: null }));
   return [...sent, ...unreported, ...skipped];
