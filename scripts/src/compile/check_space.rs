@@ -8,6 +8,7 @@ use super::Times;
 use super::cast::{Cast, Positions};
 use super::conflict::told;
 use super::courses::{Poses, Scripts, Standing};
+use crate::ensemble;
 use crate::fields::Reader;
 use crate::finding::{Code, Place, names};
 use crate::plan::{DeviceUse, RobotPlan};
@@ -331,21 +332,28 @@ impl TooClose {
                 None => "both are there from the beginning".to_owned(),
             };
         }
-        let forms = |cue: usize| {
-            let group = stage.act.cues[cue].group.as_ref();
-            group.is_some_and(|group| matches!(group.action, Action::Form(_)))
+        let hint = match self.short_by_grids(stage) {
+            Some(short) => format!(
+                "steps on the grid of their devices are off by that much where bodies begin or end as close as they may be: \
+                 let their places be at least {:.3} m further apart, as in a larger formation",
+                (short * 1e3).ceil() / 1e3
+            ),
+            None => "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned(),
         };
-        let hint = Some(match self.cues {
-            [Some(one), Some(other)] if one == other && forms(one) => {
-                let short = (stage.cast.fleet.space.distance.unwrap_or(0.0) - distance) * 1e3;
-                format!(
-                    "steps on the grid of their devices are off by that much where bodies begin or end as close as they may be: \
-                     let their places be at least {:.3} m further apart, as in a larger formation",
-                    short.ceil() / 1e3
-                )
-            }
-            _ => "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned(),
-        });
-        findings.add_related(Code::TooClose, lines, message, expected, hint);
+        findings.add_related(Code::TooClose, lines, message, expected, Some(hint));
+    }
+
+    /// How much too close they are, in metres, if both move into one formation and the grids of their devices can be the reason: ways
+    /// into a formation are kept apart by all else.
+    fn short_by_grids(&self, stage: &Stage<'_>) -> Option<f64> {
+        let [Some(cue), Some(other)] = self.cues else { return None };
+        let group = stage.act.cues[cue].group.as_ref().filter(|_| cue == other)?;
+        let short = stage.cast.fleet.space.distance.unwrap_or(0.0) - self.worst.distance;
+        let off = |robot: usize| {
+            let body = stage.cast.fleet.robots[robot].body.as_ref();
+            body.map_or(0.0, |body| ensemble::coarseness(body, stage.cast.devices(robot)))
+        };
+        let by_grids = self.worst.robots.map(off).iter().sum::<f64>();
+        (matches!(group.action, Action::Form(_)) && short <= by_grids).then_some(short)
     }
 }

@@ -134,6 +134,12 @@ impl Dancer<'_> {
     }
 }
 
+/// How far a body can be from a place because of the grids of its devices, in metres.
+pub(crate) fn coarseness(body: &Body, devices: &[Device]) -> f64 {
+    let grids = axes(body, devices).into_iter().flatten().filter_map(|axis| axis.grid());
+    grids.map(|[scale, _, granularity]| scale * granularity).fold(0.0, f64::hypot)
+}
+
 /// x, y and z of a body; none if x or y is no device, or if speeds drive it.
 pub(crate) fn axes<'a>(body: &Body, devices: &'a [Device]) -> Option<[Axis<'a>; 3]> {
     if body.drive.is_some() {

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 pub(crate) use along::POINTS_MAX;
-pub(crate) use dancer::{Axis, Dancer, axes};
+pub(crate) use dancer::{Axis, Dancer, axes, coarseness};
 
 use crate::fleet::Fleet;
 use crate::formation::Point;

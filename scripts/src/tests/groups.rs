@@ -301,6 +301,17 @@ cues:
 }
 
 #[test]
+fn bodies_that_begin_too_close_are_not_blamed_on_the_grid() {
+    let mut fleet = fleet(3);
+    fleet.robots[1] = drone(1, [0.3, 0.0, 0.0]);
+    let text = "scenario: s\nformations: {f: {line: {spacing: 1}, at: [5, 5, 3]}}\ncues: [{cue: c, at: 0s, robots: all, form: f, over: 9s}]\n";
+    let found = compile(&Source { name: "s.yaml".into(), text: text.into() }, &fleet, &NoFiles).findings;
+    let [finding] = found.as_slice() else { panic!("{found:#?}") };
+    assert_eq!(finding.code, Code::TooClose);
+    assert!(!finding.hint.as_ref().unwrap().contains("grid"), "{finding:#?}");
+}
+
+#[test]
 fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
     let mut fleet = fleet(3);
     fleet.robots[2].body.as_mut().unwrap().shape = Shape::Ball { radius: 0.5 };
