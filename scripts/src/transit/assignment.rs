@@ -34,29 +34,62 @@ pub(crate) struct Price {
     pub(crate) longest: f64,
 }
 
-/// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
-pub(crate) fn cheapest(starts: &[Point], places: &[Point], price: Price) -> Assignment {
-    let swapped = starts.len() > places.len();
-    let (rows, columns) = if swapped { (places, starts) } else { (starts, places) };
-    if rows.is_empty() {
-        return vec![None; starts.len()];
+/// The ways among which some are taken, in metres: each row gets one column, and there are no fewer columns than rows.
+pub(crate) struct Ways {
+    metres: Matrix<f64>,
+    /// The place of each column, or the start if rows are places.
+    kept: Vec<usize>,
+    starts: usize,
+    places: usize,
+    rows_are_places: bool,
+}
+
+impl Ways {
+    /// Each start gets a place, and each place a start, as far as there are both. Starts that are left over go to their place in
+    /// `spare`, in the order of `starts`.
+    pub(crate) fn between(starts: &[Point], places: &[Point], spare: &[Point]) -> Self {
+        let left_over: Vec<f64> =
+            starts.iter().zip(spare).map(|(start, spare)| metres_between(*start, *spare)).collect();
+        let square = starts.len() > places.len() && left_over.iter().any(|way| *way > 0.0);
+        let rows_are_places = starts.len() > places.len() && !square;
+        let (rows, columns) = if rows_are_places { (places, starts) } else { (starts, places) };
+        let kept = if square { (0..starts.len()).collect() } else { within_reach(rows, columns) };
+        let metres = Matrix::from_fn(rows.len(), kept.len(), |(row, column)| {
+            columns
+                .get(kept[column])
+                .map_or_else(|| left_over[row], |column| metres_between(rows[row], *column))
+        });
+        Self { metres, kept, starts: starts.len(), places: places.len(), rows_are_places }
     }
-    let kept = within_reach(rows, columns);
-    let columns: Vec<Point> = kept.iter().map(|column| columns[*column]).collect();
-    let ways = rows.iter().flat_map(|row| columns.iter().map(|column| metres_between(*row, *column)));
-    let ways: Vec<f64> = ways.collect();
-    let longest = ways.iter().copied().filter(|way| *way <= price.longest).fold(f64::MIN_POSITIVE, f64::max);
-    let price_of = |(row, column)| cost(ways[row * columns.len() + column], longest, price);
-    let costs = Matrix::from_fn(rows.len(), columns.len(), price_of);
-    let (_, column_of) = kuhn_munkres_min(&costs);
-    let column_of = column_of.into_iter().map(|column| kept[column]);
-    match swapped {
-        false => column_of.map(Some).collect(),
-        true => {
-            let mut assignment = vec![None; starts.len()];
-            column_of.enumerate().for_each(|(place, start)| assignment[start] = Some(place));
-            assignment
+
+    /// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
+    pub(crate) fn cheapest(&self, price: Price) -> Assignment {
+        if self.metres.rows == 0 {
+            return vec![None; self.starts];
         }
+        let within = self.metres.values().copied().filter(|way| *way <= price.longest);
+        let longest = within.fold(f64::MIN_POSITIVE, f64::max);
+        let costs = self.metres.clone().map(|way| cost(way, longest, price));
+        let (_, column_of) = kuhn_munkres_min(&costs);
+        let column_of = column_of.into_iter().map(|column| self.kept[column]);
+        match self.rows_are_places {
+            false => column_of.map(|place| Some(place).filter(|place| *place < self.places)).collect(),
+            true => {
+                let mut assignment = vec![None; self.starts];
+                column_of.enumerate().for_each(|(place, start)| assignment[start] = Some(place));
+                assignment
+            }
+        }
+    }
+
+    /// The least length, in metres, such that there is an assignment without a longer way.
+    pub(crate) fn shortest_longest(&self) -> f64 {
+        let mut row_of: Vec<Option<usize>> = vec![None; self.metres.columns];
+        let mut bound = 0.0f64;
+        for first in 0..self.metres.rows {
+            bound = augment(&self.metres, &mut row_of, first, bound);
+        }
+        bound
     }
 }
 
@@ -87,36 +120,21 @@ fn cost(way: f64, longest: f64, price: Price) -> i64 {
     }
 }
 
-/// The least length, in metres, such that every start (or every place, if these are fewer) has a way no longer than that.
-pub(crate) fn shortest_longest(starts: &[Point], places: &[Point]) -> f64 {
-    let (rows, columns) = if starts.len() > places.len() { (places, starts) } else { (starts, places) };
-    if rows.is_empty() {
-        return 0.0;
-    }
-    let columns: Vec<Point> = within_reach(rows, columns).into_iter().map(|column| columns[column]).collect();
-    let mut row_of: Vec<Option<usize>> = vec![None; columns.len()];
-    let mut bound = 0.0f64;
-    for first in 0..rows.len() {
-        bound = augment(rows, &columns, &mut row_of, first, bound);
-    }
-    bound
-}
-
 /// Gives one more row a column, along the path whose longest edge is shortest: Dijkstra's search with maxima for sums.
-fn augment(rows: &[Point], columns: &[Point], row_of: &mut [Option<usize>], first: usize, bound: f64) -> f64 {
-    let mut reached = vec![f64::INFINITY; columns.len()];
-    let mut from: Vec<Option<usize>> = vec![None; columns.len()];
-    let mut done = vec![false; columns.len()];
+fn augment(ways: &Matrix<f64>, row_of: &mut [Option<usize>], first: usize, bound: f64) -> f64 {
+    let mut reached = vec![f64::INFINITY; ways.columns];
+    let mut from: Vec<Option<usize>> = vec![None; ways.columns];
+    let mut done = vec![false; ways.columns];
     // The row that is looked at, the longest edge to it, and the column through which it was reached.
     let (mut row, mut longest, mut through) = (first, bound, None);
     loop {
-        for (column, place) in columns.iter().enumerate().filter(|(column, _)| !done[*column]) {
-            let way = metres_between(rows[row], *place).max(longest);
+        for column in (0..ways.columns).filter(|column| !done[*column]) {
+            let way = ways[(row, column)].max(longest);
             if way < reached[column] {
                 (reached[column], from[column]) = (way, through);
             }
         }
-        let open = (0..columns.len()).filter(|column| !done[*column]);
+        let open = (0..ways.columns).filter(|column| !done[*column]);
         let Some(next) = open.min_by(|a, b| reached[*a].total_cmp(&reached[*b])) else { return longest };
         (done[next], longest) = (true, reached[next]);
         match row_of[next] {

@@ -1,7 +1,7 @@
 //! Ways for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
 
 use super::approach::{Approach, SLACK, closest, meet};
-use super::assignment::{Assignment, Least, Price, cheapest, shortest_longest};
+use super::assignment::{Assignment, Least, Price, Ways};
 use super::way::{CURVATURE, SLOPE, Way};
 use crate::budget::Budget;
 use crate::formation::{Point, ROUNDING, metres_between};
@@ -194,32 +194,24 @@ impl Crossing<'_> {
             Goals::Any(places, spare) => (places, spare),
         };
         let starts: Vec<Point> = self.bodies.iter().map(|body| body.from).collect();
+        let ways = Ways::between(&starts, places, spare);
         let longest = match self.least {
             Least::Total => f64::INFINITY,
-            Least::Longest => shortest_longest(&starts, places) * (1.0 + DUST),
+            Least::Longest => ways.shortest_longest() * (1.0 + DUST),
         };
-        let total = {
-            let starts = starts.clone();
-            move |assignment: &Assignment| {
-                let way = |(start, place): (&Point, &Option<usize>)| {
-                    place.map_or(0.0, |place| metres_between(*start, places[place]))
-                };
-                starts.iter().zip(assignment).map(way).sum::<f64>()
-            }
+        let goals = move |assignment: Assignment| -> Vec<Point> {
+            let goals = assignment.into_iter().zip(spare);
+            goals.map(|(place, spare)| place.map_or(*spare, |place| places[place])).collect()
         };
         let mut optimum = None;
         let [first, .., last] = EXPONENTS;
         let prices = if starts.len() > LARGE { vec![first, last] } else { EXPONENTS.to_vec() };
         let candidates = prices.into_iter().filter_map(move |exponent| {
-            let assignment = cheapest(&starts, places, Price { exponent, longest });
-            let total = total(&assignment);
+            let goals = goals(ways.cheapest(Price { exponent, longest }));
+            let total: f64 =
+                starts.iter().zip(&goals).map(|(start, goal)| metres_between(*start, *goal)).sum();
             let optimum = *optimum.get_or_insert(total);
-            if self.least == Least::Total && total > optimum * TOTAL_MAX {
-                return None;
-            }
-            let goal =
-                |(body, place): (usize, Option<usize>)| place.map_or(spare[body], |place| places[place]);
-            Some(assignment.into_iter().enumerate().map(goal).collect())
+            (self.least == Least::Longest || total <= optimum * TOTAL_MAX).then_some(goals)
         });
         Box::new(candidates)
     }

@@ -11,7 +11,5 @@ mod tests;
 mod way;
 
 pub(crate) use assignment::Least;
-#[cfg(test)]
-use crossing::Crossed;
 pub(crate) use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, Required, cross};
 pub(crate) use way::Way;

@@ -3,12 +3,18 @@
 use proptest::prelude::*;
 
 use super::approach::{SLACK, closest};
-use super::assignment::{Price, cheapest, shortest_longest};
-use super::{Body, Crossed, Crossing, Goals, Least, Limits, Refused, Way, cross};
+use super::assignment::{Assignment, Price, Ways};
+use super::crossing::Crossed;
+use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
 use crate::formation::{Point, metres_between, nearest_pair};
 
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
 const WAYS: Price = Price { exponent: 1.0, longest: f64::INFINITY };
+
+/// The assignment with the least sum of ways; who is left over stays.
+fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
+    Ways::between(starts, places, starts).cheapest(WAYS)
+}
 
 fn body(from: Point, keep: f64) -> Body {
     Body { from, keep, error: 0.0, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
@@ -101,7 +107,7 @@ fn ways_of_a_hundred_bodies_are_at_most_one_percent_longer_than_the_least_on_twe
             continue;
         }
         pairs += 1;
-        let order = order_of(&cheapest(starts, places, WAYS));
+        let order = order_of(&cheapest(starts, places));
         assert!(is_least(starts, places, &order));
         let least: f64 = ways(starts, places, &order).iter().sum();
         let bodies: Vec<Body> = starts.iter().map(|start| body(*start, 0.1)).collect();
@@ -156,7 +162,7 @@ fn the_places_of_three_hundred_bodies_on_a_circle_are_those_of_the_shortest_ways
     let starts: Vec<Point> = (0..300).map(turn).collect();
     let places: Vec<Point> =
         (0..300).map(|index| [(index % 20) as f64 - 10.0, (index / 20) as f64 - 8.0, 50.0]).collect();
-    assert!(is_least(&starts, &places, &order_of(&cheapest(&starts, &places, WAYS))));
+    assert!(is_least(&starts, &places, &order_of(&cheapest(&starts, &places))));
 }
 
 #[test]
@@ -193,35 +199,41 @@ proptest! {
         let sums = every.iter().map(|order| ways(starts, places, order).iter().sum::<f64>());
         let longest = every.iter().map(|order| ways(starts, places, order).into_iter().fold(0.0, f64::max));
         let (least, shortest) = (sums.fold(f64::INFINITY, f64::min), longest.fold(f64::INFINITY, f64::min));
-        let found = order_of(&cheapest(starts, places, WAYS));
+        let found = order_of(&cheapest(starts, places));
         prop_assert!((ways(starts, places, &found).iter().sum::<f64>() - least).abs() < 1e-6);
-        prop_assert!((shortest_longest(starts, places) - shortest).abs() < 1e-9);
+        let between = Ways::between(starts, places, starts);
+        prop_assert!((between.shortest_longest() - shortest).abs() < 1e-9);
         let bound = Price { exponent: 1.0, longest: shortest * (1.0 + 1e-9) };
-        let bounded = order_of(&cheapest(starts, places, bound));
+        let bounded = order_of(&between.cheapest(bound));
         prop_assert!(ways(starts, places, &bounded).into_iter().fold(0.0, f64::max) <= shortest + 1e-6);
     }
 
     #[test]
     fn with_fewer_places_or_bodies_those_are_taken_that_make_the_least_sum(
-        starts in points(0..6), places in points(0..6), more in points(0..3), many: bool,
+        starts in points(0..6), places in points(0..6), more in points(0..3), many: bool, homes in points(8), go_home: bool,
     ) {
         let (starts, places) = if many { (starts, [places, more].concat()) } else { ([starts, more].concat(), places) };
-        let assignment = cheapest(&starts, &places, WAYS);
+        let spare = if go_home { &homes[..starts.len()] } else { &starts[..] };
+        let between = Ways::between(&starts, &places, spare);
+        let assignment = between.cheapest(WAYS);
         prop_assert_eq!(assignment.len(), starts.len());
         let taken: Vec<Option<usize>> = assignment.iter().copied().filter(Option::is_some).collect();
         prop_assert_eq!(order_of(&taken).len(), starts.len().min(places.len()));
-        let total = |assignment: &[Option<usize>]| {
-            let ways = starts.iter().zip(assignment).filter_map(|(start, place)| Some(metres_between(*start, places[(*place)?])));
-            ways.sum::<f64>()
+        let ways = |assignment: &[Option<usize>]| -> Vec<f64> {
+            let goal = |(start, place): (usize, &Option<usize>)| place.map_or(spare[start], |place| places[place]);
+            let goals = assignment.iter().enumerate().map(goal);
+            starts.iter().zip(goals).map(|(start, goal)| metres_between(*start, goal)).collect()
         };
-        // Places that are not there are taken in any order, and cost nothing.
-        let most = starts.len().max(places.len());
-        let every = orders(most);
-        let least = every.iter().map(|order| {
-            total(&order[..starts.len()].iter().map(|place| Some(*place).filter(|place| *place < places.len())).collect::<Vec<_>>())
-        });
-        let least = least.fold(f64::INFINITY, f64::min);
-        prop_assert!(total(&assignment) <= least + 1e-6, "{} {least}", total(&assignment));
+        // Places that are not there are taken in any order: their bodies are left over.
+        let all = orders(starts.len().max(places.len()));
+        let all: Vec<Vec<f64>> = all.iter().map(|order| {
+            ways(&order[..starts.len()].iter().map(|place| Some(*place).filter(|place| *place < places.len())).collect::<Vec<_>>())
+        }).collect();
+        let total = ways(&assignment).iter().sum::<f64>();
+        let least = all.iter().map(|ways| ways.iter().sum::<f64>()).fold(f64::INFINITY, f64::min);
+        prop_assert!(total <= least + 1e-6, "{total} {least}");
+        let longest = all.iter().map(|ways| ways.iter().copied().fold(0.0, f64::max)).fold(f64::INFINITY, f64::min);
+        prop_assert!((between.shortest_longest() - longest).abs() < 1e-9, "{} {longest}", between.shortest_longest());
     }
 
     #[test]
