@@ -270,7 +270,9 @@ pub(super) fn open_without_name(
     };
     let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
     let found = match response.status {
-        Status::Started | Status::Ok => open.min_by_key(off),
+        Status::Started => open.min_by_key(off),
+        // Of two that would end at the same instant, the one that has begun last: the other has ended before it, unheard.
+        Status::Ok => open.reduce(|found, other| if off(&other) <= off(&found) { other } else { found }),
         Status::Failed if ran_out => open.min_by_key(lease),
         _ => open.next(),
     };

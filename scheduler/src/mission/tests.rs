@@ -10,7 +10,7 @@ use urrcp::{ErrorCode, RequestId, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
-use super::bench::{Planned, TOLERANCE, Tells, at, by_robot, choreography, device_script, robot};
+use super::bench::{Planned, TOLERANCE, Tells, at, by_robot, choreography, device_script, ms, robot};
 use super::preflight::{Check, Verdict};
 use super::robot_state::{Standing, Stop};
 use super::script::ScriptRef;
@@ -61,11 +61,14 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
 
 /// One act that begins at once, played by a robot that reports, and takes inquiries or none.
 fn begins_at_once(tells: Tells) -> Mission {
+    begins_with(tells, &[("a", 0, 400)])
+}
+
+fn begins_with(tells: Tells, scripts: &[Planned]) -> Mission {
     let block = robot("r0", tells, 2).block;
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
-    let choreography = Arc::new(choreography(&[&[("a", 0, 400)]]));
-    Mission::new(choreography, participants, options, at(0)).unwrap()
+    Mission::new(Arc::new(choreography(&[scripts])), participants, options, at(0)).unwrap()
 }
 
 fn scripts_in(actions: &[Action]) -> Vec<RequestId> {
@@ -442,6 +445,29 @@ fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() 
         let found = requests::open_without_name(&acts, says, &device, &failed(code.clone()));
         assert_eq!(found, Some(script(expected)), "{code}");
     }
+}
+
+#[test]
+fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would_end_then() {
+    let mut mission = begins_with(Tells::Reports, &[("a", 0, 400), ("a", 400, 0)]);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.acts[0].sent(at(1), ScriptRef { act: 0, member: 0, script: 1 });
+    let start = mission.acts[0].timing().unwrap().start;
+    let device = "a".parse().unwrap();
+    let says = |status, when: Timestamp<Server>| {
+        let said = super::bench::response(&device, None, status, at(1));
+        urrcp::ControlResponse { timestamp: when.assume_clock(), ..said }
+    };
+    for (script, begins) in [(0, start), (1, start + ms(400))] {
+        let script = ScriptRef { act: 0, member: 0, script };
+        for (status, when) in [(Status::Accepted, at(2)), (Status::Started, begins)] {
+            let _noted = mission.acts[0].answered(script, &says(status, when), when, &mission.robots);
+        }
+    }
+    let ended = says(Status::Ok, start + ms(400));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &ended);
+    let last = ScriptRef { act: 0, member: 0, script: 1 };
+    assert_eq!(found, Some(last), "the end of what began before it was not heard");
 }
 
 #[test]

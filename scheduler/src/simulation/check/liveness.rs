@@ -263,9 +263,12 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let Some(other) = undisturbed.acts.iter().find(same) else { continue };
         let number = act.promise.number;
         let (with, without) = (lead(act), lead(other));
-        // Nothing waits for an act that is sent while the previous one still plays and that starts when it ends.
-        let ahead =
-            before(facts, act).and_then(|before| gap(facts, before, act)).is_some_and(|gap| gap <= DRIFT);
+        // Nothing waits for an act that is sent while the previous one still plays and that starts when it ends, by the clock of
+        // the process that sends it.
+        let ahead = before(facts, act).is_some_and(|before| {
+            let clocks = (act.ahead - before.ahead).abs();
+            gap(facts, before, act).is_some_and(|gap| gap <= DRIFT + clocks)
+        });
         let allowed = without * TIMES + lead_allowed(facts, act);
         if with > allowed && !ahead && Some(with) != asked_for(facts, act) {
             let what = format!("act {number} had a lead of {with}, without faults it has {without}");
