@@ -753,7 +753,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
         let setpoint = Setpoint::new(ControlType::Speed, value);
         mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
     };
-    mailbox.post(0, [set("a", 1.0)].into_iter(), Demand::default());
+    mailbox.post(0, [set("before", 1.0)].into_iter(), Demand::default());
     mailbox.connected(1, MANNERS);
     mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
     mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());

@@ -222,6 +222,14 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
         assert_eq!(response.status, status);
     }
     assert_eq!(host.refusals().count(Reason::Busy), 1);
+    // Neither is a question or a command of another one answered.
+    let session = urrcp::SessionId::new("show").ok();
+    other.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
+    let Some(LinkEvent::Message(Message::InquiryResponse(answer))) = other.recv().await else { panic!() };
+    assert_eq!(answer.error.map(|error| error.code), Some(ErrorCode::Busy));
+    other.send(paper(60_000.0));
+    assert_eq!(response(&mut other).await.error.map(|error| error.code), Some(ErrorCode::Busy));
+    assert_eq!(host.refusals().count(Reason::Busy), 3);
 }
 
 /// Of an operator who may drive.

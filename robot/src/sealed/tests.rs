@@ -241,3 +241,27 @@ proptest! {
         let _judged = Hello::read(&line);
     }
 }
+
+#[test]
+fn a_connection_that_ends_within_a_record_has_not_ended_well() {
+    let secret = Secret::generate().unwrap();
+    let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    for (behind, expected) in [(&b""[..], None), (b"\0\0", Some(std::io::ErrorKind::UnexpectedEof))] {
+        runtime.block_on(async {
+            let (mut near, far) = duplex(64 * 1024);
+            let operator = async {
+                let mut stream = connect(&mut near, &anna).await.unwrap();
+                stream.write_all(b"move\n").await.unwrap();
+                stream.flush().await.unwrap();
+            };
+            let ((), accepted) = tokio::join!(operator, guard.accept(far));
+            near.write_all(behind).await.unwrap();
+            drop(near);
+            let mut heard = Vec::new();
+            let ended = accepted.unwrap().0.read_to_end(&mut heard).await;
+            assert_eq!(ended.err().map(|error| error.kind()), expected);
+            assert_eq!(heard, b"move\n");
+        });
+    }
+}

@@ -286,3 +286,68 @@ fn the_same_seed_gives_the_same_run() {
     assert_eq!(run_of(1), run_of(1));
     assert_ne!(run_of(1), run_of(2));
 }
+
+#[test]
+fn a_robot_is_idle_once_nothing_is_held_and_nothing_travels() {
+    let delay = Some((Span::from_millis(10), Span::from_millis(10)));
+    let mut travelling = robot(Settings { delay, ..Settings::default() });
+    assert!(travelling.is_idle());
+    travelling.receive(at(0), LINK, ping(0));
+    assert!(!travelling.is_idle(), "a message is on its way");
+    run(&mut travelling, at(1_000));
+    assert!(travelling.is_idle());
+    let mut holding = robot(Settings::default());
+    holding.receive(at(0), LINK, paper(1_500.0, "a"));
+    run(&mut holding, at(100));
+    assert!(!holding.is_idle(), "a script is held");
+}
+
+#[test]
+fn a_robot_that_is_restarted_has_forgotten_all_but_its_sensors_and_its_clock() {
+    let settings = Settings {
+        clock_offset: Span::from_millis(300),
+        drift_ppm: 1_000.0,
+        ntp_error: None,
+        ..Settings::default()
+    };
+    let mut before = robot(settings);
+    before.advance(at(0), &mut Vec::new());
+    before.set_reading(DeviceId::new("eye").unwrap(), 5.0);
+    before.receive(at(0), LINK, paper(20_000.0, "a"));
+    run(&mut before, at(100));
+    let mut after = before.restarted(at(10_000));
+    assert!(after.is_idle() && !before.is_idle());
+    after.advance(at(10_000), &mut Vec::new());
+    assert_eq!(after.robot_from_true(at(10_000)), before.robot_from_true(at(10_000)));
+    assert_eq!(after.robot_from_true(at(10_000)).as_nanos(), at(10_310).as_nanos());
+    let readings: Vec<_> = after.robot().readings().map(|(_, reading)| reading).collect();
+    assert_eq!(readings, [5.0]);
+}
+
+#[test]
+fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
+    let delay = Some((Span::from_millis(10), Span::from_millis(10)));
+    let mut robot = robot(Settings { delay, ..Settings::default() });
+    robot.advance(at(0), &mut Vec::new());
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    assert_eq!(robot.next_wakeup(), Some(at(10)));
+    assert!(!robot.moves_by(at(10)), "a delivery is no movement");
+    run(&mut robot, at(100));
+    assert!(!robot.moves_by(at(999)) && robot.moves_by(at(1_000)));
+    assert!(!robot.has_log());
+    robot.advance_movements(at(1_000));
+    assert!(robot.has_log(), "its movement does not wait for its words");
+    assert!(robot.is_due(at(1_000)), "its words go out with the next advance");
+}
+
+#[test]
+fn movements_do_not_overtake_a_message_that_comes_before_them() {
+    let mut robot = robot(Settings::default());
+    robot.advance(at(0), &mut Vec::new());
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    run(&mut robot, at(100));
+    let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    robot.receive(at(900), LINK, Input::Message(Message::ControlRequest(stop)));
+    robot.advance_movements(at(1_000));
+    assert!(!robot.has_log(), "the stop came first");
+}

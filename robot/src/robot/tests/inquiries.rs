@@ -3,6 +3,7 @@
 use urrcp::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 
 use super::*;
+use crate::plans::PlanEvent;
 
 fn names(ids: &[&str]) -> Vec<RequestId> {
     ids.iter().map(|id| RequestId::new(*id).unwrap()).collect()
@@ -294,4 +295,20 @@ fn a_start_that_sets_nothing_yet_is_no_late_step() {
     assert_eq!((begun.steps_done, begun.late_steps), (Some(0), Some(0)));
     bench.until(2_000);
     assert_eq!(bench.state("a").late_steps, Some(0));
+}
+
+#[test]
+fn of_a_script_that_the_driver_times_it_is_told_what_the_driver_says() {
+    let mut bench = planned::whole("arm");
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.until(2_010);
+    let done = |bench: &mut Bench| {
+        let report = bench.state("a");
+        (report.state, report.start_timestamp, report.steps_done, report.late_steps)
+    };
+    bench.hears(planned::P1, 1_000, PlanEvent::Began);
+    assert_eq!(done(&mut bench), (RequestState::Running, Some(at(1_000)), Some(0), Some(0)));
+    bench.hears(planned::P1, 1_000, PlanEvent::Step(0));
+    bench.hears(planned::P1, 2_010, PlanEvent::Step(1));
+    assert_eq!(done(&mut bench), (RequestState::Running, Some(at(1_000)), Some(2), Some(1)));
 }

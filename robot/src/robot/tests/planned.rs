@@ -6,7 +6,7 @@ use super::*;
 use crate::hardware::AtEnd;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
 
-const P1: PlanId = PlanId(1);
+pub(super) const P1: PlanId = PlanId(1);
 const P2: PlanId = PlanId(2);
 
 /// A robot whose driver times the scripts of these devices, so far ahead.
@@ -19,7 +19,7 @@ fn planned(devices: &[(&str, Lookahead)]) -> Bench {
     bench
 }
 
-fn whole(device: &str) -> Bench {
+pub(super) fn whole(device: &str) -> Bench {
     planned(&[(device, Lookahead::Script)])
 }
 
@@ -43,7 +43,7 @@ impl Bench {
     }
 
     #[track_caller]
-    fn hears(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) {
+    pub(super) fn hears(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) {
         assert_eq!(self.says(id, at_ms, event), Ok(()));
     }
 
@@ -389,4 +389,24 @@ fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
         panic!("{:?}", bench.out.last())
     };
     assert_eq!(response.requests[0].steps_done, Some(1), "the machine itself would be two steps on");
+}
+
+#[test]
+fn each_step_that_the_driver_says_late_is_counted_once() {
+    let mut bench = whole("arm");
+    bench.paper();
+    // A millisecond behind its deadline is on time. What is said again, or behind a later step, counts no more.
+    for (at_ms, event) in [
+        (1_000, PlanEvent::Began),
+        (1_001, PlanEvent::Step(0)),
+        (2_002, PlanEvent::Step(1)),
+        (2_002, PlanEvent::Step(1)),
+        (2_003, PlanEvent::Step(0)),
+        (3_005, PlanEvent::Step(2)),
+        (3_005, PlanEvent::Done),
+    ] {
+        bench.until(at_ms);
+        bench.hears(P1, at_ms, event);
+    }
+    assert_eq!((bench.last().steps_done, bench.last().late_steps), (Some(3), Some(2)));
 }

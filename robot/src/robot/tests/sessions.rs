@@ -467,3 +467,50 @@ fn who_may_stop_stops_the_robot_of_another_session_and_is_named_and_others_do_no
     });
     assert_eq!(told.map(|error| error.message).as_deref(), Some("stopped by operator cleo"));
 }
+
+#[test]
+fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question() {
+    let mut bench = Bench::new();
+    bench.robot.handle(bench.now, LINK, operator("anna", &[Role::Seize]), &mut bench.out);
+    let timestamp = Some(Timestamp::from_nanos(7));
+    let session = SessionId::new("show").ok();
+    bench.send(Message::Inquiry(urrcp::Inquiry { timestamp, ..urrcp::Inquiry::default() }));
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest { timestamp, session, seize: false }));
+    bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    let told = |output: &Output| match output {
+        Output::Send { message: Message::InquiryResponse(r), .. } => {
+            ("inquiry", r.originate_timestamp, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
+        }
+        Output::Send { message: Message::AvailabilityResponse(r), .. } => {
+            ("availability", r.originate_timestamp, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
+        }
+        Output::Send { message: Message::ControlResponse(r), .. } => {
+            ("control", None, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
+        }
+        other => panic!("{other:?}"),
+    };
+    let forbidden = |kind, asked| (kind, asked, Status::Failed, Some(ErrorCode::Forbidden));
+    let expected = [
+        forbidden("inquiry", timestamp),
+        forbidden("availability", timestamp),
+        forbidden("availability", None),
+        forbidden("control", None),
+    ];
+    assert_eq!(bench.out.iter().map(told).collect::<Vec<_>>(), expected);
+    bench.until(500);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
+    for (roles, expected) in [
+        (&[Role::Stop][..], "1 Failed anna may stop, and this takes drive"),
+        (&[], "1 Failed anna may do nothing, and this takes drive"),
+    ] {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("anna", roles), &mut bench.out);
+        bench.send_on(LINK, hello("show"));
+        assert_eq!(bench.last_said(), expected);
+    }
+}
