@@ -591,7 +591,9 @@ mod tests {
             Work::Read(reading, sensor) => format!("read {sensor} {}", reading.0),
             Work::Plan(order) => format!("plan of {}", order.device()),
             Work::Words(words) => format!("{} words", words.len()),
-            Work::Confirm(tickets) => format!("confirm {:?}", tickets.iter().map(|t| t.0).collect::<Vec<_>>()),
+            Work::Confirm(tickets) => {
+                format!("confirm {:?}", tickets.iter().map(|t| t.0).collect::<Vec<_>>())
+            }
             Work::Ping => "ping".to_owned(),
             Work::HungUp(reason) => format!("hung up: {reason}"),
             Work::Fault(reason) => format!("fault: {reason}"),
@@ -652,7 +654,11 @@ mod tests {
     fn values_and_scripts_keep_the_order_in_which_they_were_wanted() {
         let mailbox = with([set("a", 1.0), plan("b"), set("a", 2.0), set("c", 3.0)]);
         let all: Vec<_> = std::iter::repeat_with(|| next(&mailbox)).take(4).collect();
-        assert_eq!(all, ["a 2", "plan of b", "c 3", "nothing"], "the newer value keeps the place of the older");
+        assert_eq!(
+            all,
+            ["a 2", "plan of b", "c 3", "nothing"],
+            "the newer value keeps the place of the older"
+        );
     }
 
     #[test]
@@ -675,7 +681,10 @@ mod tests {
         mailbox.told_of_plan(word(1));
         mailbox.hung_up(1, "cut".to_owned());
         mailbox.failed_by_itself("hot".to_owned());
-        assert_eq!([next(&mailbox), next(&mailbox), next(&mailbox)], ["1 words", "fault: hot", "hung up: cut"]);
+        assert_eq!(
+            [next(&mailbox), next(&mailbox), next(&mailbox)],
+            ["1 words", "fault: hot", "hung up: cut"]
+        );
         mailbox.told_of_plan(word(1));
         assert_eq!(mailbox.words().len(), 1);
         assert_eq!(next(&mailbox), "nothing");

@@ -508,7 +508,10 @@ mod tests {
         program.ping().unwrap();
         let out_of_step = program.set(&arm(), &position(9.0)).unwrap_err();
         assert!(matches!(&out_of_step, DriverError::Away(_)), "{out_of_step:?}");
-        assert!(out_of_step.to_string().ends_with("answers `set arm position 9` with `what`"), "{out_of_step}");
+        assert!(
+            out_of_step.to_string().ends_with("answers `set arm position 9` with `what`"),
+            "{out_of_step}"
+        );
         assert_eq!(program.ping(), Err(DriverError::Away("the program does not run".to_owned())));
         program.connect().unwrap();
         program.ping().unwrap();

@@ -482,9 +482,12 @@ fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question(
         Output::Send { message: Message::InquiryResponse(r), .. } => {
             ("inquiry", r.originate_timestamp, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
         }
-        Output::Send { message: Message::AvailabilityResponse(r), .. } => {
-            ("availability", r.originate_timestamp, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
-        }
+        Output::Send { message: Message::AvailabilityResponse(r), .. } => (
+            "availability",
+            r.originate_timestamp,
+            r.status.clone(),
+            r.error.as_ref().map(|e| e.code.clone()),
+        ),
         Output::Send { message: Message::ControlResponse(r), .. } => {
             ("control", None, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
         }
