@@ -820,6 +820,9 @@ mod tests {
         closed.close();
         closed.await_tried(Instant::now() + later);
         closed.pause(later);
+        let begun = Instant::now();
+        Mailbox::default().pause(Duration::from_millis(5));
+        assert!(begun.elapsed() >= Duration::from_millis(5));
     }
 
     #[test]

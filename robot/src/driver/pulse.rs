@@ -226,6 +226,7 @@ mod tests {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin, 100 * MS);
         assert_eq!(pulse.next_ping(begin), begin + IDLE);
+        assert_eq!(Pulse::new(begin, 400 * MS).next_ping(begin), begin + 800 * MS);
         pulse.demand(begin, Demand { held: true, start: Some(begin), ..Demand::default() });
         assert!(!pulse.is_overdue(begin + 199 * MS) && pulse.is_overdue(begin + 200 * MS));
         assert_eq!(pulse.silence(begin + 300 * MS), None);

@@ -351,3 +351,70 @@ fn movements_do_not_overtake_a_message_that_comes_before_them() {
     robot.advance_movements(at(1_000));
     assert!(!robot.has_log(), "the stop came first");
 }
+
+#[test]
+fn a_start_does_not_take_place_when_simulated_hardware_has_been_silent_for_longer_than_is_borne() {
+    for (dies_at, expected) in [(850, "Started"), (849, "Failed internal")] {
+        let block = robot(Settings::default()).robot().block().clone();
+        let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
+        edge.advance(at(0), &mut Vec::new());
+        edge.receive(at(0), LINK, paper(1_000.0, "a"));
+        run(&mut edge, at(500));
+        edge.hardware_dies(at(dies_at));
+        let at_start = at(1_000);
+        let mut out = Vec::new();
+        edge.advance(at_start, &mut out);
+        let left: Vec<_> = out.into_iter().map(|outgoing| (at_start, outgoing)).collect();
+        assert_eq!(words(&left), [expected], "{dies_at}");
+    }
+}
+
+#[test]
+fn a_fault_can_be_replaced_while_a_robot_runs() {
+    let mut robot = robot(Settings { fault: Some(Fault::Silent), ..Settings::default() });
+    assert_eq!(robot.replace_fault(Some(Fault::Refuse)), Some(Fault::Silent));
+    assert_eq!(robot.replace_fault(None), Some(Fault::Refuse));
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    assert_eq!(words(&run(&mut robot, at(0))), ["Accepted"]);
+}
+
+#[test]
+fn simulated_hardware_that_is_lost_ends_what_runs_and_answers_no_reading_until_it_is_found() {
+    let block = r#"{"id": "r", "api_version": "1", "devices": [
+        {"id": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+    let block: InitializationBlock = serde_json::from_str(block).unwrap();
+    let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
+    let eye = DeviceId::new("eye").unwrap();
+    edge.set_reading(eye.clone(), 4.0);
+    let reads = |edge: &mut SimulatedRobot, now| {
+        let read = ControlRequest::immediate(eye.clone(), Command::ReadSensor);
+        edge.receive(now, LINK, Input::Message(Message::ControlRequest(read)));
+        let mut out = Vec::new();
+        edge.advance(now, &mut out);
+        match out.pop() {
+            Some(Outgoing::Message { message: Message::ControlResponse(r), .. }) => Some(r.status_value),
+            None => None,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(reads(&mut edge, at(0)), Some(urrcp::StatusValue::Number(4.0)));
+    edge.hardware_dies(at(10));
+    assert_eq!(reads(&mut edge, at(10)), None, "it does not answer");
+    edge.hardware_lost(at(20), "unplugged");
+    edge.advance(at(20), &mut Vec::new());
+    assert_eq!(reads(&mut edge, at(20)), Some(urrcp::StatusValue::Null), "it is known to be away");
+    edge.hardware_found(at(30));
+    assert_eq!(reads(&mut edge, at(30)), Some(urrcp::StatusValue::Number(4.0)));
+}
+
+#[test]
+fn of_a_log_all_is_kept_or_the_first_steps_of_scripts() {
+    for (kept, expected) in [(Kept::All, 3), (Kept::FirstSteps, 1)] {
+        let mut robot = robot(Settings::default());
+        robot.keep(kept);
+        let mut robot = robot.restarted(at(0));
+        robot.receive(at(0), LINK, paper(1_000.0, "a"));
+        run(&mut robot, at(9_000));
+        assert_eq!(robot.take_log().len(), expected);
+    }
+}

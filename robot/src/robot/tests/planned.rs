@@ -410,3 +410,118 @@ fn each_step_that_the_driver_says_late_is_counted_once() {
     }
     assert_eq!((bench.last().steps_done, bench.last().late_steps), (Some(3), Some(2)));
 }
+
+/// Slows down as it can.
+const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "arm", "name": "arm", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "acceleration": {"min_value": -400, "max_value": 400, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+#[test]
+fn a_device_that_slows_down_is_told_so_and_its_values_follow() {
+    let mut bench = Bench { robot: Robot::driven(serde_json::from_str(LIFT).unwrap()), ..Bench::new() };
+    let lookahead = BTreeMap::from([(DeviceId::new("arm").unwrap(), Lookahead::Script)]);
+    bench.robot.plans_ahead(&lookahead);
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 90.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.until(500);
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels(), [(1, Then::Slow)]);
+    assert!(bench.sets().iter().any(|set| matches!(set.motion, Motion::Slow { .. })), "{:?}", bench.out);
+}
+
+#[test]
+fn times_that_a_driver_names_may_be_off_by_ten_milliseconds() {
+    let mut bench = whole("arm");
+    bench.until(20);
+    bench.paper();
+    bench.until(1_000);
+    let just_beyond = |millis: i64, nanos: i64| Timestamp::from_nanos(BEGIN + millis * 1_000_000 + nanos);
+    let mut says = |at| bench.robot.plan_reported(bench.now, P1, at, &PlanEvent::Began, &mut Vec::new());
+    assert!(says(just_beyond(1_010, 1)).is_err_and(|why| why.contains("ahead")));
+    assert!(says(just_beyond(10, -1)).is_err_and(|why| why.contains("before it had it")));
+    assert_eq!(says(at(10)), Ok(()));
+    assert_eq!(says(at(1_010)), Ok(()));
+}
+
+#[test]
+fn a_time_that_is_ahead_is_told_as_now() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_009, PlanEvent::Began);
+    assert_eq!(bench.last().event_timestamp, Some(at(1_000)));
+}
+
+#[test]
+fn what_the_driver_has_done_is_logged_once_with_its_deadline_and_its_time() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(3_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 2_001, PlanEvent::Step(1));
+    bench.hears(P1, 3_000, PlanEvent::Done);
+    let played = |output: &Output| match output {
+        Output::Played { set, at } => Some((set.step.unwrap(), milliseconds(set.due), milliseconds(*at))),
+        _ => None,
+    };
+    let all: Vec<_> = bench.out.iter().filter_map(played).collect();
+    assert_eq!(all, [(0, 1_000.0, 2_001.0), (1, 2_000.0, 2_001.0), (2, 3_000.0, 3_000.0)]);
+}
+
+#[test]
+fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 1_000, PlanEvent::Step(0));
+    bench.hears(P1, 1_050, PlanEvent::Cancelled);
+    let error = bench.last().error.as_ref().unwrap();
+    assert_eq!(error.message.to_string(), "the hardware was stopped in step 2, by itself");
+    assert_eq!(bench.cancels(), []);
+}
+
+#[test]
+fn a_continuation_that_is_refused_ends_what_the_driver_has() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(1_600);
+    let error = urrcp::ControlError::new(ErrorCode::Internal, "no");
+    bench.robot.plan_refused(bench.now, P1, 2, error, &mut bench.out);
+    assert_eq!(bench.cancels(), [(1, Then::Default)], "it still has the first steps");
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
+}
+
+#[test]
+fn a_continuation_that_is_too_late_ends_the_script_and_one_that_is_nearly_so_does_not() {
+    for (held_up_until, ends) in [(2_250, false), (2_251, true)] {
+        let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+        bench.paper();
+        bench.until(1_000);
+        bench.hears(P1, 1_000, PlanEvent::Began);
+        bench.now = at(held_up_until);
+        bench.robot.advance(bench.now, &mut bench.out);
+        assert_eq!(!bench.cancels().is_empty(), ends, "{held_up_until}");
+        assert_eq!(bench.parts().len(), if ends { 1 } else { 2 });
+    }
+}
+
+#[test]
+fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_100);
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    let error = bench.last().error.as_ref().unwrap();
+    let expected = "it is unknown whether the hardware played it to its end: the hardware is away: unplugged";
+    assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Internal, expected));
+    assert_eq!(bench.cancels(), [], "there is nobody to tell");
+}
