@@ -334,4 +334,17 @@ mod tests {
             assert_eq!(resting_value(default, control_type, driven), expected, "{control_type:?}");
         }
     }
+
+    #[test]
+    fn what_slows_down_and_is_stopped_again_comes_to_rest_at_the_same_place_and_time() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: None, acceleration: 20.0 };
+        let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
+        let stopped = moving.brought_to_rest(at(4_000), None, rates, None).unwrap();
+        let again = stopped.brought_to_rest(at(4_200), None, rates, None).unwrap();
+        for signal in [stopped, again] {
+            assert!((signal.target() - 33.6).abs() < 1e-6, "{}", signal.target());
+            assert!((signal.rests_at() - at(4_400)).abs() < Span::from_micros(1));
+        }
+    }
 }

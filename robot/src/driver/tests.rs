@@ -1108,3 +1108,64 @@ fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
     assert_eq!(news, ["there 1", "confirmed 1"]);
     assert!(pings.try_iter().count() >= 1);
 }
+
+#[tokio::test]
+async fn hardware_that_is_to_be_held_stays_where_it_is_and_turns_no_more() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("arm", "a", &[(0.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    rig.script("wheel", "b", &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let Rig { host, done, link, .. } = rig;
+    drop(link);
+    assert_eq!(host.stop_but(&["r".parse().unwrap()]), []);
+    let done: Vec<_> = done.try_iter().filter(|what| what != "ping").collect();
+    assert_eq!(done.last().map(String::as_str), Some("wheel 0"));
+    assert!(!done.contains(&"arm 3".to_owned()), "{done:?}");
+}
+
+#[tokio::test]
+async fn an_edge_whose_session_is_over_is_free_once_it_is_asked() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let handle = rig.host.handle();
+    let session = urrcp::SessionId::new("show").ok();
+    let claim = urrcp::AvailabilityRequest { session, ..Default::default() };
+    rig.link.send(Message::AvailabilityRequest(claim));
+    rig.link.recv().await.unwrap();
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_some(), "its link stands");
+    drop(rig.link);
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_none());
+}
+
+#[tokio::test]
+async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
+    let (tell, events) = channel();
+    let (done, _seen) = channel();
+    let bench = Arc::new(Bench::default());
+    let fake = Fake { bench: Arc::clone(&bench), done, pushes: None };
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let hosted = Hosted::driven(block, Box::new(fake), DriverOptions::default())
+        .watched(move |event| tell.send(event.to_string()).unwrap());
+    let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
+    let next = || events.recv_timeout(Duration::from_secs(60)).unwrap();
+    assert_eq!(next(), "the hardware answers");
+    bench.broken.store(true, Ordering::SeqCst);
+    assert_eq!(next(), "the hardware is away: pulled out");
+    host.stop();
+}
+
+#[test]
+fn imagined_hardware_reads_what_was_set_last_or_the_middle_of_its_range() {
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let mut driver = SimulatedDriver::new(&block);
+    let (arm, eye) = (DeviceId::new("arm").unwrap(), DeviceId::new("eye").unwrap());
+    driver.connect().unwrap();
+    assert_eq!(driver.read(&eye), Ok(4.5));
+    assert_eq!(driver.read(&arm), Err(DriverError::Refused("`arm` is no sensor".to_owned())));
+    driver.set(&arm, &Setpoint::new(ControlType::Position, 30.0)).unwrap();
+    assert_eq!(driver.read(&arm), Ok(30.0));
+    assert!(driver.set_is_acknowledged());
+    driver.ping().unwrap();
+}

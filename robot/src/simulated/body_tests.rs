@@ -140,3 +140,16 @@ fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
     assert!((182..=198).contains(&within), "{within} of 200");
     assert_eq!(begin(3), begins[3]);
 }
+
+#[test]
+fn what_is_told_within_the_latency_is_followed_in_its_order() {
+    let mut robot = moving("hold", |_| {});
+    let steps = [(0.0, 2.0), (20.0, 6.0)].map(|(offset, value)| {
+        Step::new(Millis::new(offset).unwrap(), Setpoint::new(ControlType::Position, value))
+    });
+    let script = Command::Script(Script::new(steps.to_vec()).unwrap());
+    read(&mut robot, 200);
+    let request = ControlRequest::immediate(id("arm"), script).with_request_id(RequestId::new("n").unwrap());
+    robot.receive(at(200), LINK, Input::Message(Message::ControlRequest(request)));
+    shows(&mut robot, &[(239, 10.0), (240, 2.0), (259, 2.0), (260, 6.0)]);
+}

@@ -379,3 +379,38 @@ fn a_value_that_came_too_late_to_the_hardware_ends_its_device_and_what_waits_to_
     bench.robot.value_stale(bench.now, &unknown, Span::from_millis(300), &mut bench.out);
     assert_eq!(bench.out.len(), said);
 }
+
+#[test]
+fn a_robot_is_not_idle_while_its_hardware_has_yet_to_confirm_an_end() {
+    let mut bench = driven();
+    bench.robot = bench.robot.confirmed_by_its_driver();
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 20.0)])));
+    bench.until(10);
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+    assert!(!bench.robot.is_idle());
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+    assert_eq!(bench.responses()[2].event_timestamp, Some(at(0)), "when it was, not when it was confirmed");
+    assert!(bench.robot.is_idle());
+    let said = bench.out.len();
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    assert_eq!(bench.out.len(), said, "once");
+}
+
+#[test]
+fn a_sensor_without_hardware_reads_what_it_was_given_or_where_its_device_is_or_the_middle() {
+    let block = r#"{"id": "r", "api_version": "1", "devices": [
+      {"id": "arm", "default_value": 3, "available_control_types": {"sensor": {"min_value": -20, "max_value": 60},
+         "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
+      {"id": "thermometer", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
+    let mut bench = Bench { robot: Robot::new(serde_json::from_str(block).unwrap()), ..Bench::new() };
+    let reads = |bench: &mut Bench, sensor: &str| {
+        bench.request(ControlRequest::immediate(DeviceId::new(sensor).unwrap(), Command::ReadSensor));
+        bench.responses().last().unwrap().status_value.clone()
+    };
+    assert_eq!(reads(&mut bench, "thermometer"), StatusValue::Number(20.0));
+    assert_eq!(reads(&mut bench, "arm"), StatusValue::Number(3.0));
+    bench.robot.set_reading(DeviceId::new("arm").unwrap(), 7.0);
+    assert_eq!(reads(&mut bench, "arm"), StatusValue::Number(7.0));
+}

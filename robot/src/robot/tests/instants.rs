@@ -490,3 +490,27 @@ fn a_robot_is_idle_until_it_holds_something_and_once_that_is_over() {
     bench.until(1_000);
     assert!(bench.robot.is_idle());
 }
+
+#[test]
+fn an_acceleration_of_nothing_slows_nothing_down() {
+    let limits = |acceleration: &str| {
+        format!(
+            r#"{{"id": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {{
+            "position": {{"min_value": 0, "max_value": 100, "granularity": 1}},
+            "acceleration": {{"min_value": {acceleration}, "max_value": 0, "granularity": 1}},
+            "script": {{"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8}}}}}}"#
+        )
+    };
+    for (acceleration, slows) in [("0", false), ("-10", true)] {
+        let mut bench = bench_of(&limits(acceleration), true);
+        let way = script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 80.0)]);
+        bench.request(timed("lift", "a", 0.0, way));
+        bench.until(500);
+        let stop =
+            ControlRequest::immediate(DeviceId::new("lift").unwrap(), Command::Script(Script::cancel()));
+        bench.request(stop);
+        let slow = bench.sets().iter().any(|set| matches!(set.motion, Motion::Slow { .. }));
+        assert_eq!(slow, slows, "{acceleration}");
+        assert_eq!(bench.robot.value("lift", ControlType::Position, bench.now) == Some(0.0), !slows);
+    }
+}

@@ -517,3 +517,29 @@ fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
         assert_eq!(bench.last_said(), expected);
     }
 }
+
+#[test]
+fn an_idle_robot_is_free_again_after_five_seconds_of_silence() {
+    for (millis, expected) in
+        [(4_999, "2 Failed `r` belongs to another session until that ends"), (5_000, "2 OK ")]
+    {
+        let mut bench = Bench::new();
+        bench.send_on(LINK, hello("first"));
+        bench.until(millis);
+        bench.send_on(OTHER, hello("second"));
+        assert_eq!(bench.last_said(), expected, "{millis}");
+    }
+}
+
+#[test]
+fn an_idle_robot_is_free_at_once_when_the_last_link_of_its_session_is_down() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    bench.send_on(LinkId(3), hello("first"));
+    bench.robot.handle(bench.now, LinkId(3), Input::LinkDown, &mut bench.out);
+    bench.send_on(OTHER, hello("second"));
+    assert!(bench.last_said().starts_with("2 Failed"), "its other link stands");
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    bench.send_on(OTHER, hello("second"));
+    assert_eq!(bench.last_said(), "2 OK ");
+}
