@@ -312,3 +312,30 @@ fn of_a_script_that_the_driver_times_it_is_told_what_the_driver_says() {
     bench.hears(planned::P1, 2_010, PlanEvent::Step(1));
     assert_eq!(done(&mut bench), (RequestState::Running, Some(at(1_000)), Some(2), Some(1)));
 }
+
+#[test]
+fn the_room_of_a_device_is_what_its_queue_still_takes() {
+    let mut bench = Bench::new();
+    let devices = vec![DeviceId::new("arm").unwrap()];
+    let room = |bench: &mut Bench| {
+        bench.inquire(Inquiry { devices: devices.clone(), ..Inquiry::default() }).devices[0].room
+    };
+    for (start, expected) in [(1_000.0, 2), (9_000.0, 1), (20_000.0, 0)] {
+        assert_eq!(room(&mut bench), expected);
+        bench.request(timed("arm", &start.to_string(), start, paper()));
+    }
+    bench.until(3_000);
+    assert_eq!(room(&mut bench), 1, "the first has ended");
+}
+
+#[test]
+fn of_a_single_value_it_is_told_as_of_a_script_of_one_step() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, Command::Set(Setpoint::new(ControlType::Position, 30.0))));
+    let held = bench.state("a");
+    assert_eq!((held.state, held.start_timestamp), (RequestState::Held, Some(at(1_000))));
+    bench.until(1_000);
+    assert_eq!(bench.values(), [(1_000, 30.0)]);
+    let ended = bench.state("a");
+    assert_eq!((ended.state, ended.steps_done, ended.late_steps), (RequestState::Ended, Some(1), Some(0)));
+}

@@ -514,3 +514,55 @@ fn an_acceleration_of_nothing_slows_nothing_down() {
         assert_eq!(bench.robot.value("lift", ControlType::Position, bench.now) == Some(0.0), !slows);
     }
 }
+
+/// What becomes of a script of the arm for which the robot wakes up so many nanoseconds late.
+fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 45.0), (1_000.0, 0.0)])));
+    bench.now = Timestamp::from_nanos(at(1_000).as_nanos() + nanos);
+    bench.robot.advance(bench.now, &mut bench.out);
+    bench.until(3_000);
+    (bench.statuses(), bench.responses().last().unwrap().late_steps)
+}
+
+#[test]
+fn a_start_may_be_fifty_milliseconds_late_and_counts_as_late_from_one_on() {
+    let played = ["Accepted", "Started", "OK"].map(str::to_owned).to_vec();
+    assert_eq!(woken_late(1_000_000), (played.clone(), Some(0)));
+    assert_eq!(woken_late(1_000_001), (played.clone(), Some(1)));
+    assert_eq!(woken_late(50_000_000), (played, Some(1)));
+    assert_eq!(woken_late(50_000_001).0, ["Accepted", "Failed late"]);
+}
+
+#[test]
+fn a_step_counts_as_late_from_a_millisecond_on_and_each_counts() {
+    for (nanos, late) in [(1_000_000, 0), (1_000_001, 2)] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+        for millis in [1_000, 2_000] {
+            bench.now = Timestamp::from_nanos(at(millis).as_nanos() + nanos);
+            bench.robot.advance(bench.now, &mut bench.out);
+        }
+        assert_eq!(bench.responses().last().unwrap().late_steps, Some(late));
+    }
+}
+
+#[test]
+fn a_device_that_is_stopped_to_hold_keeps_its_position_and_turns_no_more() {
+    for (hold, position) in [(true, 45.0), (false, 10.0)] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+        bench.request(at_once("wheel", "b", set(ControlType::Speed, 5.0)));
+        bench.until(500);
+        for device in ["arm", "wheel"] {
+            bench.request(ControlRequest {
+                hold,
+                ..at_once(device, device, Command::Script(Script::cancel()))
+            });
+        }
+        bench.until(3_000);
+        assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(position));
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
+        assert!(bench.robot.is_idle());
+    }
+}
