@@ -525,3 +525,116 @@ fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
     assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Internal, expected));
     assert_eq!(bench.cancels(), [], "there is nobody to tell");
 }
+
+#[test]
+fn close_steps_are_handed_over_a_quarter_of_the_horizon_at_a_time() {
+    let block = BLOCK.replace(r#""max_number_of_steps": 4"#, r#""max_number_of_steps": 20"#);
+    let mut bench = Bench { robot: Robot::driven(serde_json::from_str(&block).unwrap()), ..Bench::new() };
+    let horizon = Lookahead::Horizon(Span::from_millis(400));
+    bench.robot.plans_ahead(&BTreeMap::from([(DeviceId::new("arm").unwrap(), horizon)]));
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    let steps: Vec<_> = (0..12).map(|step| (f64::from(step) * 50.0, 5.0)).collect();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &steps)));
+    let mut told = Vec::new();
+    for millis in 0..1_200 {
+        bench.until(millis);
+        if millis == 1_000 {
+            bench.hears(P1, 1_000, PlanEvent::Began);
+        }
+        if bench.parts().len() > told.len() {
+            let part = bench.parts().pop().unwrap();
+            told.push((millis, part.first, part.steps.len(), part.is_last));
+        }
+    }
+    assert_eq!(told, [(600, 0, 4, false), (750, 4, 3, false), (900, 7, 3, false), (1_050, 10, 2, true)]);
+}
+
+#[test]
+fn a_driver_has_three_quarters_of_a_second_to_say_that_it_began_and_as_long_to_say_that_it_ended() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_749);
+    assert_eq!(bench.cancels(), []);
+    bench.until(1_750);
+    assert_eq!(bench.cancels().len(), 1);
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_749);
+    assert_eq!(bench.cancels(), []);
+    bench.until(3_750);
+    assert_eq!(bench.cancels().len(), 1);
+}
+
+#[test]
+fn an_edge_that_looks_for_a_report_too_late_itself_looks_once_more_and_then_gives_up() {
+    for (looks_at, gives_up_at) in [(1_850, 1_850), (1_851, 2_601)] {
+        let mut bench = whole("arm");
+        bench.paper();
+        bench.now = at(looks_at);
+        bench.robot.advance(bench.now, &mut bench.out);
+        bench.until(gives_up_at - 1);
+        assert_eq!(bench.cancels().is_empty(), looks_at != gives_up_at);
+        bench.until(gives_up_at);
+        assert_eq!(bench.cancels().len(), 1, "{looks_at}");
+    }
+}
+
+#[test]
+fn what_a_driver_says_twice_counts_as_it_was_said_first() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    bench.hears(P1, 1_007, PlanEvent::Began);
+    bench.hears(P1, 1_009, PlanEvent::Began);
+    bench.until(2_990);
+    bench.hears(P1, 2_980, PlanEvent::Done);
+    bench.hears(P1, 2_990, PlanEvent::Done);
+    bench.until(3_000);
+    let told: Vec<_> = bench.responses().iter().filter_map(|response| response.event_timestamp).collect();
+    assert_eq!(told, [at(1_007), at(2_980)]);
+    assert!(bench.says(PlanId(0), 3_000, PlanEvent::Began).is_err(), "there has never been such a one");
+}
+
+#[test]
+fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_as_cancelled() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_100);
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    let error = bench.last().error.as_ref().unwrap();
+    let expected = "the device was stopped before its driver had said that the script was over";
+    assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Cancelled, expected));
+    // What has been cancelled once is not cancelled again.
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels().len(), 1);
+}
+
+#[test]
+fn a_device_without_a_default_value_is_told_to_hold_where_its_driver_has_it() {
+    let mut bench = whole("ramp");
+    bench.request(timed("ramp", "a", 0.0, script(ControlType::Position, &[(0.0, 5.0), (1_000.0, 80.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.until(500);
+    bench.request(ControlRequest::immediate(
+        DeviceId::new("ramp").unwrap(),
+        Command::Script(Script::default()),
+    ));
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
+    assert!(bench.sets().is_empty(), "{:?}", bench.sets());
+}
+
+#[test]
+fn a_script_that_fails_before_its_start_is_told_to_have_been_there() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(500);
+    bench.hears(P1, 500, PlanEvent::Failed("torque".to_owned()));
+    let error = bench.last().error.as_ref().unwrap();
+    assert_eq!(error.message.as_str(), "the hardware failed before its start: torque");
+}
