@@ -53,7 +53,10 @@ fn in_words(news: &News) -> String {
         News::Away { reason } => reason.clone(),
         News::Reading { reading, .. } => format!("reading {reading:?}"),
         News::Confirmed(tickets) => format!("confirmed {}", tickets.len()),
-        other => format!("{other:?}"),
+        News::Plan(PlanNews::Refused { first, error, .. }) => format!("refused {first}: {}", error.message),
+        News::Plan(PlanNews::Cancelled(plan)) => format!("cancelled {}", plan.0),
+        News::Plan(PlanNews::Word { plan, event, .. }) => format!("{event:?} {}", plan.0),
+        News::Stale { device, .. } => format!("stale {device}"),
     }
 }
 
@@ -224,4 +227,110 @@ fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
     });
     assert_eq!(news, ["there 1", "confirmed 1"]);
     assert!(pings.try_iter().count() >= 1);
+}
+
+/// Steps of a script of the arm, the first of which is due this many milliseconds from now.
+fn take(first: usize, due: i64) -> mailbox::Order {
+    let clock = HostClock::anchored();
+    let at = |millis: i64| (clock.now() + Span::from_millis(millis)).assume_clock();
+    let setpoint = Setpoint::new(ControlType::Position, 5.0);
+    let part = PlanPart {
+        plan: crate::PlanId(1),
+        device: DeviceId::new("arm").unwrap(),
+        start: at(due),
+        begin_by: at(due + 50),
+        interpolation: urrcp::Interpolation::Hold,
+        first,
+        steps: vec![crate::plans::PlanStep { at: at(due), setpoint }],
+        is_last: true,
+    };
+    mailbox::Order::Plan(mailbox::PlanOrder::Take(part, clock))
+}
+
+#[test]
+fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
+    let refused = "this driver times no scripts";
+    let late = "after it could have been played";
+    for (first, due, expected) in
+        [(0, 60_000, refused), (0, -1_000, late), (2, 60_000, refused), (2, -100, refused), (2, -1_000, late)]
+    {
+        let (_, news) = driven(
+            BLOCK,
+            false,
+            |_, _| Ok(()),
+            move |news, mailbox| match news {
+                "there 1" => post(mailbox, 1, vec![take(first, due)]),
+                _ => mailbox.close(),
+            },
+        );
+        let told = &news[1];
+        assert!(told.starts_with(&format!("refused {first}: ")) && told.ends_with(expected), "{due}: {told}");
+    }
+}
+
+#[test]
+fn a_script_that_the_driver_never_had_is_over_when_it_is_to_be_ended() {
+    let cancel = || PlanCancel {
+        plan: crate::PlanId(1),
+        device: DeviceId::new("arm").unwrap(),
+        then: crate::Then::Keep,
+        why: String::new(),
+    };
+    let (_, news) = driven(
+        BLOCK,
+        false,
+        |_, _| Ok(()),
+        move |news, mailbox| match news {
+            "there 1" => {
+                post(mailbox, 1, vec![mailbox::Order::Plan(mailbox::PlanOrder::Cancel(cancel()))]);
+            }
+            _ => mailbox.close(),
+        },
+    );
+    assert_eq!(news, ["there 1", "cancelled 1"]);
+}
+
+#[test]
+fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
+    for plan in [0, 2, 9] {
+        let answer = move |what: &str, pushes: &Pushes| {
+            if what == "wheel 4" {
+                // The first was refused: of that it may speak.
+                for plan in [1, plan] {
+                    pushes.plan(crate::PlanId(plan), Timestamp::from_nanos(0), PlanEvent::Done);
+                }
+            }
+            Ok(())
+        };
+        let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![take(0, 60_000), set_order("wheel", 4.0)]),
+            refused if refused.starts_with("refused") => {}
+            _ => mailbox.close(),
+        });
+        let expected =
+            format!("the hardware reports a fault: it speaks of plan {plan}, which it does not have");
+        assert_eq!(news.get(2), Some(&expected), "{news:?}");
+    }
+}
+
+#[test]
+fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
+    let (told, calls) = channel();
+    let answer = move |what: &str, _: &Pushes| {
+        told.send(what.to_owned()).unwrap();
+        Ok(())
+    };
+    let old = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    let mailbox::Order::Set(key, value) = set_order("arm", 4.0) else { panic!() };
+    let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| match news {
+        "there 1" => {
+            std::thread::sleep(STALE + Duration::from_millis(10));
+            let stale = mailbox::Value { due: Some(old), ..value.clone() };
+            post(mailbox, 1, vec![mailbox::Order::Set(key.clone(), stale), set_order("wheel", 4.0)]);
+        }
+        _ => mailbox.close(),
+    });
+    assert_eq!(news, ["there 1", "stale arm"]);
+    let calls: Vec<_> = calls.try_iter().filter(|call| call != "ping").collect();
+    assert_eq!(calls, ["connect", "wheel 4"]);
 }

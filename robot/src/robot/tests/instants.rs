@@ -566,3 +566,21 @@ fn a_device_that_is_stopped_to_hold_keeps_its_position_and_turns_no_more() {
         assert!(bench.robot.is_idle());
     }
 }
+
+#[test]
+fn a_speed_whose_acceleration_is_nothing_ends_at_once() {
+    let wheel = |most: u32| {
+        format!(
+            r#"{{"id": "wheel", "available_control_types": {{
+            "speed": {{"min_value": -10, "max_value": 10, "granularity": 1}},
+            "acceleration": {{"min_value": 0, "max_value": {most}, "granularity": 1}}}}}}"#
+        )
+    };
+    for (most, after_a_second) in [(0, 0.0), (5, 3.0)] {
+        let mut bench = bench_of(&wheel(most), true);
+        bench.request(at_once("wheel", "a", set(ControlType::Speed, 8.0)));
+        bench.request(at_once("wheel", "b", Command::Script(Script::cancel())));
+        bench.until(1_000);
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(after_a_second));
+    }
+}
