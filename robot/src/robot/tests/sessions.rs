@@ -543,3 +543,11 @@ fn an_idle_robot_is_free_at_once_when_the_last_link_of_its_session_is_down() {
     bench.send_on(OTHER, hello("second"));
     assert_eq!(bench.last_said(), "2 OK ");
 }
+
+#[test]
+fn who_names_no_session_is_told_that_a_robot_of_another_one_is_there() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
+    assert_eq!(bench.last_said(), "2 OK ");
+}
