@@ -575,3 +575,45 @@ fn what_tls_finds_altered_is_told_from_what_the_peer_says_itself() {
     assert!(!is_altered(&io::ErrorKind::ConnectionReset.into()));
     assert!(!is_altered(&io::Error::other("of something else")));
 }
+
+#[tokio::test]
+async fn a_connection_speaks_for_the_session_that_it_named_in_whatever_message() {
+    let log = LogFile::new("speaks-for");
+    let (_host, address) = served(&log).await;
+    let mut owner = Peer::connected(address).await;
+    owner.send(&with_session(paper(10_000.0), "show")).await;
+    assert!(is_accepted(&owner.soon().await));
+    let mut asking = Peer::connected(address).await;
+    let session = urrcp::SessionId::new("show").ok();
+    asking.send(&Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() })).await;
+    let Message::InquiryResponse(response) = asking.soon().await else { panic!() };
+    assert_eq!(response.status, Status::Ok);
+    let mut stranger = Peer::connected(address).await;
+    for (peer, expected) in
+        [(&mut owner, None), (&mut asking, None), (&mut stranger, Some("a line longer than 65536 bytes"))]
+    {
+        peer.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
+        assert_eq!(malformed(&peer.soon().await), expected);
+    }
+}
+
+#[tokio::test]
+async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
+    let log = LogFile::new("long-hash");
+    let (_host, address) = served(&log).await;
+    let mut owner = Peer::owner(address).await;
+    let Message::ControlRequest(request) = with_session(paper(10_000.0), "show") else { panic!() };
+    let hash = request.command.content_hash();
+    let wrong = Command::ReadSensor.content_hash();
+    for (content_hash, status) in [(wrong, Status::Failed), (hash, Status::Accepted)] {
+        let request_id = urrcp::RequestId::new(content_hash.to_string()).ok();
+        let request =
+            urrcp::ControlRequest { content_hash: Some(content_hash), request_id, ..request.clone() };
+        let mut line = Vec::new();
+        encode(&Message::ControlRequest(request), &mut line);
+        // Longer than what is read on the connection's own task.
+        owner.write(&padded(&line, 100 * 1024)).await;
+        let Message::ControlResponse(response) = owner.soon().await else { panic!() };
+        assert_eq!(response.status, status, "{response:?}");
+    }
+}

@@ -215,3 +215,40 @@ fn a_lag_follows_one_ramp_into_the_next_without_a_jump() {
     );
     assert!((values[399] - 10.0).abs() < 1e-4, "{}", values[399]);
 }
+
+#[test]
+fn a_body_that_is_looked_at_late_has_slowed_down_at_the_end_of_its_way() {
+    let moves = Moves {
+        device: id("arm"),
+        latency: Span::from_millis(20),
+        spread: Span::ZERO,
+        time_constant: Span::from_millis(10),
+        sensor: id("angle"),
+        noise: 0.0,
+        delay: Span::ZERO,
+    };
+    let due = at(0).assume_clock();
+    let until = due + Span::from_millis(100);
+    let motion =
+        crate::device::Motion::Slow { control_type: ControlType::Position, from: 0.0, to: 10.0, until };
+    let set = crate::robot::SetValue { device: id("arm"), motion, due, request_id: None, step: None };
+    let end = 0.1 * (90.0 + 10.0 * (-10.0_f64).exp());
+    for (millis, expected) in [(10, 0.0), (120, end), (150, 10.0 - (10.0 - end) * (-3.0_f64).exp())] {
+        let rng = fastrand::Rng::with_seed(1);
+        let mut body = body::MovedBody::new(moves.clone(), (-1.0, 20.0), 0.0, rng);
+        body.told(at(0), &set);
+        let shown = body.shown(at(millis), 0.0);
+        assert!((shown - expected).abs() < 1e-9, "{shown} after {millis} ms, expected {expected}");
+    }
+}
+
+#[test]
+fn a_body_is_moved_by_positions_alone() {
+    let mut robot = moving("linear", |_| {});
+    let setpoint = Setpoint::new(ControlType::Speed, 9.0);
+    let motion = crate::device::Motion::Set(setpoint);
+    let due = at(0).assume_clock();
+    let set = crate::robot::SetValue { device: id("arm"), motion, due, request_id: None, step: None };
+    robot.bodies[0].told(at(0), &set);
+    shows(&mut robot, &[(39, 0.0), (65, 2.5)]);
+}

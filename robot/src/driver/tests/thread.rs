@@ -334,3 +334,18 @@ fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
     let calls: Vec<_> = calls.try_iter().filter(|call| call != "ping").collect();
     assert_eq!(calls, ["connect", "wheel 4"]);
 }
+
+#[test]
+fn a_driver_that_was_told_a_script_has_moved_its_hardware() {
+    let (ended, _) = driven(
+        BLOCK,
+        false,
+        |_, _| Ok(()),
+        |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![take(0, 60_000)]),
+            refused if refused.starts_with("refused") => mailbox.failed_by_itself("stuck".to_owned()),
+            _ => mailbox.close(),
+        },
+    );
+    assert_eq!(ended, Err("the hardware reports a fault: stuck".to_owned()));
+}
