@@ -320,11 +320,10 @@ fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
         told.send(what.to_owned()).unwrap();
         Ok(())
     };
-    let old = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    let old = HostClock::anchored().instant_of(Timestamp::from_nanos(0)) - 2 * STALE;
     let mailbox::Order::Set(key, value) = set_order("arm", 4.0) else { panic!() };
     let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| match news {
         "there 1" => {
-            std::thread::sleep(STALE + Duration::from_millis(10));
             let stale = mailbox::Value { due: Some(old), ..value.clone() };
             post(mailbox, 1, vec![mailbox::Order::Set(key.clone(), stale), set_order("wheel", 4.0)]);
         }
