@@ -252,7 +252,7 @@ fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
     let refused = "this driver times no scripts";
     let late = "after it could have been played";
     for (first, due, expected) in
-        [(0, 60_000, refused), (0, -1_000, late), (2, 60_000, refused), (2, -100, refused), (2, -1_000, late)]
+        [(0, 60_000, refused), (0, -1_000, late), (2, 60_000, refused), (2, 100, refused), (2, -1_000, late)]
     {
         let (_, news) = driven(
             BLOCK,

@@ -53,12 +53,13 @@ async fn a_connection_that_has_its_place_keeps_it_and_takes_no_second_one() {
 #[tokio::test]
 async fn beyond_all_connections_the_oldest_without_a_place_gives_way_once_it_is_not_young() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
-    let places = places(&host);
+    let (places, begun) = (places(&host), now());
     let tickets = tickets(&places, CONNECTIONS_MAX);
     tickets[0].take(false).await;
     tickets[1].spoke(None);
     let late = Remote::at("192.0.2.200:1000".parse().unwrap());
-    assert!(places.admit(&late).is_none(), "all others are as new");
+    let refused = places.admit(&late).is_none();
+    assert!(refused || begun.elapsed() >= Duration::from_millis(50), "all others are as new");
     tokio::time::sleep(Duration::from_millis(60)).await;
     let admitted = places.admit(&late);
     assert!(admitted.is_some());

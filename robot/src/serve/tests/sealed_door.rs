@@ -5,7 +5,7 @@ use crate::role::Role;
 use crate::sealed::{Claim, Guard, Held, Secret, connect};
 
 /// A robot behind a secret, and a pass to it.
-async fn sealed() -> (Host, SocketAddr, Held) {
+async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let secret = Secret::generate().unwrap();
     let robot = host.handle().robots()[0].clone();
@@ -15,7 +15,6 @@ async fn sealed() -> (Host, SocketAddr, Held) {
     let door = Door::Sealed(Arc::new(Guard::new(robot, secret, None)));
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    let patience = Patience { first_message: Duration::from_millis(500), ..Patience::default() };
     tokio::spawn(serve_with(listener, host.handle(), 0, patience, door));
     (host, address, held)
 }
@@ -28,7 +27,7 @@ async fn ended(stream: &mut TcpStream) {
 
 #[tokio::test]
 async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
-    let (host, address, held) = sealed().await;
+    let (host, address, held) = sealed(Patience::default()).await;
     for (altered, count) in [(&b""[..], 0), (b"\0\0\0\x01sixteen of a code.", 1), (b"\0\0\0\0", 2)] {
         let mut stream = TcpStream::connect(address).await.unwrap();
         let mut spoken = connect(&mut stream, &held).await.unwrap();
@@ -46,7 +45,8 @@ async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
 
 #[tokio::test]
 async fn who_proves_nothing_is_hung_up_on_and_counted() {
-    let (host, address, held) = sealed().await;
+    let patience = Patience { first_message: Duration::from_millis(500), ..Patience::default() };
+    let (host, address, held) = sealed(patience).await;
     let other = Held { pass: Secret::generate().unwrap().pass(&held.claim), ..held };
     let stream = TcpStream::connect(address).await.unwrap();
     assert!(connect(stream, &other).await.is_err());
