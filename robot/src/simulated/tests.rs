@@ -418,3 +418,23 @@ fn of_a_log_all_is_kept_or_the_first_steps_of_scripts() {
         assert_eq!(robot.take_log().len(), expected);
     }
 }
+
+#[test]
+fn a_delay_lies_between_its_bounds_and_is_never_negative() {
+    for (least, largest, expected) in [(30, 30, 30..=30), (30, 10, 30..=30), (-20, -10, 0..=0), (5, 9, 5..=9)]
+    {
+        let delay = Some((Span::from_millis(least), Span::from_millis(largest)));
+        let mut robot = robot(Settings { delay, seed: 3, ..Settings::default() });
+        let drawn: Vec<_> = (0..200).map(|_| robot.draw_delay().as_nanos()).collect();
+        let bounds = expected.start() * 1_000_000..=expected.end() * 1_000_000;
+        assert!(drawn.iter().all(|nanos| bounds.contains(nanos)), "{least} to {largest}: {drawn:?}");
+    }
+}
+
+#[test]
+fn a_drift_that_no_clock_has_is_bounded() {
+    for (drift_ppm, expected) in [(50.0, 50e-6), (1e9, 0.1), (-1e9, -0.1)] {
+        let robot = robot(Settings { drift_ppm, ..Settings::default() });
+        assert!((robot.drift() - expected).abs() < 1e-12, "{drift_ppm}");
+    }
+}

@@ -638,3 +638,24 @@ fn a_script_that_fails_before_its_start_is_told_to_have_been_there() {
     let error = bench.last().error.as_ref().unwrap();
     assert_eq!(error.message.as_str(), "the hardware failed before its start: torque");
 }
+
+#[test]
+fn what_a_driver_says_of_a_script_that_it_was_not_told_yet_counts_for_nothing() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(100);
+    assert_eq!(bench.says(P1, 100, PlanEvent::Began), Ok(()));
+    bench.until(1_000);
+    assert_eq!(bench.statuses(), ["Accepted"]);
+}
+
+#[test]
+fn steps_are_named_up_to_the_last_that_was_handed_over() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    // Two of three were.
+    bench.hears(P1, 1_000, PlanEvent::Step(1));
+    assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
+}
