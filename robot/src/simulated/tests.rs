@@ -324,6 +324,7 @@ fn a_robot_that_is_restarted_has_forgotten_all_but_its_sensors_and_its_clock() {
     assert_eq!(readings, [5.0]);
 }
 
+#[cfg(feature = "host")]
 #[test]
 fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
     let delay = Some((Span::from_millis(10), Span::from_millis(10)));
@@ -340,6 +341,7 @@ fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
     assert!(robot.is_due(at(1_000)), "its words go out with the next advance");
 }
 
+#[cfg(feature = "host")]
 #[test]
 fn movements_do_not_overtake_a_message_that_comes_before_them() {
     let mut robot = robot(Settings::default());
