@@ -885,7 +885,22 @@ fn a_driver_by_default_is_told_values_alone_one_after_another() {
     assert_eq!(plain.set_frame(&[value("c", -1.0), value("d", 2.0)]), refused);
     assert_eq!(plain.0, ["a 1", "b 2", "c -1"]);
     let ramp = Ramp { control_type: ControlType::Speed, to: 1.0, duration: Duration::ZERO };
-    assert!(plain.ramp(&DeviceId::new("a").unwrap(), ramp).is_err());
+    let arm = || DeviceId::new("a").unwrap();
+    assert!(plain.ramp(&arm(), ramp).is_err());
+    let part = PlanPart {
+        plan: crate::PlanId(1),
+        device: arm(),
+        start: Timestamp::from_nanos(0),
+        begin_by: Timestamp::from_nanos(0),
+        interpolation: urrcp::Interpolation::Hold,
+        first: 0,
+        steps: Vec::new(),
+        is_last: true,
+    };
+    let (then, why) = (crate::Then::Keep, String::new());
+    let cancel = PlanCancel { plan: part.plan, device: arm(), then, why };
+    let timed = Err(DriverError::Refused("this driver times no scripts".to_owned()));
+    assert_eq!([plain.plan(&part), plain.cancel(&cancel)], [timed.clone(), timed]);
 }
 
 #[tokio::test]

@@ -551,3 +551,53 @@ fn who_names_no_session_is_told_that_a_robot_of_another_one_is_there() {
     bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
     assert_eq!(bench.last_said(), "2 OK ");
 }
+
+#[cfg(feature = "host")]
+#[test]
+fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own() {
+    let mut bench = Bench::new();
+    let mut seen = vec![bench.robot.last_claimant().0];
+    for session in ["first", "second"] {
+        bench.send_on(LINK, hello(session));
+        seen.push(bench.robot.last_claimant().0);
+        bench.send_on(LINK, hello(session));
+        assert_eq!(bench.robot.last_claimant().0, seen[seen.len() - 1], "the same again");
+        assert_eq!(bench.robot.last_claimant().1.unwrap().session.as_str(), session);
+        bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+        bench.robot.release_if_over(bench.now);
+        assert!(bench.robot.last_claimant().1.is_none());
+        seen.push(bench.robot.last_claimant().0);
+    }
+    assert!(seen.is_sorted_by(|before, after| before < after), "{seen:?}");
+}
+
+#[test]
+fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
+    let expected = "1 Failed anna may stop, and this takes observe or drive";
+    for (role, expected) in
+        [(Role::Observe, "1 Provide "), (Role::Drive, "1 Provide "), (Role::Stop, expected)]
+    {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
+        let read = ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor);
+        bench.send_on(LINK, Message::ControlRequest(read));
+        assert_eq!(bench.last_said(), expected);
+    }
+}
+
+#[test]
+fn what_an_operator_may_ask_without_and_with_a_session() {
+    for (role, asks, asks_for_its_session) in
+        [(Role::Observe, true, false), (Role::Drive, true, true), (Role::Stop, false, false)]
+    {
+        for (session, expected) in [(None, asks), (SessionId::new("show").ok(), asks_for_its_session)] {
+            let mut bench = Bench::new();
+            bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
+            bench.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
+            let Some(Output::Send { message: Message::InquiryResponse(r), .. }) = bench.out.last() else {
+                panic!("{:?}", bench.out)
+            };
+            assert_eq!(r.status == Status::Ok, expected, "{role}");
+        }
+    }
+}
