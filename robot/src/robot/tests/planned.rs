@@ -659,3 +659,19 @@ fn steps_are_named_up_to_the_last_that_was_handed_over() {
     bench.hears(P1, 1_000, PlanEvent::Step(1));
     assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
 }
+
+#[cfg(feature = "host")]
+#[test]
+fn on_a_clock_that_is_ahead_a_script_has_later_times() {
+    let mut bench = whole("arm");
+    bench.paper();
+    let part = bench.parts()[0].clone();
+    let there: PlanPart<urrcp::Robot> = part.clone().on_clock(Span::from_millis(5));
+    let times = |part: &PlanPart<urrcp::Robot>| {
+        let steps = part.steps.iter().map(|step| step.at);
+        [part.start, part.begin_by].into_iter().chain(steps).map(milliseconds).collect::<Vec<_>>()
+    };
+    assert_eq!(times(&part), [1_000.0, 1_050.0, 1_000.0, 2_000.0, 3_000.0]);
+    assert_eq!(times(&there), [1_005.0, 1_055.0, 1_005.0, 2_005.0, 3_005.0]);
+    assert_eq!((there.plan, there.device, there.is_last), (part.plan, part.device, part.is_last));
+}
