@@ -87,3 +87,55 @@ impl Answers {
 fn has_ended(answer: &ControlResponse) -> bool {
     !matches!(answer.status, Status::Accepted | Status::Started)
 }
+
+#[cfg(test)]
+mod tests {
+    use urrcp::DeviceId;
+
+    use super::*;
+
+    fn id(name: &str) -> RequestId {
+        RequestId::new(name).unwrap()
+    }
+
+    fn answer(name: &str, status: Status) -> ControlResponse {
+        let (at, device) = (Timestamp::from_nanos(0), DeviceId::new("arm").unwrap());
+        ControlResponse { request_id: Some(id(name)), ..ControlResponse::new(at, device, status) }
+    }
+
+    #[test]
+    fn of_what_has_ended_so_many_are_kept_and_what_has_not_is_never_forgotten() {
+        for (devices, kept) in [(1, 256), (64, 256), (65, 260)] {
+            let mut answers = Answers::of(devices);
+            answers.remember(&answer("runs", Status::Started));
+            for i in 0..kept {
+                answers.remember(&answer(&i.to_string(), Status::Accepted));
+                answers.remember(&answer(&i.to_string(), Status::Ok));
+            }
+            assert!(answers.known(&id("0")).is_some());
+            answers.remember(&answer("0", Status::Ok));
+            assert!(answers.known(&id("0")).is_some(), "it has ended before");
+            answers.remember(&answer("last", Status::Failed));
+            let known = ["0", "1", "last", "runs"].map(|name| answers.known(&id(name)).is_some());
+            assert_eq!(known, [false, true, true, true], "{devices} devices");
+        }
+    }
+
+    #[test]
+    fn the_last_answer_counts_and_when_it_began_stays() {
+        let mut answers = Answers::of(1);
+        let (begun, over) = (Timestamp::from_nanos(5), Timestamp::from_nanos(9));
+        answers.plan(&id("a"), begun);
+        assert!(answers.find(&id("a")).is_none(), "of what is unknown nothing is planned");
+        answers.remember(&answer("a", Status::Accepted));
+        answers.plan(&id("a"), begun);
+        let event = |status, at| ControlResponse { event_timestamp: Some(at), ..answer("a", status) };
+        answers.remember(&event(Status::Started, begun));
+        answers.remember(&event(Status::Ok, over));
+        let known = answers.known(&id("a")).unwrap();
+        assert_eq!(
+            (known.start, known.began, known.answer.status.clone()),
+            (Some(begun), Some(begun), Status::Ok)
+        );
+    }
+}

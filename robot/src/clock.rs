@@ -90,4 +90,30 @@ mod tests {
         let slack = Span::from_micros(100);
         assert!(anchored >= before - slack && anchored <= after + slack, "{before} {anchored} {after}");
     }
+
+    #[test]
+    fn what_the_clock_shows_at_an_instant_lies_as_far_from_its_anchor_before_and_behind_it() {
+        let clock = HostClock::anchored();
+        let second = std::time::Duration::from_secs(1);
+        let shown =
+            [clock.instant - second, clock.instant, clock.instant + second].map(|at| clock.timestamp_at(at));
+        assert_eq!(shown.map(|shown| shown - clock.timestamp), [-1_000, 0, 1_000].map(Span::from_millis));
+    }
+
+    #[test]
+    fn a_system_clock_that_was_set_since_the_anchor_is_ahead_by_that() {
+        let hour = Span::from_millis(3_600_000);
+        let clock = HostClock::anchored();
+        let before = HostClock { timestamp: clock.timestamp - hour, ..clock };
+        assert!((before.system_ahead() - hour).abs() < Span::from_millis(60_000));
+        assert!(clock.system_ahead().abs() < Span::from_millis(60_000));
+    }
+
+    #[test]
+    fn the_clock_goes_forward_from_its_anchor() {
+        let clock = HostClock::anchored();
+        let early = HostClock { instant: clock.instant - std::time::Duration::from_secs(600), ..clock };
+        let since = early.now() - early.timestamp;
+        assert!(since >= Span::from_millis(600_000) && since < Span::from_millis(1_200_000), "{since}");
+    }
 }

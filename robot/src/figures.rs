@@ -143,4 +143,23 @@ mod tests {
         assert_eq!((cumulated[0], cumulated[1], cumulated[13], cumulated[14]), (3, 4, 4, 5));
         assert!((waits.sum_seconds() - 2.000_021).abs() < 1e-9);
     }
+
+    #[test]
+    fn what_a_robot_counts_is_read_as_it_was_noted() {
+        let figures = Figures::of(2);
+        let counts = Counts { held: 1, started: 2, ended: 3, failed: 4, late_steps: 5 };
+        figures.robots()[1].note(counts, false);
+        figures.robots()[1].stepped(6);
+        figures.robots()[1].stepped(7);
+        figures.robots()[1].has_connections(8);
+        let [idle, busy] = figures.robots() else { panic!("two robots") };
+        assert_eq!(
+            (busy.counts(), busy.steps(), busy.connections(), busy.hardware_answers()),
+            (counts, 13, 8, false)
+        );
+        assert_eq!((idle.counts(), idle.steps(), idle.connections()), (Counts::default(), 0, 0));
+        assert!(idle.hardware_answers());
+        busy.note(Counts::default(), true);
+        assert_eq!((busy.counts(), busy.hardware_answers()), (Counts::default(), true));
+    }
 }

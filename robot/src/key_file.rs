@@ -75,3 +75,50 @@ fn open_regular(path: &Path) -> Result<(File, Stat), KeyFileError> {
     }
     Ok((file.into(), stat))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    /// What is said of a file of this length and mode, of which this much may be read.
+    fn read_of(bytes: usize, mode: u32, bytes_max: u64) -> Result<usize, String> {
+        let name = format!("downbeat-key-file-{}-{bytes}-{mode:o}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, vec![b'a'; bytes]).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        let read = read_private_of(&path, bytes_max);
+        std::fs::remove_file(&path).unwrap();
+        read.map(|bytes| bytes.len()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_key_that_others_may_read_is_refused() {
+        for mode in [0o600, 0o400, 0o700] {
+            assert_eq!(read_of(3, mode, 10), Ok(3), "{mode:o}");
+        }
+        for mode in [0o640, 0o604, 0o620, 0o601, 0o677] {
+            let error = read_of(3, mode, 10).unwrap_err();
+            assert!(error.contains(&format!("others may read this key (mode {mode:o})")), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_read_whole_or_not_at_all() {
+        assert_eq!(read_of(10, 0o600, 10), Ok(10));
+        assert!(read_of(11, 0o600, 10).is_err_and(|error| error.contains("more than 10 bytes")));
+    }
+
+    #[test]
+    fn what_is_no_regular_file_is_not_waited_for() {
+        for path in [std::env::temp_dir(), "/dev/null".into(), "/no/such/file".into()] {
+            assert!(
+                matches!(read_private(&path), Err(KeyFileError::Unreadable { .. })),
+                "{}",
+                path.display()
+            );
+            assert!(read_regular(&path, 10).is_err());
+        }
+    }
+}

@@ -75,3 +75,51 @@ pub(crate) fn pending(stop_condition: Option<StopCondition>) -> Option<Millis> {
 pub(crate) fn running(command: Option<StopCondition>, step: Option<StopCondition>) -> Option<Millis> {
     step.or(command).and_then(|lease| lease.running)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> Timestamp<Robot> {
+        Timestamp::from_nanos(millis * 1_000_000)
+    }
+
+    #[test]
+    fn parties_that_hold_nothing_are_forgotten_once_there_are_too_many() {
+        let mut heard = LastHeard::default();
+        let many = PARTIES_MIN as u64;
+        let full: Vec<_> = (0..=many).map(|party| heard.heard(LinkId(party), at(1))).collect();
+        assert_eq!(full.iter().filter(|full| **full).count(), 1, "with the last");
+        heard.keep(&HashSet::from([LinkId(0), LinkId(7)]));
+        assert_eq!(heard.at.len(), 2);
+        let last = [0, 7, 8, many].map(|party| heard.last(LinkId(party)));
+        assert_eq!(last, [Some(at(1)), Some(at(1)), None, None]);
+        assert!(!heard.heard(LinkId(9), at(2)), "there is room again");
+        assert_eq!(heard.last(LinkId(9)), Some(at(2)));
+    }
+
+    #[test]
+    fn many_that_hold_something_have_room_for_as_many_more() {
+        let mut heard = LastHeard::default();
+        let holding: HashSet<_> = (0..2_000).map(LinkId).collect();
+        let full = holding.iter().filter(|party| heard.heard(**party, at(1))).count();
+        assert_eq!(full, 2_000 - PARTIES_MIN);
+        heard.keep(&holding);
+        let full = (2_000..4_001).map(|party| heard.heard(LinkId(party), at(2)));
+        assert_eq!(full.collect::<Vec<_>>().iter().position(|full| *full), Some(2_000));
+    }
+
+    #[test]
+    fn a_lease_counts_from_its_begin_or_from_what_was_heard_last() {
+        let mut heard = LastHeard::default();
+        let silence = Millis::new(100.0).ok();
+        let lease = Lease { link: LinkId(1), granted: at(50), silence };
+        assert_eq!(heard.ends(&lease), Some(at(150)));
+        let _room = heard.heard(LinkId(1), at(20));
+        assert_eq!(heard.ends(&lease), Some(at(150)));
+        let _room = heard.heard(LinkId(1), at(80));
+        let _room = heard.heard(LinkId(2), at(90));
+        assert_eq!(heard.ends(&lease), Some(at(180)));
+        assert_eq!(heard.ends(&Lease { silence: None, ..lease }), None);
+    }
+}

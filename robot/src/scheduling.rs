@@ -219,6 +219,18 @@ mod tests {
         assert!(scheduling(yes("SCHED_FIFO")) && !scheduling(no()));
     }
 
+    #[test]
+    fn a_thread_lacks_what_it_asked_for_and_was_not_granted() {
+        for (realtime, locked, lacks) in [
+            (yes("SCHED_FIFO"), yes("memory locked"), false),
+            (Granted::Unasked, Granted::Unasked, false),
+            (no(), yes("memory locked"), true),
+            (yes("SCHED_FIFO"), no(), true),
+        ] {
+            assert_eq!(Scheduling { realtime, locked }.lacks_something(), lacks);
+        }
+    }
+
     fn yes(what: &str) -> Granted {
         Granted::Yes(what.to_owned())
     }

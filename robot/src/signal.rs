@@ -247,4 +247,104 @@ mod tests {
         assert!((stopped.target() - 10.0).abs() < 1e-9);
         assert!((900..2_000).all(|millis| stopped.value(at(millis)) <= 10.0 + 1e-9));
     }
+
+    #[test]
+    fn a_ramp_that_begins_elsewhere_than_at_zero_comes_to_rest_from_its_own_speed() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: None, acceleration: 20.0 };
+        // 4 a second, up and down: 0.4 further in 0.2 s.
+        for (to, standstill) in [(140.0, 120.4), (60.0, 79.6)] {
+            let moving = Signal::ramp(100.0, at(0), to, at(10_000));
+            let stopped = moving.brought_to_rest(at(5_000), None, rates, None).unwrap();
+            assert!((stopped.target() - standstill).abs() < 1e-9, "{}", stopped.target());
+            assert_eq!(stopped.rests_at(), at(5_200));
+        }
+    }
+
+    #[test]
+    fn what_has_not_begun_or_has_arrived_has_no_speed_to_slow_down_from() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: None, acceleration: 20.0 };
+        let moving = Signal::ramp(10.0, at(1_000), 20.0, at(2_000));
+        for instant in [999, 2_000, 3_000] {
+            assert!(moving.brought_to_rest(at(instant), None, rates, None).is_none(), "{instant}");
+        }
+        assert!(moving.brought_to_rest(at(1_000), None, rates, None).is_some());
+    }
+
+    #[test]
+    fn a_device_below_its_top_speed_goes_to_its_target_by_speeding_up_and_slowing_down() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let resting = Signal::resting(10.0, at(0));
+        // 5 with 20 a second squared: half of the way in half a second each; no time at a speed of its own.
+        let free = Rates { speed: None, acceleration: 20.0 };
+        let back = resting.brought_to_rest(at(0), Some(5.0), free, None).unwrap();
+        assert_eq!(back.rests_at(), at(1_000));
+        let values = [0, 250, 500, 750, 1_000].map(|millis| back.value(at(millis)));
+        assert_eq!(values, [10.0, 9.375, 7.5, 5.625, 5.0]);
+        // At 2 a second: 0.1 s each way for 0.1, and 2.4 s for the rest.
+        let slow = Rates { speed: Some(2.0), acceleration: 20.0 };
+        let back = resting.brought_to_rest(at(0), Some(5.0), slow, None).unwrap();
+        assert_eq!(back.rests_at(), at(2_600));
+        assert!((back.value(at(1_300)) - 7.5).abs() < 1e-9, "{}", back.value(at(1_300)));
+        assert!((back.value(at(100)) - 9.9).abs() < 1e-9, "{}", back.value(at(100)));
+    }
+
+    #[test]
+    fn the_lower_limit_is_not_left_while_braking_either() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let limits = Limits { min_value: 2.0, max_value: 10.0, granularity: 0.1, max_error: None };
+        let moving = Signal::ramp(10.0, at(0), 2.0, at(800));
+        let rates = Rates { speed: None, acceleration: 1.0 };
+        let stopped = moving.brought_to_rest(at(700), None, rates, Some(&limits)).unwrap();
+        assert!((stopped.target() - 2.0).abs() < 1e-9, "{}", stopped.target());
+        // 1 is left at 10 a second: 0.2 s.
+        assert_eq!(stopped.rests_at(), at(900));
+        assert!((700..1_000).all(|millis| stopped.value(at(millis)) >= 2.0));
+    }
+
+    #[test]
+    fn a_way_that_is_beyond_all_numbers_is_none() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let moving = Signal::ramp(0.0, at(0), 1e300, at(1_000));
+        let rates = Rates { speed: None, acceleration: 1.0 };
+        assert!(moving.brought_to_rest(at(500), None, rates, None).is_none());
+    }
+
+    #[test]
+    fn a_speed_is_slowed_in_the_time_that_its_acceleration_takes() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let turning = Signal::resting(-8.0, at(0));
+        let slowed = turning.slowed_to(at(100), 2.0, 20.0).unwrap();
+        assert_eq!((slowed.target(), slowed.rests_at()), (2.0, at(600)));
+        assert!((slowed.value(at(350)) + 3.0).abs() < 1e-9);
+        assert!(turning.slowed_to(at(100), -8.0, 20.0).is_none(), "it is there");
+    }
+
+    #[test]
+    fn a_signal_rests_at_its_default_value_or_at_zero_and_a_position_where_it_is() {
+        let custom = ControlType::Custom(1);
+        for (default, control_type, driven, expected) in [
+            (None, ControlType::Position, true, None),
+            (Some(3.0), ControlType::Position, true, Some(3.0)),
+            (None, ControlType::Speed, false, Some(0.0)),
+            (None, custom, false, None),
+            (None, custom, true, Some(0.0)),
+        ] {
+            assert_eq!(resting_value(default, control_type, driven), expected, "{control_type:?}");
+        }
+    }
+
+    #[test]
+    fn what_slows_down_and_is_stopped_again_comes_to_rest_at_the_same_place_and_time() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: None, acceleration: 20.0 };
+        let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
+        let stopped = moving.brought_to_rest(at(4_000), None, rates, None).unwrap();
+        let again = stopped.brought_to_rest(at(4_200), None, rates, None).unwrap();
+        for signal in [stopped, again] {
+            assert!((signal.target() - 33.6).abs() < 1e-6, "{}", signal.target());
+            assert!((signal.rests_at() - at(4_400)).abs() < Span::from_micros(1));
+        }
+    }
 }

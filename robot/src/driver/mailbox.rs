@@ -527,16 +527,4 @@ impl State {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_value_is_too_old_only_beyond_its_bound() {
-        let due = Instant::now();
-        let value = |due| Value { setpoint: Setpoint::new(ControlType::Position, 1.0), due };
-        let beyond = STALE + Duration::from_nanos(1);
-        assert_eq!(value(Some(due)).stale(due + STALE), None);
-        assert_eq!(value(Some(due)).stale(due + beyond), Some(beyond));
-        assert_eq!(value(None).stale(due + beyond), None, "the default state is never too old");
-    }
-}
+mod tests;

@@ -148,3 +148,30 @@ impl Worker {
         Ok(())
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to count from")]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_clock_that_is_read_a_little_differently_was_not_set() {
+        let mut given = Given::default();
+        let told = [50, 100, 101, 150, 201, 202, -300].map(|micros| given.ahead(Span::from_micros(micros)));
+        assert_eq!(told, [0, 0, 101, 101, 101, 202, -300].map(Span::from_micros));
+    }
+
+    #[test]
+    fn a_device_follows_a_script_from_its_start_on() {
+        let (mut given, now) = (Given::default(), Instant::now());
+        let [arm, wheel] = ["arm", "wheel"].map(|id| DeviceId::new(id).unwrap());
+        let start = now + Duration::from_secs(1);
+        given.plans.insert(PlanId(1), Have { device: arm.clone(), start, ahead: Span::ZERO });
+        assert!(!given.is_followed_by(&arm, now) && given.is_followed_by(&arm, start));
+        assert!(!given.is_followed_by(&wheel, start));
+        given.clear();
+        assert!(!given.is_followed_by(&arm, start));
+    }
+}

@@ -425,4 +425,215 @@ mod tests {
             assert!(error.contains(why), "{json}: {error}");
         }
     }
+
+    use std::path::PathBuf;
+
+    use urrcp::{ControlType, Timestamp};
+
+    use crate::PlanId;
+    use crate::plans::Then;
+
+    /// A program that logs the lines that it is told, and answers them as the test says.
+    struct Logged {
+        program: Program,
+        log: PathBuf,
+    }
+
+    impl Logged {
+        /// With branches of a shell's `case`; any other line is answered with `ok`.
+        fn new(test: &str, answers: &str) -> Self {
+            let log = std::env::temp_dir().join(format!("downbeat-program-{}-{test}", std::process::id()));
+            let shown = log.display();
+            let command = format!(
+                "while read -r line; do printf '%s\\n' \"$line\" >> '{shown}'; \
+                 case \"$line\" in {answers} *) echo ok;; esac; done"
+            );
+            let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+            let answer = Duration::from_secs(20);
+            let timeouts = Timeouts { start: answer, answer };
+            Self { program: Program::new(&command, &block).unwrap().within(timeouts), log }
+        }
+
+        fn lines(&self) -> Vec<String> {
+            std::fs::read_to_string(&self.log).unwrap().lines().map(str::to_owned).collect()
+        }
+
+        /// The JSON behind the first word of a line.
+        fn json(&self, line: usize, word: &str) -> serde_json::Value {
+            serde_json::from_str(self.lines()[line].strip_prefix(word).unwrap()).unwrap()
+        }
+    }
+
+    impl Drop for Logged {
+        fn drop(&mut self) {
+            let _never_written = std::fs::remove_file(&self.log);
+        }
+    }
+
+    fn arm() -> DeviceId {
+        DeviceId::new("arm").unwrap()
+    }
+
+    fn position(value: f64) -> Setpoint {
+        Setpoint::new(ControlType::Position, value)
+    }
+
+    #[test]
+    fn a_program_of_the_first_version_is_told_a_line_a_call() {
+        let mut logged = Logged::new("calls", "hello) echo ok ramps;; 'read eye') echo ' 4.5 ';;");
+        let program = &mut logged.program;
+        assert!(!program.takes_ramps() && program.lifeline().is_none(), "nothing runs yet");
+        program.connect().unwrap();
+        assert!(program.takes_ramps() && !program.takes_frames() && program.set_is_acknowledged());
+        assert!(program.lifeline().is_some() && program.latency().is_empty());
+        program.set(&arm(), &Setpoint { more: [6.5, 7.0].into(), ..position(5.0) }).unwrap();
+        let duration = Duration::from_millis(1_500);
+        let ramp = Ramp { control_type: ControlType::Position, to: 9.0, duration };
+        program.ramp(&arm(), ramp).unwrap();
+        assert_eq!(program.read(&DeviceId::new("eye").unwrap()), Ok(4.5));
+        program.ping().unwrap();
+        let told = ["hello", "set arm position 5 6.5 7", "ramp arm position 9 1500", "read eye", "ping"];
+        assert_eq!(logged.lines(), told);
+    }
+
+    #[test]
+    fn a_program_that_says_no_stays_and_one_that_is_out_of_step_is_away() {
+        let answers = "'set arm position 8') echo error  too hot;; 'set arm position 9') echo what;;";
+        let mut logged = Logged::new("errors", answers);
+        let program = &mut logged.program;
+        program.connect().unwrap();
+        assert!(!program.takes_ramps());
+        let refused = DriverError::Refused("the program says: too hot".to_owned());
+        assert_eq!(program.set(&arm(), &position(8.0)), Err(refused));
+        program.ping().unwrap();
+        let out_of_step = program.set(&arm(), &position(9.0)).unwrap_err();
+        assert!(matches!(&out_of_step, DriverError::Away(_)), "{out_of_step:?}");
+        assert!(
+            out_of_step.to_string().ends_with("answers `set arm position 9` with `what`"),
+            "{out_of_step}"
+        );
+        assert_eq!(program.ping(), Err(DriverError::Away("the program does not run".to_owned())));
+        program.connect().unwrap();
+        program.ping().unwrap();
+        assert!(program.read(&arm()).is_err_and(|error| error.to_string().ends_with("with `ok`")));
+        assert!(program.lifeline().is_none());
+    }
+
+    #[test]
+    fn a_program_of_the_second_version_is_told_what_it_drives_and_declares_what_it_can_do() {
+        let declares = r#"{"frames": true, "latency_ms": {"arm": 12.5}, "lookahead": "script",
+            "samples_per_second": 20, "pings_per_second": 30, "readings_per_second": {"eye": 2}}"#;
+        let declares = declares.replace('\n', " ");
+        let answers = format!("hello) echo ok 2;; init*) echo 'ok {declares}';;");
+        let mut logged = Logged::new("declares", &answers);
+        let program = &mut logged.program;
+        program.connect().unwrap();
+        assert!(program.takes_frames() && !program.takes_ramps());
+        assert_eq!(program.latency(), BTreeMap::from([(arm(), Duration::from_micros(12_500))]));
+        assert_eq!(program.lookahead(), BTreeMap::from([(arm(), Lookahead::Script)]));
+        let (rates, eye) = (program.rates(), DeviceId::new("eye").unwrap());
+        assert_eq!((rates.samples_per_second.get(&arm()), rates.pings_per_second), (Some(&20.0), Some(30.0)));
+        assert_eq!(rates.readings_per_second, BTreeMap::from([(eye, 2.0)]));
+        program.set_frame(&[(arm(), Setpoint { more: [6.0].into(), ..position(5.0) })]).unwrap();
+        let init = logged.json(1, "init ");
+        assert_eq!((&init["version"], &init["block"]["id"]), (&json!(2), &json!("r")));
+        let frame = json!([{ "device": "arm", "control_type": "position", "values": [5.0, 6.0] }]);
+        assert_eq!(logged.json(2, "frame "), frame);
+    }
+
+    #[test]
+    fn a_script_is_told_with_the_indices_of_its_steps_and_continued_by_its_number() {
+        let mut logged = Logged::new("plans", "");
+        let step = |at: i64, value| PlanStep { at: Timestamp::from_nanos(at), setpoint: position(value) };
+        let part = |first, is_last| PlanPart {
+            plan: PlanId(7),
+            device: arm(),
+            start: Timestamp::from_nanos(100),
+            begin_by: Timestamp::from_nanos(150),
+            interpolation: urrcp::Interpolation::Linear,
+            first,
+            steps: vec![step(100, 5.0), step(200, 6.0)],
+            is_last,
+        };
+        let program = &mut logged.program;
+        program.connect().unwrap();
+        program.plan(&part(0, false)).unwrap();
+        program.plan(&part(2, true)).unwrap();
+        let cancel = PlanCancel { plan: PlanId(7), device: arm(), then: Then::Hold, why: "stop".to_owned() };
+        program.cancel(&cancel).unwrap();
+        let steps = |first: u32| {
+            let step = |index: u32, at: i64, value: f64| json!({ "step": index, "at": at, "control_type": "position", "values": [value] });
+            json!([step(first, 100, 5.0), step(first + 1, 200, 6.0)])
+        };
+        let plan = json!({ "plan": 7, "device": "arm", "start": 100, "begin_by": 150, "interpolation": "linear",
+            "silence_ms": { "start": 400, "running": 3_000 }, "steps": steps(0), "last": false });
+        assert_eq!(logged.json(1, "plan "), plan);
+        assert_eq!(logged.json(2, "more "), json!({ "plan": 7, "steps": steps(2), "last": true }));
+        assert_eq!(logged.json(3, "cancel "), json!({ "plan": 7, "then": "hold", "why": "stop" }));
+    }
+
+    #[test]
+    fn an_answer_to_the_first_lines_that_says_nothing_is_told_and_ends_the_program() {
+        for (test, answers, why) in [
+            ("greets", "hello) echo hi;;", "answers `hello` with `hi`"),
+            ("three", "hello) echo ok 3;;", "answers `hello` with `ok 3`"),
+            ("init", "hello) echo ok 2;; init*) echo yes;;", "with `yes`: expected `ok` and a JSON object"),
+            ("json", "hello) echo ok 2;; init*) echo 'ok {';;", "with `ok {`: EOF"),
+            (
+                "latency",
+                r#"hello) echo ok 2;; init*) echo 'ok {"latency_ms": {"leg": 1}}';;"#,
+                "a latency of `leg`, which this robot does not have",
+            ),
+        ] {
+            let mut logged = Logged::new(test, answers);
+            let error = logged.program.connect().unwrap_err();
+            assert!(matches!(&error, DriverError::Away(_)) && error.to_string().contains(why), "{error}");
+            assert!(logged.program.lifeline().is_none(), "{test}");
+        }
+        let mut silent = Logged::new("nothing", "hello) echo ok 2;;");
+        silent.program.connect().unwrap();
+        assert!(!silent.program.takes_frames(), "`ok` alone declares nothing");
+    }
+
+    #[test]
+    fn a_program_that_does_not_answer_in_time_is_ended() {
+        let mut logged = Logged::new("late", "ping) ;;");
+        logged.program.connect().unwrap();
+        logged.program.timeouts.answer = Duration::from_millis(50);
+        let error = logged.program.ping().unwrap_err().to_string();
+        assert!(error.ends_with("did not answer `ping` within 0.05 s"), "{error}");
+        assert!(logged.program.lifeline().is_none());
+    }
+
+    #[test]
+    fn a_device_with_a_space_in_its_id_is_refused() {
+        for (id, is_taken) in [("left arm", false), ("left\\u0007arm", false), ("left-arm", true)] {
+            let block = BLOCK.replace(r#""id": "arm""#, &format!(r#""id": "{id}""#));
+            let block: InitializationBlock = serde_json::from_str(&block).unwrap();
+            assert_eq!(Program::new("true", &block).is_ok(), is_taken, "{id}");
+        }
+    }
+
+    #[test]
+    fn bounds_of_what_is_declared_are_themselves_allowed() {
+        for json in [
+            r#"{"lookahead_ms": 20}"#,
+            r#"{"lookahead_ms": 60000}"#,
+            r#"{"samples_per_second": {"arm": 0.1, "eye": 1000}}"#,
+            r#"{"pings_per_second": 10}"#,
+            r#"{"pings_per_second": 200}"#,
+            r#"{"latency_ms": {"arm": 0, "eye": 1}}"#,
+        ] {
+            assert!(declared(json).is_ok(), "{json}: {:?}", declared(json).map(|_| ()));
+        }
+        for json in [
+            r#"{"lookahead_ms": 60001}"#,
+            r#"{"lookahead_ms": {"eye": 100}}"#,
+            r#"{"pings_per_second": 201}"#,
+            r#"{"latency_ms": {"arm": -1}}"#,
+            r#"{"latency_ms": {"arm": 1e9}}"#,
+        ] {
+            assert!(declared(json).is_err(), "{json}");
+        }
+    }
 }

@@ -186,4 +186,62 @@ mod tests {
         assert_eq!(pulse.quiet(), (4 * pulse.took).max(QUIET_LEAST));
         assert!(pulse.took < 5 * MS, "{:?}", pulse.took);
     }
+
+    #[test]
+    fn a_reading_keeps_clear_of_movements_by_more_than_a_ping_does() {
+        let (pulse, begin) = holding(Some(100 * MS));
+        assert!(pulse.is_quiet_for_readings(begin + 79 * MS));
+        assert!(!pulse.is_quiet_for_readings(begin + 80 * MS) && pulse.is_quiet(begin + 80 * MS));
+        assert!(holding(None).0.is_quiet_for_readings(begin), "nothing is due");
+    }
+
+    #[test]
+    fn what_changes_when_hardware_is_asked_wakes_its_thread() {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin, NEAR);
+        let held = Demand { held: true, ..Demand::default() };
+        assert!(!pulse.demand(begin, Demand::default()) && pulse.demand(begin, held));
+        let due = Demand { next_due: Some(begin), ..held };
+        assert!(!pulse.demand(begin, due), "movements alone change nothing");
+        assert!(pulse.demand(begin, Demand { start: Some(begin), ..due }));
+        assert!(pulse.demand(begin, Demand { confirmation: true, ..held }));
+    }
+
+    #[test]
+    fn an_end_that_waits_to_be_confirmed_is_asked_for_as_often_as_a_start() {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin, NEAR);
+        let confirmation = Demand { held: true, confirmation: true, ..Demand::default() };
+        pulse.demand(begin, confirmation);
+        assert_eq!(pulse.next_ping(begin), begin + NEAR);
+        assert!(!pulse.is_overdue(begin + 59 * MS) && pulse.is_overdue(begin + 60 * MS));
+        pulse.demand(begin, Demand { held: true, ..Demand::default() });
+        assert!(!pulse.is_overdue(begin + 1_999 * MS) && pulse.is_overdue(begin + 2_000 * MS));
+        pulse.called(1_500 * MS);
+        assert!(!pulse.is_overdue(begin + 2_999 * MS) && pulse.is_overdue(begin + 3_000 * MS));
+    }
+
+    #[test]
+    fn hardware_that_wants_few_pings_is_overdue_and_silent_later() {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin, 100 * MS);
+        assert_eq!(pulse.next_ping(begin), begin + IDLE);
+        assert_eq!(Pulse::new(begin, 400 * MS).next_ping(begin), begin + 800 * MS);
+        pulse.demand(begin, Demand { held: true, start: Some(begin), ..Demand::default() });
+        assert!(!pulse.is_overdue(begin + 199 * MS) && pulse.is_overdue(begin + 200 * MS));
+        assert_eq!(pulse.silence(begin + 300 * MS), None);
+        assert_eq!(pulse.silence(begin + 301 * MS), Some(301 * MS));
+    }
+
+    #[test]
+    fn silence_begins_with_what_is_held_and_goes_on_with_more_of_it() {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin, NEAR);
+        let held = Demand { held: true, ..Demand::default() };
+        pulse.demand(begin + 1_000 * MS, held);
+        pulse.demand(begin + 1_100 * MS, Demand { start: Some(begin), ..held });
+        assert_eq!(pulse.silence(begin + 1_000 * MS + SILENCE_MAX), None);
+        let beyond = 1_001 * MS + SILENCE_MAX;
+        assert_eq!(pulse.silence(begin + beyond), Some(beyond), "since it last answered");
+    }
 }

@@ -265,4 +265,91 @@ mod tests {
         assert_eq!(said_of("read line; echo ok; exec <&-; sleep 60"), "has closed its input");
         assert_eq!(said_of("read line; echo ok; exec <&-; sleep 0.1"), "has ended");
     }
+
+    /// An ear for the sensor `eye`, on a mailbox with a connection.
+    fn ear() -> (Ear, Arc<crate::driver::Mailbox>) {
+        let mailbox = Arc::new(crate::driver::Mailbox::default());
+        let ping_period = Duration::from_millis(25);
+        let manners =
+            crate::driver::mailbox::Manners { acknowledges: true, takes_frames: false, ping_period };
+        mailbox.connected(1, manners);
+        let sensors = Arc::new(HashSet::from([DeviceId::new("eye").unwrap()]));
+        (Ear { pushes: Pushes::into(Arc::clone(&mailbox)), sensors }, mailbox)
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "asks what waits now")]
+    fn fault(mailbox: &crate::driver::Mailbox) -> Option<String> {
+        match mailbox.next(std::time::Instant::now()) {
+            crate::driver::mailbox::Work::Fault(reason) => Some(reason),
+            _ => None,
+        }
+    }
+
+    #[test]
+    fn what_a_program_tells_unasked_is_no_answer() {
+        let (ear, mailbox) = ear();
+        assert!(ear.hears("reading eye  4.5"));
+        assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(4.5));
+        for word in ["started 1 5", "step 1 0 5", "done 1 5", "failed 1 5 torque", "cancelled 1 5"] {
+            assert!(ear.hears(word), "{word}");
+            assert_eq!(mailbox.words().len(), 1, "{word}");
+        }
+        assert_eq!(fault(&mailbox), None);
+        assert!(ear.hears("fault  torque "));
+        assert_eq!(fault(&mailbox).as_deref(), Some("torque"));
+        for answer in ["ok", "4.5", "error fault", "fault", "readings eye 4.5"] {
+            assert!(!ear.hears(answer), "{answer}");
+        }
+        assert_eq!(fault(&mailbox), None);
+    }
+
+    #[test]
+    fn what_a_program_tells_in_another_form_is_its_fault() {
+        let (ear, mailbox) = ear();
+        for (line, expected) in [
+            ("reading ear 4.5", "expected `reading SENSOR NUMBER` with a sensor of this robot"),
+            ("reading eye", "expected `reading SENSOR NUMBER`"),
+            ("reading eye high", "expected `reading SENSOR NUMBER`"),
+            ("done x 5", "expected `started PLAN NS`"),
+        ] {
+            assert!(ear.hears(line), "{line}");
+            let told = fault(&mailbox).unwrap();
+            assert!(
+                told.starts_with(&format!("the program says `{line}`, ")) && told.contains(expected),
+                "{told}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_program_tells_nothing_before_it_may() {
+        let (ear, mailbox) = ear();
+        let mut running = Running::start("while read -r line; do echo \"$line\"; done", Some(ear)).unwrap();
+        let wait = Duration::from_secs(20);
+        assert_eq!(running.ask("reading eye 1", wait).as_deref(), Ok("reading eye 1"));
+        running.may_tell();
+        running.input.as_mut().unwrap().write_all(b"reading eye 2\n").unwrap();
+        assert_eq!(running.ask("ping", wait).as_deref(), Ok("ping"), "what was told before is no answer");
+        assert_eq!(mailbox.pushed(&DeviceId::new("eye").unwrap(), Duration::from_secs(600)), Some(2.0));
+    }
+
+    #[test]
+    fn of_a_long_line_a_reason_names_the_first_word_alone() {
+        let mut running = Running::start("sleep 60", None).unwrap();
+        let mut reason = |line: &str| running.ask(line, Duration::from_millis(10)).unwrap_err();
+        let short = format!("init {}", "x".repeat(SHOWN_MAX - 5));
+        assert_eq!(reason(&short), format!("did not answer `{short}` within 0.01 s"));
+        assert_eq!(reason(&format!("{short}x")), "did not answer `init` within 0.01 s");
+        let beyond_a_pipe = "x".repeat(1 << 20);
+        assert_eq!(reason(&format!("init {beyond_a_pipe}")), "did not read `init` within 0.01 s");
+    }
+
+    #[test]
+    fn a_program_that_does_not_end_by_itself_is_ended() {
+        let running = Running::start("trap '' TERM; while true; do sleep 1; done", None).unwrap();
+        let process = format!("/proc/{}", running.child.id());
+        assert!(std::path::Path::new(&process).exists());
+        drop(running);
+        assert!(!std::path::Path::new(&process).exists());
+    }
 }

@@ -1,5 +1,7 @@
 //! Drivers under their thread: what reaches the hardware, in which order, and what does when it fails.
 
+mod thread;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -753,7 +755,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
         let setpoint = Setpoint::new(ControlType::Speed, value);
         mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
     };
-    mailbox.post(0, [set("a", 1.0)].into_iter(), Demand::default());
+    mailbox.post(0, [set("before", 1.0)].into_iter(), Demand::default());
     mailbox.connected(1, MANNERS);
     mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
     mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
@@ -815,4 +817,149 @@ async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
     assert!(matches!(mailbox.next(soon), mailbox::Work::Fault(reason) if reason == "stuck"));
     mailbox.disconnected();
     assert_eq!(mailbox.pushed(&eye, Duration::MAX), None);
+}
+
+#[tokio::test]
+async fn a_host_tells_whether_the_hardware_of_its_robots_answers() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let figures = rig.host.figures();
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    assert!(figures.robots()[0].hardware_answers());
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    assert_eq!(rig.response().await.status, Status::Failed);
+    assert!(!figures.robots()[0].hardware_answers());
+    rig.bench.broken.store(false, Ordering::SeqCst);
+    rig.next_done(&["connect", "wheel 4", "connect", "arm 3", "wheel 0"]);
+    rig.script("wheel", "b", &[(0.0, 5.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    assert!(figures.robots()[0].hardware_answers());
+}
+
+#[test]
+fn what_a_driver_says_of_a_script_is_passed_on_as_it_says_it() {
+    let mailbox = Arc::new(Mailbox::default());
+    let pushes = Pushes::into(Arc::clone(&mailbox));
+    mailbox.connected(1, MANNERS);
+    let soon = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    pushes.plan(crate::PlanId(1), Timestamp::from_nanos(5), PlanEvent::Began);
+    let mailbox::Work::Words(words) = mailbox.next(soon) else { panic!("nothing was said") };
+    assert_eq!(
+        (words[0].plan, words[0].at, &words[0].event),
+        (crate::PlanId(1), Timestamp::from_nanos(5), &PlanEvent::Began)
+    );
+}
+
+/// The least that a driver is.
+struct Plain(Vec<String>);
+
+impl Driver for Plain {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
+
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        self.0.push(format!("{device} {}", setpoint.value));
+        if setpoint.value < 0.0 { Err(DriverError::Refused("below zero".to_owned())) } else { Ok(()) }
+    }
+
+    fn read(&mut self, _sensor: &DeviceId) -> Result<f64, DriverError> {
+        Ok(0.0)
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_driver_by_default_is_told_values_alone_one_after_another() {
+    let mut plain = Plain(Vec::new());
+    assert!(!plain.takes_ramps() && !plain.takes_frames() && !plain.set_is_acknowledged());
+    assert!(plain.lookahead().is_empty() && plain.latency().is_empty() && plain.lifeline().is_none());
+    assert_eq!(plain.rates(), Rates::default());
+    let value =
+        |device: &str, value| (DeviceId::new(device).unwrap(), Setpoint::new(ControlType::Speed, value));
+    assert_eq!(plain.set_frame(&[value("a", 1.0), value("b", 2.0)]), Ok(()));
+    let refused = Err(DriverError::Refused("below zero".to_owned()));
+    assert_eq!(plain.set_frame(&[value("c", -1.0), value("d", 2.0)]), refused);
+    assert_eq!(plain.0, ["a 1", "b 2", "c -1"]);
+    let ramp = Ramp { control_type: ControlType::Speed, to: 1.0, duration: Duration::ZERO };
+    let arm = || DeviceId::new("a").unwrap();
+    assert!(plain.ramp(&arm(), ramp).is_err());
+    let part = PlanPart {
+        plan: crate::PlanId(1),
+        device: arm(),
+        start: Timestamp::from_nanos(0),
+        begin_by: Timestamp::from_nanos(0),
+        interpolation: urrcp::Interpolation::Hold,
+        first: 0,
+        steps: Vec::new(),
+        is_last: true,
+    };
+    let (then, why) = (crate::Then::Keep, String::new());
+    let cancel = PlanCancel { plan: part.plan, device: arm(), then, why };
+    let timed = Err(DriverError::Refused("this driver times no scripts".to_owned()));
+    assert_eq!([plain.plan(&part), plain.cancel(&cancel)], [timed.clone(), timed]);
+}
+
+#[tokio::test]
+async fn hardware_that_is_to_be_held_stays_where_it_is_and_turns_no_more() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("arm", "a", &[(0.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    rig.script("wheel", "b", &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let Rig { host, done, link, .. } = rig;
+    drop(link);
+    assert_eq!(host.stop_but(&["r".parse().unwrap()]), []);
+    let done: Vec<_> = done.try_iter().filter(|what| what != "ping").collect();
+    assert_eq!(done.last().map(String::as_str), Some("wheel 0"));
+    assert!(!done.contains(&"arm 3".to_owned()), "{done:?}");
+}
+
+#[tokio::test]
+async fn an_edge_whose_session_is_over_is_free_once_it_is_asked() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let handle = rig.host.handle();
+    let session = urrcp::SessionId::new("show").ok();
+    let claim = urrcp::AvailabilityRequest { session, ..Default::default() };
+    rig.link.send(Message::AvailabilityRequest(claim));
+    rig.link.recv().await.unwrap();
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_some(), "its link stands");
+    drop(rig.link);
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_none());
+}
+
+#[tokio::test]
+async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
+    let (tell, events) = channel();
+    let (done, _seen) = channel();
+    let bench = Arc::new(Bench::default());
+    let fake = Fake { bench: Arc::clone(&bench), done, pushes: None };
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let hosted = Hosted::driven(block, Box::new(fake), DriverOptions::default())
+        .watched(move |event| tell.send(event.to_string()).unwrap());
+    let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
+    let next = || events.recv_timeout(Duration::from_secs(60)).unwrap();
+    assert_eq!(next(), "the hardware answers");
+    bench.broken.store(true, Ordering::SeqCst);
+    assert_eq!(next(), "the hardware is away: pulled out");
+    host.stop();
+}
+
+#[test]
+fn imagined_hardware_reads_what_was_set_last_or_the_middle_of_its_range() {
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let mut driver = SimulatedDriver::new(&block);
+    let (arm, eye) = (DeviceId::new("arm").unwrap(), DeviceId::new("eye").unwrap());
+    driver.connect().unwrap();
+    assert_eq!(driver.read(&eye), Ok(4.5));
+    assert_eq!(driver.read(&arm), Err(DriverError::Refused("`arm` is no sensor".to_owned())));
+    driver.set(&arm, &Setpoint::new(ControlType::Position, 30.0)).unwrap();
+    assert_eq!(driver.read(&arm), Ok(30.0));
+    assert!(driver.set_is_acknowledged());
+    driver.ping().unwrap();
 }

@@ -288,3 +288,226 @@ impl Connection {
 fn foreign(error: &thrift::Error) -> thrift::Error {
     std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()).into()
 }
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpListener;
+    use std::thread::JoinHandle;
+
+    use urrcp::ControlType;
+
+    use super::*;
+
+    const BLOCK: &str = r#"{"id": "r", "api_version": "1", "devices": [
+      {"id": "arm", "name": "arm", "available_control_types": {
+         "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
+      {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+    const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
+
+    /// What the robot of a test answers.
+    enum Reply {
+        Bool(bool),
+        Double(f64),
+        Text(&'static str),
+        /// An answer without a result.
+        Empty,
+        Error(ApplicationErrorKind),
+        /// The answer to another call.
+        Foreign,
+        /// None, to a call that needs none.
+        Nothing,
+        HangsUp,
+    }
+
+    /// A robot that takes one connection, answers each call by its name and arguments, and tells the calls in the end.
+    fn robot(reply: impl Fn(&str) -> Reply + Send + 'static) -> (ThriftRobot, JoinHandle<Vec<String>>) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, reply));
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        (ThriftRobot::new("127.0.0.1", port, &block).unwrap(), serving)
+    }
+
+    fn serve(stream: &TcpStream, reply: impl Fn(&str) -> Reply) -> Vec<String> {
+        let (reader, writer) = TTcpChannel::with_stream(stream.try_clone().unwrap()).split().unwrap();
+        let mut input = TBinaryInputProtocol::new(TBufferedReadTransport::new(reader), true);
+        let mut out = TBinaryOutputProtocol::new(TBufferedWriteTransport::new(writer), true);
+        let mut calls = Vec::new();
+        while let Ok(call) = input.read_message_begin() {
+            let mut told = call.name.clone();
+            input.read_struct_begin().unwrap();
+            loop {
+                let field = input.read_field_begin().unwrap();
+                match field.field_type {
+                    TType::Stop => break,
+                    TType::String => told = format!("{told} {}", input.read_string().unwrap()),
+                    TType::Double => told = format!("{told} {}", input.read_double().unwrap()),
+                    other => panic!("{other:?}"),
+                }
+            }
+            calls.push(told.clone());
+            let reply = reply(&told);
+            let kind = match reply {
+                Reply::Nothing => continue,
+                Reply::HangsUp => break,
+                Reply::Error(_) => TMessageType::Exception,
+                _ => TMessageType::Reply,
+            };
+            let sequence = call.sequence_number + i32::from(matches!(reply, Reply::Foreign));
+            out.write_message_begin(&TMessageIdentifier::new(&call.name, kind, sequence)).unwrap();
+            if let Reply::Error(kind) = reply {
+                let error = thrift::ApplicationError::new(kind, "so it is");
+                thrift::Error::write_application_error_to_out_protocol(&error, &mut out).unwrap();
+            } else {
+                let mut field = |kind| out.write_field_begin(&TFieldIdentifier::new("", kind, 0)).unwrap();
+                match reply {
+                    Reply::Bool(value) => {
+                        field(TType::Bool);
+                        out.write_bool(value).unwrap();
+                    }
+                    Reply::Double(value) => {
+                        field(TType::Double);
+                        out.write_double(value).unwrap();
+                    }
+                    Reply::Text(text) => {
+                        field(TType::String);
+                        out.write_string(text).unwrap();
+                    }
+                    _ => {}
+                }
+                out.write_field_stop().unwrap();
+            }
+            out.write_message_end().unwrap();
+            out.flush().unwrap();
+        }
+        calls
+    }
+
+    /// What a robot in order answers.
+    fn in_order(call: &str) -> Reply {
+        match call.split(' ').next().unwrap() {
+            "ping" => Reply::Bool(true),
+            "get_init_schema" => Reply::Text(SCHEMA),
+            "get_sensor_double_value" => Reply::Double(4.5),
+            "set_device_double_value" => Reply::Nothing,
+            other => panic!("{other}"),
+        }
+    }
+
+    fn eye() -> DeviceId {
+        DeviceId::new("eye").unwrap()
+    }
+
+    #[test]
+    fn a_robot_that_is_the_one_expected_is_told_values_and_asked_for_readings() {
+        let (mut robot, serving) = robot(in_order);
+        assert!(robot.lifeline().is_none());
+        robot.connect().unwrap();
+        assert!(robot.lifeline().is_some());
+        robot.set(&DeviceId::new("arm").unwrap(), &Setpoint::new(ControlType::Position, 5.0)).unwrap();
+        assert_eq!(robot.read(&eye()), Ok(4.5));
+        drop(robot);
+        let calls =
+            ["ping", "get_init_schema", "set_device_double_value arm 5", "get_sensor_double_value eye"];
+        assert_eq!(serving.join().unwrap(), calls);
+    }
+
+    #[test]
+    fn a_robot_that_describes_another_one_is_away() {
+        let other = |call: &str| match call {
+            "get_init_schema" => Reply::Text(r#"{"id": "s"}"#),
+            call => in_order(call),
+        };
+        let (mut robot, _serving) = robot(other);
+        let error = robot.connect().unwrap_err();
+        assert!(matches!(error, DriverError::Away(_)), "{error:?}");
+        assert!(
+            error.to_string().ends_with("is another robot: it calls itself `s`, expected `r`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_robot_is_asked_for_its_description_alone() {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, in_order));
+        assert_eq!(describe("127.0.0.1", port), Ok(SCHEMA.to_owned()));
+        assert_eq!(serving.join().unwrap(), ["get_init_schema"]);
+        let error = describe("127.0.0.1", port).unwrap_err().to_string();
+        assert_eq!(error, format!("no connection to thrift://127.0.0.1:{port}: connection refused"));
+    }
+
+    #[test]
+    fn a_robot_that_says_no_stays_and_is_told_in_its_words() {
+        for (kind, expected) in [
+            (ApplicationErrorKind::UnknownMethod, "the robot knows no such call: so it is"),
+            (ApplicationErrorKind::InternalError, "the robot says: so it is"),
+        ] {
+            let (mut robot, _serving) = robot(move |call| match call {
+                "get_sensor_double_value eye" | "get_sensor_string_value eye" => Reply::Error(kind),
+                call => in_order(call),
+            });
+            robot.connect().unwrap();
+            assert_eq!(robot.read(&eye()), Err(DriverError::Refused(expected.to_owned())));
+            robot.ping().unwrap();
+        }
+    }
+
+    #[test]
+    fn a_sensor_that_answers_in_words_is_read_if_they_are_a_number() {
+        for (text, expected) in [
+            (" 7.5 ", Ok(7.5)),
+            ("far", Err(DriverError::Refused("`eye` reads `far`, not a number".to_owned()))),
+        ] {
+            let (mut robot, _serving) = robot(move |call| match call {
+                "get_sensor_double_value eye" => Reply::Empty,
+                "get_sensor_string_value eye" => Reply::Text(text),
+                call => in_order(call),
+            });
+            robot.connect().unwrap();
+            assert_eq!(robot.read(&eye()), expected);
+        }
+    }
+
+    #[test]
+    fn an_answer_of_another_kind_is_no_result() {
+        let (mut robot, _serving) = robot(|call| match call {
+            "get_sensor_double_value eye" => Reply::Text("7"),
+            "get_sensor_string_value eye" => Reply::Double(7.0),
+            call => in_order(call),
+        });
+        robot.connect().unwrap();
+        let refused = "the robot says: `get_sensor_double_value` came back without a result";
+        assert_eq!(robot.read(&eye()), Err(DriverError::Refused(refused.to_owned())));
+    }
+
+    #[test]
+    fn a_robot_that_is_not_ready_or_out_of_step_or_gone_is_away() {
+        let of = |reply: fn() -> Reply| {
+            let (mut robot, _serving) =
+                robot(move |call| if call == "ping" { reply() } else { in_order(call) });
+            let error = robot.connect().unwrap_err();
+            assert!(matches!(error, DriverError::Away(_)), "{error:?}");
+            (error.to_string(), robot.lifeline().is_some())
+        };
+        let not_ready = "the robot answers ping with false: not ready".to_owned();
+        assert_eq!(of(|| Reply::Bool(false)), (not_ready, true));
+        let (gone, is_connected) = of(|| Reply::HangsUp);
+        assert!(gone.ends_with(" has closed the connection") && !is_connected, "{gone}");
+        let (foreign, is_connected) = of(|| Reply::Foreign);
+        assert!(!foreign.ends_with(" has closed the connection") && !is_connected, "{foreign}");
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        let mut apart = ThriftRobot::new("127.0.0.1", 9, &block).unwrap();
+        assert_eq!(apart.ping(), Err(DriverError::Away("not connected".to_owned())));
+    }
+
+    #[test]
+    fn a_device_with_several_control_types_is_refused() {
+        let more = r#""speed": {"min_value": 0, "max_value": 9, "granularity": 1}, "position""#;
+        let block = BLOCK.replace("\"position\"", more);
+        let block: InitializationBlock = serde_json::from_str(&block).unwrap();
+        let error = ThriftRobot::new("127.0.0.1", 9, &block).err().unwrap().to_string();
+        assert!(error.starts_with("device `arm` has several control types"), "{error}");
+    }
+}

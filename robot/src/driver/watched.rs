@@ -66,3 +66,29 @@ impl fmt::Display for HardwareEvent {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_piece_of_news_is_a_sentence_with_what_it_is_about() {
+        let arm = DeviceId::new("arm").unwrap();
+        let latency = BTreeMap::from([(arm.clone(), Duration::from_micros(12_500))]);
+        for (event, expected) in [
+            (HardwareEvent::There { latency: BTreeMap::new() }, "the hardware answers"),
+            (
+                HardwareEvent::There { latency },
+                "its driver declares a latency, which missions are told: arm 12.5 ms",
+            ),
+            (HardwareEvent::Lost("pulled out".to_owned()), "pulled out"),
+            (HardwareEvent::Unread("dark".to_owned()), "a sensor gave no reading: dark"),
+            (
+                HardwareEvent::Late { device: arm, late: Duration::from_millis(300) },
+                "a value for `arm` came 300 ms late and was not set",
+            ),
+        ] {
+            assert_eq!(event.to_string(), expected);
+        }
+    }
+}

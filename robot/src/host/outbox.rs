@@ -139,4 +139,52 @@ mod tests {
         let taken = (0..MESSAGES_MAX).take_while(|_| said.say(ask.clone(), || false)).count();
         assert_eq!(taken, BYTES_MAX / weight(&ask) + 1);
     }
+
+    #[test]
+    fn a_message_weighs_as_much_as_its_lists_are_long() {
+        use urrcp::{
+            ControlResponse, ControlType, DeviceId, Inquiry, InquiryResponse, Millis, RequestReport,
+        };
+        use urrcp::{RequestId, RequestState, Script, Setpoint, Status, Step, Timestamp};
+        let (at, arm) = (Timestamp::from_nanos(0), DeviceId::new("arm").unwrap());
+        let response = |status_value| ControlResponse {
+            status_value,
+            ..ControlResponse::new(at, arm.clone(), Status::Accepted)
+        };
+        let step = Step::new(Millis::ZERO, Setpoint::new(ControlType::Position, 1.0));
+        let script = StatusValue::Script(Script::new(vec![step; 3]).unwrap());
+        let report = RequestReport::new(RequestId::new("a").unwrap(), RequestState::Unknown);
+        let room = urrcp::DeviceRoom { device_id: arm.clone(), room: 1 };
+        let inquiry = InquiryResponse {
+            requests: vec![report; 2],
+            devices: vec![room; 3],
+            ..InquiryResponse::new(&Inquiry::default(), at, at, Status::Ok)
+        };
+        for (message, expected) in [
+            (Message::ControlResponse(response(StatusValue::Null)), 256),
+            (Message::ControlResponse(response(script)), 256 + 3 * 80),
+            (Message::InquiryResponse(inquiry), 256 + 2 * 256 + 3 * 64),
+            (block(2), 256 + 2 * 256),
+            (Message::AvailabilityRequest(AvailabilityRequest::default()), 256),
+        ] {
+            assert_eq!(weight(&message), expected, "{message:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn what_was_read_is_forgotten_and_the_end_comes_behind_what_was_said() {
+        let (said, mut heard) = outbox(stranger());
+        let block = block(3_000);
+        for _ in 0..10 {
+            assert!(said.say(block.clone(), || false));
+            assert!(matches!(heard.recv().await, Some(LinkEvent::Message(_))));
+        }
+        assert_eq!(said.unread.load(Ordering::Relaxed), 0);
+        assert!(said.say(block, || false));
+        said.close();
+        assert!(matches!(heard.try_recv(), Some(LinkEvent::Message(_))));
+        assert!(matches!(heard.try_recv(), Some(LinkEvent::Closed)));
+        assert!(heard.try_recv().is_none());
+        assert!(!said.peer().is_in_process());
+    }
 }

@@ -222,6 +222,14 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
         assert_eq!(response.status, status);
     }
     assert_eq!(host.refusals().count(Reason::Busy), 1);
+    // Neither is a question or a command of another one answered.
+    let session = urrcp::SessionId::new("show").ok();
+    other.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
+    let Some(LinkEvent::Message(Message::InquiryResponse(answer))) = other.recv().await else { panic!() };
+    assert_eq!(answer.error.map(|error| error.code), Some(ErrorCode::Busy));
+    other.send(paper(60_000.0));
+    assert_eq!(response(&mut other).await.error.map(|error| error.code), Some(ErrorCode::Busy));
+    assert_eq!(host.refusals().count(Reason::Busy), 3);
 }
 
 /// Of an operator who may drive.
@@ -230,4 +238,53 @@ fn proof(name: &str) -> crate::role::Proof {
         name: urrcp::Label::new(name).unwrap(),
         roles: [crate::role::Role::Observe, crate::role::Role::Drive].into_iter().collect(),
     }
+}
+
+#[tokio::test]
+async fn a_log_that_takes_no_more_is_told_and_the_robots_go_on() {
+    let options = HostOptions::default().with_log("/dev/full".into());
+    let mut host = Host::start(arms(1, &Settings::default()), options).unwrap();
+    let lost = host.log_lost().unwrap();
+    assert!(host.log_lost().is_none(), "to be taken once");
+    let mut link = host.handle().connect(0).unwrap();
+    link.send(paper(50.0));
+    for expected in [Status::Accepted, Status::Started, Status::Ok] {
+        assert_eq!(response(&mut link).await.status, expected);
+    }
+    let error = tokio::time::timeout(Duration::from_secs(20), lost).await.unwrap().unwrap();
+    assert!(error.to_string().starts_with("cannot write the log /dev/full: "), "{error}");
+    link.send(paper(60_000.0));
+    assert_eq!(response(&mut link).await.status, Status::Ok, "the first again, which has ended");
+}
+
+#[test]
+fn a_host_does_not_start_with_a_log_that_cannot_be_written() {
+    let options = HostOptions::default().with_log("/no/such/folder/log".into());
+    let error = Host::start(arms(1, &Settings::default()), options).unwrap_err();
+    assert!(matches!(&error, HostError::Log { path, .. } if path.starts_with("/no")), "{error}");
+}
+
+#[tokio::test]
+async fn a_host_without_a_log_has_none_to_lose() {
+    let mut host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
+    assert!(host.log_lost().is_none());
+    assert_eq!(host.handle().robots().len(), 2);
+    assert!(std::sync::Arc::ptr_eq(&host.figures(), &host.handle().figures()));
+    host.handle().refusals().note(Reason::Busy, &Peer::in_process());
+    assert_eq!(host.refusals().count(Reason::Busy), 1, "they are the same");
+}
+
+#[tokio::test]
+async fn a_link_that_is_dropped_does_not_count_and_each_link_counts_for_its_robot() {
+    let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
+    let (handle, figures) = (host.handle(), host.figures());
+    let links = [handle.connect(0), handle.connect(0), handle.connect(1)];
+    let counted = async || {
+        assert!(handle.answers_within(Duration::from_secs(60)).await);
+        [0, 1].map(|robot| figures.robots()[robot].connections())
+    };
+    assert_eq!(counted().await, [2, 1]);
+    let [first, _second, third] = links;
+    drop((first, third));
+    assert_eq!(counted().await, [1, 0]);
 }

@@ -146,4 +146,11 @@ mod tests {
         .join()
         .unwrap();
     }
+
+    #[test]
+    fn a_second_thread_takes_another_number_than_the_first() {
+        let first = take_lowest().unwrap();
+        let second = take_lowest().unwrap();
+        assert_ne!(first.0, second.0);
+    }
 }

@@ -474,3 +474,52 @@ proptest! {
 fn spans_of_these_tests_are_milliseconds() {
     assert_eq!(at(1) - at(0), Span::from_millis(1));
 }
+
+#[test]
+fn a_line_that_is_no_message_is_answered_with_what_it_names() {
+    let mut decoder = Decoder::default();
+    decoder.push(b"{\"control_request\": {\"device_id\": \"arm\", \"request_id\": \"a\"}}\nnonsense\n");
+    let mut bench = Bench::new();
+    bench.until(7);
+    for _ in 0..2 {
+        let error = decoder.next_message().unwrap().unwrap_err();
+        bench.robot.handle(bench.now, LINK, Input::Undecodable(error), &mut bench.out);
+    }
+    let [
+        Output::Send { message: Message::ControlResponse(of_device), .. },
+        Output::Send { message: Message::AvailabilityResponse(of_line), .. },
+    ] = &bench.out[..]
+    else {
+        panic!("{:?}", bench.out)
+    };
+    assert_eq!(of_device.request_id, RequestId::new("a").ok());
+    assert_eq!((of_device.device_id.as_str(), of_device.status.clone()), ("arm", Status::Failed));
+    assert_eq!(
+        (of_line.status.clone(), of_line.receive_timestamp, of_line.timestamp),
+        (Status::Failed, at(7), at(7))
+    );
+    for error in [&of_device.error, &of_line.error] {
+        assert_eq!(error.as_ref().map(|error| error.code.clone()), Some(ErrorCode::Malformed));
+    }
+}
+
+#[test]
+fn a_robot_counts_what_it_holds_and_what_has_become_of_it() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "b", 9_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("wheel", "c", 9_000.0, script(ControlType::Speed, &[(0.0, 5.0)])));
+    let counts = |bench: &Bench| {
+        let counts = bench.robot.counts();
+        (counts.held, counts.started, counts.ended, counts.failed, counts.late_steps)
+    };
+    assert_eq!(counts(&bench), (3, 0, 0, 0, 0));
+    bench.until(100);
+    // Two of its steps come late.
+    bench.now = at(2_110);
+    bench.robot.advance(bench.now, &mut bench.out);
+    assert_eq!(counts(&bench), (2, 1, 1, 0, 2));
+    bench
+        .request(ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel())));
+    assert_eq!(counts(&bench), (1, 1, 1, 1, 2));
+}

@@ -180,4 +180,20 @@ mod tests {
         opening.push(&records(&[b"zero"])[0]);
         assert!(opening.open(&mut Vec::new()).is_err(), "after a bad record there are no more");
     }
+
+    #[test]
+    fn a_record_that_has_begun_and_not_ended_is_known_to_be_cut_off() {
+        let mut opening = Opening::new(KEY);
+        assert!(!opening.is_within_record());
+        let sealed = &records(&[b"zero"])[0];
+        for cut in 1..sealed.len() {
+            opening.raw.clear();
+            opening.push(&sealed[..cut]);
+            assert_eq!(opening.open(&mut Vec::new()), Ok(false));
+            assert!(opening.is_within_record(), "{cut} bytes");
+        }
+        opening.push(&sealed[sealed.len() - 1..]);
+        assert_eq!(opening.open(&mut Vec::new()), Ok(true));
+        assert!(!opening.is_within_record());
+    }
 }

@@ -241,3 +241,125 @@ proptest! {
         let _judged = Hello::read(&line);
     }
 }
+
+#[test]
+fn a_connection_that_ends_within_a_record_has_not_ended_well() {
+    let secret = Secret::generate().unwrap();
+    let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    for (behind, expected) in [(&b""[..], None), (b"\0\0", Some(std::io::ErrorKind::UnexpectedEof))] {
+        runtime.block_on(async {
+            let (mut near, far) = duplex(64 * 1024);
+            let operator = async {
+                let mut stream = connect(&mut near, &anna).await.unwrap();
+                stream.write_all(b"move\n").await.unwrap();
+                stream.flush().await.unwrap();
+            };
+            let ((), accepted) = tokio::join!(operator, guard.accept(far));
+            near.write_all(behind).await.unwrap();
+            drop(near);
+            let mut heard = Vec::new();
+            let ended = accepted.unwrap().0.read_to_end(&mut heard).await;
+            assert_eq!(ended.err().map(|error| error.kind()), expected);
+            assert_eq!(heard, b"move\n");
+        });
+    }
+}
+
+/// A file of this test alone, gone in the end.
+struct Kept(std::path::PathBuf);
+
+impl Kept {
+    fn new(name: &str, text: &str) -> Self {
+        use std::os::unix::fs::PermissionsExt;
+        let path = std::env::temp_dir().join(format!("downbeat-sealed-{}-{name}", std::process::id()));
+        std::fs::write(&path, text).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+        Self(path)
+    }
+}
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        let _gone = std::fs::remove_file(&self.0);
+    }
+}
+
+#[test]
+fn passes_are_read_as_they_were_written_and_found_by_their_robot() {
+    use crate::sealed::Passes;
+    let secret = Secret::generate().unwrap();
+    let (first, second) = (held(&secret, "cf 1/ö", claim(&[Role::Drive])), held(&secret, "cf2", claim(&[])));
+    let written = Passes::new(vec![first.clone(), second]);
+    let file = Kept::new("passes", &written.text());
+    let read = Passes::read(&file.0).unwrap();
+    assert_eq!(read.text(), written.text());
+    assert_eq!(read.held().len(), 2);
+    let found = read.of(&"cf 1/ö".parse().unwrap()).unwrap();
+    assert_eq!((&found.robot, &found.claim), (&first.robot, &first.claim));
+    assert!(meet(&guard(&secret), found).0.is_ok(), "it is the same pass");
+    assert_eq!(read.of(&"cf2".parse().unwrap()).unwrap().claim.roles, Roles::default());
+    assert!(read.of(&"cf3".parse().unwrap()).is_none());
+    assert_eq!(Passes::next_to("keys/anna.pem".as_ref()), std::path::Path::new("keys/anna.passes"));
+    let line = written.text().lines().nth(1).unwrap().to_owned();
+    for damaged in [&line[..line.len() - 1], "cf1", "cf1 pass"] {
+        assert!(Passes::read(&Kept::new("no-passes", damaged).0).is_err(), "{damaged}");
+    }
+}
+
+#[test]
+fn a_secret_is_read_as_it_was_written_and_nothing_else_is_one() {
+    let secret = Secret::of_bytes([0xa5; 32]);
+    let text = secret.text(&"cf 1".parse().unwrap());
+    assert_eq!(
+        text,
+        format!("# The secret of robot cf%201. Copy it to this robot alone.\n{}\n", "a5".repeat(32))
+    );
+    let read = Secret::read(&Kept::new("secret", &text).0).unwrap();
+    let anna = held(&read, "cf 1/ö", claim(&[Role::Drive]));
+    assert!(meet(&guard(&secret), &anna).0.is_ok(), "it is the same secret");
+    let digits = "a5".repeat(32);
+    for wrong in ["", "# nothing\n", &digits[1..], &format!("{digits}\n{digits}"), &digits.to_uppercase()] {
+        let error = Secret::read(&Kept::new("no-secret", wrong).0).unwrap_err().to_string();
+        assert!(error.contains("one line of 64 hexadecimal digits"), "{error}");
+    }
+}
+
+#[test]
+fn keys_are_not_shown() {
+    let secret = Secret::generate().unwrap();
+    let pass = secret.pass(&claim(&[]));
+    let keys = Keys::of(&pass, "hello\n", "answer\n");
+    assert_eq!(format!("{secret:?} {pass:?} {keys:?}"), "Secret Pass Keys");
+}
+
+#[test]
+fn a_refusal_is_read_as_it_was_written() {
+    let secret = Secret::generate().unwrap();
+    let anna = held(&secret, "cf1", claim(&[Role::Drive]));
+    let hello = Hello { nonce: [7; 16], robot: anna.robot.clone(), claim: anna.claim.clone() };
+    let own = "cf 1/ö".parse().unwrap();
+    for refused in [Refused::Expired, Refused::Revoked, Refused::OtherRobot(own), Refused::Unreadable] {
+        let line = refused.line();
+        assert_eq!(hello.check_answer(&anna.pass, &line), Err(NotSealed::Refused(refused)), "{line}");
+    }
+    for line in [
+        "",
+        "hello\n",
+        "URRCP-HMAC 1 refused\n",
+        "URRCP-HMAC 1 refused why\n",
+        "URRCP-HMAC 1 refused robot %\n",
+    ] {
+        assert_eq!(hello.check_answer(&anna.pass, line), Err(NotSealed::NotSpoken), "{line:?}");
+    }
+}
+
+#[test]
+fn a_pass_counts_up_to_the_second_in_which_it_expires() {
+    let secret = Secret::generate().unwrap();
+    let guard = guard(&secret);
+    let expiring = Claim { expires: 1_000, ..claim(&[Role::Drive]) };
+    let hello = Hello { nonce: [7; 16], robot: "cf 1/ö".parse().unwrap(), claim: expiring };
+    assert!(guard.judge(&hello, 1_000).is_ok());
+    assert!(matches!(guard.judge(&hello, 1_001), Err(Refused::Expired)));
+}

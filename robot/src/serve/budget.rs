@@ -254,4 +254,96 @@ mod tests {
         });
         assert!((2..=4).contains(&asked.count()));
     }
+
+    const STANDINGS: [Standing; 3] = [Standing::Owner, Standing::Free, Standing::Stranger];
+
+    /// Ten seconds' worth beyond what may be sent at once.
+    fn beyond(rate: Rate) -> f64 {
+        rate.most + 10.0 * rate.per_second
+    }
+
+    /// That a peer that has sent this pauses for about ten seconds; those that have passed since are few.
+    #[track_caller]
+    fn check_pause(standing: Standing, send: impl FnOnce(&mut Budget, &Share)) {
+        let mut budget = Budget::new(standing);
+        send(&mut budget, &share_of(standing));
+        let pause = budget.pause(&Strangers::default()).as_secs_f64();
+        assert!(pause > 5.0 && pause <= 10.0, "{standing:?}: {pause} s");
+    }
+
+    #[test]
+    fn bytes_messages_and_reading_each_slow_a_peer_down_by_the_rate_of_its_kind() {
+        for standing in STANDINGS {
+            check_pause(standing, |budget, share| budget.came(beyond(share.bytes) as usize));
+            check_pause(standing, |budget, share| {
+                budget.messages.take(Instant::now(), beyond(share.messages))
+            });
+            check_pause(standing, |budget, share| {
+                let took = Duration::from_secs_f64(beyond(share.reading));
+                budget.read(&Strangers::default(), took, 0);
+            });
+        }
+    }
+
+    #[test]
+    fn an_owner_may_send_more_than_who_meets_a_free_robot_and_this_one_more_than_a_stranger() {
+        let bytes = STANDINGS.map(|standing| share_of(standing).bytes);
+        assert_eq!(bytes.map(|rate| rate.most / KIB), [512.0 * 1024.0, 32.0 * 1024.0, 256.0]);
+        assert_eq!(bytes.map(|rate| rate.per_second / KIB), [128.0 * 1024.0, 16.0 * 1024.0, 64.0]);
+    }
+
+    #[test]
+    fn who_comes_to_own_the_robot_has_an_owners_budget_at_once() {
+        let strangers = Strangers::default();
+        let mut budget = Budget::new(Standing::Stranger);
+        budget.came(10 * 1024 * 1024);
+        budget.follow(Standing::Stranger);
+        assert!(!budget.pause(&strangers).is_zero(), "nothing has changed");
+        budget.follow(Standing::Owner);
+        assert!(budget.pause(&strangers).is_zero());
+    }
+
+    #[test]
+    fn what_all_strangers_send_together_slows_each_down_but_neither_a_newcomer_nor_others() {
+        let strangers = Strangers::default();
+        strangers.took(Instant::now(), Duration::from_secs(10));
+        let pauses = |standing, heard| {
+            let mut budget = Budget { heard, ..Budget::new(standing) };
+            !budget.pause(&strangers).is_zero()
+        };
+        assert!(pauses(Standing::Stranger, FIRST_MESSAGES + 1));
+        assert!(!pauses(Standing::Stranger, FIRST_MESSAGES));
+        assert!(!pauses(Standing::Free, FIRST_MESSAGES + 1) && !pauses(Standing::Owner, FIRST_MESSAGES + 1));
+        let many = Strangers::default();
+        (0..4_400).for_each(|_| many.took(Instant::now(), Duration::ZERO));
+        // 4,000 more than there are at once, 200 a second.
+        let pause = many.empty_for(Instant::now()).as_secs_f64();
+        assert!(pause > 10.0 && pause <= 20.0, "{pause}");
+    }
+
+    #[test]
+    fn the_first_few_messages_of_a_stranger_cost_the_others_nothing() {
+        let strangers = Strangers::default();
+        let mut budget = Budget::new(Standing::Stranger);
+        for _ in 0..FIRST_MESSAGES {
+            budget.read(&strangers, Duration::from_secs(1), 0);
+        }
+        assert!(strangers.empty_for(Instant::now()).is_zero());
+        budget.read(&strangers, Duration::from_secs(1), 0);
+        assert!(!strangers.empty_for(Instant::now()).is_zero());
+    }
+
+    #[tokio::test]
+    async fn long_lines_and_turns_are_given_back() {
+        let strangers = Strangers::default();
+        let soon = Duration::from_millis(1);
+        let both = [strangers.long_line(soon).await.unwrap(), strangers.long_line(soon).await.unwrap()];
+        assert!(strangers.long_line(soon).await.is_none());
+        drop(both);
+        assert!(strangers.long_line(soon).await.is_some());
+        let turn = strangers.turn().await;
+        assert!(tokio::time::timeout(soon, strangers.turn()).await.is_err());
+        drop(turn);
+        assert!(strangers.turn().await.is_some());
+    }
 }

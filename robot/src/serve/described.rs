@@ -57,3 +57,46 @@ fn write(block: InitializationBlock, encoding: Encoding) -> Written {
     encode_as(encoding, &Message::InitializationBlock(block.clone()), &mut bytes);
     Written { block, encoding, bytes: bytes.into() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(id: &str, devices: usize) -> InitializationBlock {
+        let devices: Vec<_> =
+            (0..devices).map(|i| format!(r#"{{"id":"d{i}","available_control_types":{{}}}}"#)).collect();
+        let block = format!(r#"{{"id":"{id}","api_version":"1","devices":[{}]}}"#, devices.join(","));
+        serde_json::from_str(&block).unwrap()
+    }
+
+    fn expected(block: &InitializationBlock, encoding: Encoding) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        encode_as(encoding, &Message::InitializationBlock(block.clone()), &mut bytes);
+        bytes
+    }
+
+    #[tokio::test]
+    async fn a_robot_that_is_asked_in_two_encodings_describes_itself_in_each() {
+        let described = Described::default();
+        assert_eq!(described.length(), 0);
+        // A long one is written elsewhere.
+        for (first, second) in [(block("r", 1), block("s", 1)), (block("r", 300), block("s", 300))] {
+            for block in [&first, &second, &second, &first] {
+                for encoding in [Encoding::Json, Encoding::MessagePack, Encoding::Json] {
+                    let bytes = described.bytes(block.clone(), encoding).await;
+                    assert_eq!(*bytes, *expected(block, encoding));
+                }
+            }
+            assert_eq!(described.length(), expected(&first, Encoding::Json).len(), "of the longer encoding");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_description_is_written_once_and_shared() {
+        let described = Described::default();
+        let json = described.bytes(block("r", 3), Encoding::Json).await;
+        let packed = described.bytes(block("r", 3), Encoding::MessagePack).await;
+        assert!(Arc::ptr_eq(&json, &described.bytes(block("r", 3), Encoding::Json).await));
+        assert!(Arc::ptr_eq(&packed, &described.bytes(block("r", 3), Encoding::MessagePack).await));
+    }
+}

@@ -1,5 +1,9 @@
 //! A robot behind a real socket on the loopback interface.
 
+mod places;
+#[cfg(feature = "sealed")]
+mod sealed_door;
+
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use urrcp::{Command, Decoder, Encoding, Message, Status, encode, encode_as};
 
@@ -500,4 +504,116 @@ async fn a_peer_that_has_long_been_silent_makes_room_for_one_that_waits() {
     };
     assert!(answered.as_ref().is_some_and(is_accepted), "{answered:?}");
     host.stop();
+}
+
+#[tokio::test]
+async fn a_connection_without_a_place_is_told_who_the_robot_is_and_may_stop_it_and_nothing_else() {
+    let log = LogFile::new("no-place");
+    let (_host, address) = served(&log).await;
+    let mut peers = all_places_taken(address).await;
+    peers[0].send(&paper(10_000.0)).await;
+    assert!(is_accepted(&peers[0].read().await));
+    let device = || urrcp::DeviceId::new("arm").unwrap();
+    let mut beyond = Peer::connected(address).await;
+    beyond.write(ASK).await;
+    assert!(matches!(beyond.soon().await, Message::AvailabilityResponse(_)));
+    beyond.send(&Message::InitializationRequest(urrcp::InitializationRequest::default())).await;
+    assert!(matches!(beyond.soon().await, Message::InitializationBlock(_)));
+    let stop = urrcp::ControlRequest::immediate(device(), Command::Script(urrcp::Script::cancel()));
+    beyond.send(&Message::ControlRequest(stop.clone())).await;
+    let Message::ControlResponse(response) = beyond.soon().await else { panic!() };
+    assert_eq!(response.status, Status::Ok);
+    // Nothing but a stop at once comes before those that have a place.
+    let later = urrcp::ControlRequest {
+        timestamp: Some(urrcp::Timestamp::from_nanos(0)),
+        time_offset_to_start: Some(urrcp::Millis::new(1.0).unwrap()),
+        ..stop
+    };
+    let read = urrcp::ControlRequest::immediate(device(), Command::ReadSensor);
+    for request in [later, read] {
+        let mut waiting = Peer::connected(address).await;
+        waiting.send(&Message::ControlRequest(request)).await;
+        let answer = tokio::time::timeout(Duration::from_millis(100), waiting.read()).await;
+        assert!(answer.is_err(), "{answer:?}");
+    }
+}
+
+#[test]
+fn a_listener_goes_on_after_what_passes_and_ends_with_what_does_not() {
+    use rustix::io::Errno;
+    for passing in [Errno::CONNABORTED, Errno::MFILE, Errno::NFILE, Errno::NOBUFS] {
+        assert!(is_passing(&passing.into()), "{passing}");
+    }
+    assert!(!is_passing(&Errno::BADF.into()) && !is_passing(&io::ErrorKind::InvalidInput.into()));
+}
+
+#[tokio::test]
+async fn a_listener_ends_when_its_host_has_stopped() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let handle = host.handle();
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let serving = tokio::spawn(serve(listener, handle.clone(), 0));
+    assert!(!handle.has_stopped());
+    host.stop();
+    assert!(handle.has_stopped());
+    let mut peer = Peer::connected(address).await;
+    assert!(peer.is_hung_up_on().await);
+    let ended = tokio::time::timeout(Duration::from_secs(20), serving).await;
+    assert!(matches!(ended, Ok(Ok(Ok(())))), "{ended:?}");
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    serve(listener, handle, 9).await.unwrap();
+}
+
+#[cfg(feature = "tls")]
+#[test]
+fn what_tls_finds_altered_is_told_from_what_the_peer_says_itself() {
+    use rustls::{AlertDescription, Error};
+    let of = |error: Error| io::Error::new(io::ErrorKind::InvalidData, error);
+    assert!(is_altered(&of(Error::DecryptError)));
+    assert!(!is_altered(&of(Error::AlertReceived(AlertDescription::CloseNotify))));
+    assert!(!is_altered(&io::ErrorKind::ConnectionReset.into()));
+    assert!(!is_altered(&io::Error::other("of something else")));
+}
+
+#[tokio::test]
+async fn a_connection_speaks_for_the_session_that_it_named_in_whatever_message() {
+    let log = LogFile::new("speaks-for");
+    let (_host, address) = served(&log).await;
+    let mut owner = Peer::connected(address).await;
+    owner.send(&with_session(paper(10_000.0), "show")).await;
+    assert!(is_accepted(&owner.soon().await));
+    let mut asking = Peer::connected(address).await;
+    let session = urrcp::SessionId::new("show").ok();
+    asking.send(&Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() })).await;
+    let Message::InquiryResponse(response) = asking.soon().await else { panic!() };
+    assert_eq!(response.status, Status::Ok);
+    let mut stranger = Peer::connected(address).await;
+    for (peer, expected) in
+        [(&mut owner, None), (&mut asking, None), (&mut stranger, Some("a line longer than 65536 bytes"))]
+    {
+        peer.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
+        assert_eq!(malformed(&peer.soon().await), expected);
+    }
+}
+
+#[tokio::test]
+async fn a_long_script_with_a_hash_is_compared_like_a_short_one() {
+    let log = LogFile::new("long-hash");
+    let (_host, address) = served(&log).await;
+    let mut owner = Peer::owner(address).await;
+    let Message::ControlRequest(request) = with_session(paper(10_000.0), "show") else { panic!() };
+    let hash = request.command.content_hash();
+    let wrong = Command::ReadSensor.content_hash();
+    for (content_hash, status) in [(wrong, Status::Failed), (hash, Status::Accepted)] {
+        let request_id = urrcp::RequestId::new(content_hash.to_string()).ok();
+        let request =
+            urrcp::ControlRequest { content_hash: Some(content_hash), request_id, ..request.clone() };
+        let mut line = Vec::new();
+        encode(&Message::ControlRequest(request), &mut line);
+        // Longer than what is read on the connection's own task.
+        owner.write(&padded(&line, 100 * 1024)).await;
+        let Message::ControlResponse(response) = owner.soon().await else { panic!() };
+        assert_eq!(response.status, status, "{response:?}");
+    }
 }

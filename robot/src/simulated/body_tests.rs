@@ -140,3 +140,115 @@ fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
     assert!((182..=198).contains(&within), "{within} of 200");
     assert_eq!(begin(3), begins[3]);
 }
+
+#[test]
+fn what_is_told_within_the_latency_is_followed_in_its_order() {
+    let mut robot = moving("hold", |_| {});
+    let steps = [(0.0, 2.0), (20.0, 6.0)].map(|(offset, value)| {
+        Step::new(Millis::new(offset).unwrap(), Setpoint::new(ControlType::Position, value))
+    });
+    let script = Command::Script(Script::new(steps.to_vec()).unwrap());
+    read(&mut robot, 200);
+    let request = ControlRequest::immediate(id("arm"), script).with_request_id(RequestId::new("n").unwrap());
+    robot.receive(at(200), LINK, Input::Message(Message::ControlRequest(request)));
+    shows(&mut robot, &[(239, 10.0), (240, 2.0), (259, 2.0), (260, 6.0)]);
+}
+
+#[test]
+fn a_body_that_was_never_told_anything_is_where_its_device_rests() {
+    let mut robot = moving("linear", |_| {});
+    let mut unmoved = robot.restarted(at(0));
+    unmoved.bodies[0] =
+        body::MovedBody::new(robot.bodies[0].moves.clone(), (-1.0, 20.0), 0.0, fastrand::Rng::with_seed(1));
+    shows(&mut unmoved, &[(10, 0.0), (500, 0.0)]);
+    shows(&mut robot, &[(140, 10.0)]);
+}
+
+#[test]
+fn a_stop_is_followed_like_a_step() {
+    let mut robot = moving("linear", |_| {});
+    read(&mut robot, 90);
+    let stop = ControlRequest::immediate(id("arm"), Command::Script(Script::cancel()));
+    robot.receive(at(90), LINK, Input::Message(Message::ControlRequest(stop)));
+    shows(&mut robot, &[(120, 8.0), (129, 8.9), (130, 0.0), (500, 0.0)]);
+}
+
+#[test]
+fn each_movement_has_a_latency_of_its_own_and_its_steps_have_the_same() {
+    let mut robot = moving("hold", |moves| {
+        moves.spread = Span::from_millis(30);
+        moves.latency = Span::from_millis(100);
+    });
+    let mut begins = Vec::new();
+    for movement in 0..2 {
+        let begin = 1_000 + movement * 1_000;
+        let steps = [(0.0, 2.0), (300.0, 8.0)].map(|(offset, value)| {
+            Step::new(Millis::new(offset).unwrap(), Setpoint::new(ControlType::Position, value))
+        });
+        let script = Command::Script(Script::new(steps.to_vec()).unwrap());
+        read(&mut robot, begin);
+        let name = RequestId::new(movement.to_string()).unwrap();
+        let request = ControlRequest::immediate(id("arm"), script).with_request_id(name);
+        robot.receive(at(begin), LINK, Input::Message(Message::ControlRequest(request)));
+        let mut changed_at = |from: i64, value: f64| {
+            (from..from + 300).find(|millis| (read(&mut robot, *millis).0 - value).abs() < 1e-9).unwrap()
+                - from
+        };
+        let (first, second) = (changed_at(begin, 2.0), changed_at(begin + 300, 8.0));
+        assert_eq!(first, second, "{movement}");
+        begins.push(first);
+    }
+    assert_ne!(begins[0], begins[1]);
+}
+
+#[test]
+fn a_lag_follows_one_ramp_into_the_next_without_a_jump() {
+    let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(20));
+    let values: Vec<f64> = (0..400).map(|millis| read(&mut robot, millis).0).collect();
+    // 0.1 a millisecond at most: never ahead of the ramp, never back, and there in the end.
+    assert!(values.windows(2).all(|pair| (0.0..=0.1 + 1e-9).contains(&(pair[1] - pair[0]))), "{values:?}");
+    assert!(
+        values
+            .iter()
+            .zip(0..)
+            .all(|(value, millis)| *value <= 0.1 * (f64::from(millis) - 40.0).max(0.0) + 1e-9)
+    );
+    assert!((values[399] - 10.0).abs() < 1e-4, "{}", values[399]);
+}
+
+#[test]
+fn a_body_that_is_looked_at_late_has_slowed_down_at_the_end_of_its_way() {
+    let moves = Moves {
+        device: id("arm"),
+        latency: Span::from_millis(20),
+        spread: Span::ZERO,
+        time_constant: Span::from_millis(10),
+        sensor: id("angle"),
+        noise: 0.0,
+        delay: Span::ZERO,
+    };
+    let due = at(0).assume_clock();
+    let until = due + Span::from_millis(100);
+    let motion =
+        crate::device::Motion::Slow { control_type: ControlType::Position, from: 0.0, to: 10.0, until };
+    let set = crate::robot::SetValue { device: id("arm"), motion, due, request_id: None, step: None };
+    let end = 0.1 * (90.0 + 10.0 * (-10.0_f64).exp());
+    for (millis, expected) in [(10, 0.0), (120, end), (150, 10.0 - (10.0 - end) * (-3.0_f64).exp())] {
+        let rng = fastrand::Rng::with_seed(1);
+        let mut body = body::MovedBody::new(moves.clone(), (-1.0, 20.0), 0.0, rng);
+        body.told(at(0), &set);
+        let shown = body.shown(at(millis), 0.0);
+        assert!((shown - expected).abs() < 1e-9, "{shown} after {millis} ms, expected {expected}");
+    }
+}
+
+#[test]
+fn a_body_is_moved_by_positions_alone() {
+    let mut robot = moving("linear", |_| {});
+    let setpoint = Setpoint::new(ControlType::Speed, 9.0);
+    let motion = crate::device::Motion::Set(setpoint);
+    let due = at(0).assume_clock();
+    let set = crate::robot::SetValue { device: id("arm"), motion, due, request_id: None, step: None };
+    robot.bodies[0].told(at(0), &set);
+    shows(&mut robot, &[(39, 0.0), (65, 2.5)]);
+}

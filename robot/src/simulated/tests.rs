@@ -286,3 +286,157 @@ fn the_same_seed_gives_the_same_run() {
     assert_eq!(run_of(1), run_of(1));
     assert_ne!(run_of(1), run_of(2));
 }
+
+#[test]
+fn a_robot_is_idle_once_nothing_is_held_and_nothing_travels() {
+    let delay = Some((Span::from_millis(10), Span::from_millis(10)));
+    let mut travelling = robot(Settings { delay, ..Settings::default() });
+    assert!(travelling.is_idle());
+    travelling.receive(at(0), LINK, ping(0));
+    assert!(!travelling.is_idle(), "a message is on its way");
+    run(&mut travelling, at(1_000));
+    assert!(travelling.is_idle());
+    let mut holding = robot(Settings::default());
+    holding.receive(at(0), LINK, paper(1_500.0, "a"));
+    run(&mut holding, at(100));
+    assert!(!holding.is_idle(), "a script is held");
+}
+
+#[test]
+fn a_robot_that_is_restarted_has_forgotten_all_but_its_sensors_and_its_clock() {
+    let settings = Settings {
+        clock_offset: Span::from_millis(300),
+        drift_ppm: 1_000.0,
+        ntp_error: None,
+        ..Settings::default()
+    };
+    let mut before = robot(settings);
+    before.advance(at(0), &mut Vec::new());
+    before.set_reading(DeviceId::new("eye").unwrap(), 5.0);
+    before.receive(at(0), LINK, paper(20_000.0, "a"));
+    run(&mut before, at(100));
+    let mut after = before.restarted(at(10_000));
+    assert!(after.is_idle() && !before.is_idle());
+    after.advance(at(10_000), &mut Vec::new());
+    assert_eq!(after.robot_from_true(at(10_000)), before.robot_from_true(at(10_000)));
+    assert_eq!(after.robot_from_true(at(10_000)).as_nanos(), at(10_310).as_nanos());
+    let readings: Vec<_> = after.robot().readings().map(|(_, reading)| reading).collect();
+    assert_eq!(readings, [5.0]);
+}
+
+#[cfg(feature = "host")]
+#[test]
+fn a_silent_network_needs_no_precise_waiting_and_a_movement_does() {
+    let delay = Some((Span::from_millis(10), Span::from_millis(10)));
+    let mut robot = robot(Settings { delay, ..Settings::default() });
+    robot.advance(at(0), &mut Vec::new());
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    assert_eq!(robot.next_wakeup(), Some(at(10)));
+    assert!(!robot.moves_by(at(10)), "a delivery is no movement");
+    run(&mut robot, at(100));
+    assert!(!robot.moves_by(at(999)) && robot.moves_by(at(1_000)));
+    assert!(!robot.has_log());
+    robot.advance_movements(at(1_000));
+    assert!(robot.has_log(), "its movement does not wait for its words");
+    assert!(robot.is_due(at(1_000)), "its words go out with the next advance");
+}
+
+#[cfg(feature = "host")]
+#[test]
+fn movements_do_not_overtake_a_message_that_comes_before_them() {
+    let mut robot = robot(Settings::default());
+    robot.advance(at(0), &mut Vec::new());
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    run(&mut robot, at(100));
+    let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    robot.receive(at(900), LINK, Input::Message(Message::ControlRequest(stop)));
+    robot.advance_movements(at(1_000));
+    assert!(!robot.has_log(), "the stop came first");
+}
+
+#[test]
+fn a_start_does_not_take_place_when_simulated_hardware_has_been_silent_for_longer_than_is_borne() {
+    for (dies_at, expected) in [(850, "Started"), (849, "Failed internal")] {
+        let block = robot(Settings::default()).robot().block().clone();
+        let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
+        edge.advance(at(0), &mut Vec::new());
+        edge.receive(at(0), LINK, paper(1_000.0, "a"));
+        run(&mut edge, at(500));
+        edge.hardware_dies(at(dies_at));
+        let at_start = at(1_000);
+        let mut out = Vec::new();
+        edge.advance(at_start, &mut out);
+        let left: Vec<_> = out.into_iter().map(|outgoing| (at_start, outgoing)).collect();
+        assert_eq!(words(&left), [expected], "{dies_at}");
+    }
+}
+
+#[test]
+fn a_fault_can_be_replaced_while_a_robot_runs() {
+    let mut robot = robot(Settings { fault: Some(Fault::Silent), ..Settings::default() });
+    assert_eq!(robot.replace_fault(Some(Fault::Refuse)), Some(Fault::Silent));
+    assert_eq!(robot.replace_fault(None), Some(Fault::Refuse));
+    robot.receive(at(0), LINK, paper(1_000.0, "a"));
+    assert_eq!(words(&run(&mut robot, at(0))), ["Accepted"]);
+}
+
+#[test]
+fn simulated_hardware_that_is_lost_ends_what_runs_and_answers_no_reading_until_it_is_found() {
+    let block = r#"{"id": "r", "api_version": "1", "devices": [
+        {"id": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+    let block: InitializationBlock = serde_json::from_str(block).unwrap();
+    let mut edge = SimulatedRobot::with_hardware(block, Settings::default(), at(0));
+    let eye = DeviceId::new("eye").unwrap();
+    edge.set_reading(eye.clone(), 4.0);
+    let reads = |edge: &mut SimulatedRobot, now| {
+        let read = ControlRequest::immediate(eye.clone(), Command::ReadSensor);
+        edge.receive(now, LINK, Input::Message(Message::ControlRequest(read)));
+        let mut out = Vec::new();
+        edge.advance(now, &mut out);
+        match out.pop() {
+            Some(Outgoing::Message { message: Message::ControlResponse(r), .. }) => Some(r.status_value),
+            None => None,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(reads(&mut edge, at(0)), Some(urrcp::StatusValue::Number(4.0)));
+    edge.hardware_dies(at(10));
+    assert_eq!(reads(&mut edge, at(10)), None, "it does not answer");
+    edge.hardware_lost(at(20), "unplugged");
+    edge.advance(at(20), &mut Vec::new());
+    assert_eq!(reads(&mut edge, at(20)), Some(urrcp::StatusValue::Null), "it is known to be away");
+    edge.hardware_found(at(30));
+    assert_eq!(reads(&mut edge, at(30)), Some(urrcp::StatusValue::Number(4.0)));
+}
+
+#[test]
+fn of_a_log_all_is_kept_or_the_first_steps_of_scripts() {
+    for (kept, expected) in [(Kept::All, 3), (Kept::FirstSteps, 1)] {
+        let mut robot = robot(Settings::default());
+        robot.keep(kept);
+        let mut robot = robot.restarted(at(0));
+        robot.receive(at(0), LINK, paper(1_000.0, "a"));
+        run(&mut robot, at(9_000));
+        assert_eq!(robot.take_log().len(), expected);
+    }
+}
+
+#[test]
+fn a_delay_lies_between_its_bounds_and_is_never_negative() {
+    for (least, largest, expected) in [(30, 30, 30..=30), (30, 10, 30..=30), (-20, -10, 0..=0), (5, 9, 5..=9)]
+    {
+        let delay = Some((Span::from_millis(least), Span::from_millis(largest)));
+        let mut robot = robot(Settings { delay, seed: 3, ..Settings::default() });
+        let drawn: Vec<_> = (0..200).map(|_| robot.draw_delay().as_nanos()).collect();
+        let bounds = expected.start() * 1_000_000..=expected.end() * 1_000_000;
+        assert!(drawn.iter().all(|nanos| bounds.contains(nanos)), "{least} to {largest}: {drawn:?}");
+    }
+}
+
+#[test]
+fn a_drift_that_no_clock_has_is_bounded() {
+    for (drift_ppm, expected) in [(50.0, 50e-6), (1e9, 0.1), (-1e9, -0.1)] {
+        let robot = robot(Settings { drift_ppm, ..Settings::default() });
+        assert!((robot.drift() - expected).abs() < 1e-12, "{drift_ppm}");
+    }
+}

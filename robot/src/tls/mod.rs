@@ -14,3 +14,6 @@ pub use guard::Guard;
 pub use identity::{Identity, IdentityError, Name};
 pub use revoked::Revoked;
 pub use statement::{Signed, Witness};
+
+#[cfg(test)]
+mod tests;

@@ -306,3 +306,111 @@ fn what_its_driver_declares_of_latencies_is_in_its_description() {
     assert_eq!(block.device(id.as_str()).unwrap().latency, Some(Span::from_micros(41_200)));
     assert_eq!(block.devices.iter().filter(|device| device.latency.is_some()).count(), 1);
 }
+
+#[test]
+fn what_is_due_while_the_hardware_is_silent_fails_if_there_was_time_to_ask_it() {
+    let notice = Span::from_millis(200);
+    for (lead, expected) in [(200.0, "Failed internal"), (199.0, "Started")] {
+        let mut bench = ready();
+        bench.request(timed("arm", "a", lead, script(ControlType::Position, &PAPER)));
+        bench.now = at(lead as i64);
+        bench.robot.hardware_silent(bench.now, Some(Span::from_millis(400)), notice, &mut bench.out);
+        bench.robot.advance(bench.now, &mut bench.out);
+        assert_eq!(bench.statuses().last().map(String::as_str), Some(expected));
+    }
+    let mut bench = ready();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.robot.next_start(notice), Some(at(1_000)));
+    bench.robot.hardware_silent(at(999), Some(Span::from_millis(400)), notice, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted"], "it is not due yet");
+    let (status, why) = available(&mut bench);
+    assert_eq!((status, why.as_deref()), (Status::Failed, Some("the hardware has not answered for 400 ms")));
+    bench.robot.hardware_silent(at(999), None, notice, &mut bench.out);
+    assert_eq!(available(&mut bench), (Status::Ok, None));
+}
+
+#[test]
+fn hardware_is_asked_for_its_silence_from_a_second_before_a_start_on() {
+    let mut bench = ready();
+    bench.request(timed("arm", "a", 2_000.0, script(ControlType::Position, &PAPER)));
+    let mut asked = |millis| {
+        let mut asked = false;
+        bench.robot.look_after(
+            at(millis),
+            || {
+                asked = true;
+                None
+            },
+            &mut Vec::new(),
+        );
+        asked
+    };
+    assert!(!asked(999) && asked(1_000));
+}
+
+#[test]
+fn a_sensor_that_may_take_longer_than_a_minute_is_given_up_after_one() {
+    let block = BLOCK.replace("\"max_value\": 60", "\"max_value\": 60, \"max_delay\": 90000");
+    let mut bench = driven();
+    bench.robot = Robot::driven(serde_json::from_str(&block).unwrap());
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    read(&mut bench, "a");
+    assert_eq!(bench.robot.next_wakeup(), Some(at(60_000)));
+    bench.until(60_000);
+    let error = bench.responses()[0].error.clone().unwrap();
+    assert_eq!(error.message, "no reading within 60 s");
+}
+
+#[test]
+fn a_value_that_came_too_late_to_the_hardware_ends_its_device_and_what_waits_to_be_confirmed() {
+    let mut bench = driven();
+    bench.robot = bench.robot.confirmed_by_its_driver();
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 20.0)])));
+    bench.request(timed("wheel", "b", 0.0, script(ControlType::Speed, &[(0.0, 5.0), (9_000.0, 0.0)])));
+    let arm = DeviceId::new("arm").unwrap();
+    bench.robot.value_stale(bench.now, &arm, Span::from_millis(300), &mut bench.out);
+    let error = bench.responses().last().unwrap().error.clone().unwrap();
+    let why = "it is unknown whether the hardware took the last value: a value reached the hardware 300 ms late and was not set";
+    assert_eq!((error.code, error.message.as_str()), (ErrorCode::Late, why));
+    assert!(!bench.robot.is_idle(), "the wheel goes on");
+    let unknown = DeviceId::new("leg").unwrap();
+    let said = bench.out.len();
+    bench.robot.value_stale(bench.now, &unknown, Span::from_millis(300), &mut bench.out);
+    assert_eq!(bench.out.len(), said);
+}
+
+#[test]
+fn a_robot_is_not_idle_while_its_hardware_has_yet_to_confirm_an_end() {
+    let mut bench = driven();
+    bench.robot = bench.robot.confirmed_by_its_driver();
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 20.0)])));
+    bench.until(10);
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+    assert!(!bench.robot.is_idle());
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+    assert_eq!(bench.responses()[2].event_timestamp, Some(at(0)), "when it was, not when it was confirmed");
+    assert!(bench.robot.is_idle());
+    let said = bench.out.len();
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    assert_eq!(bench.out.len(), said, "once");
+}
+
+#[test]
+fn a_sensor_without_hardware_reads_what_it_was_given_or_where_its_device_is_or_the_middle() {
+    let block = r#"{"id": "r", "api_version": "1", "devices": [
+      {"id": "arm", "default_value": 3, "available_control_types": {"sensor": {"min_value": -20, "max_value": 60},
+         "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
+      {"id": "thermometer", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
+    let mut bench = Bench { robot: Robot::new(serde_json::from_str(block).unwrap()), ..Bench::new() };
+    let reads = |bench: &mut Bench, sensor: &str| {
+        bench.request(ControlRequest::immediate(DeviceId::new(sensor).unwrap(), Command::ReadSensor));
+        bench.responses().last().unwrap().status_value.clone()
+    };
+    assert_eq!(reads(&mut bench, "thermometer"), StatusValue::Number(20.0));
+    assert_eq!(reads(&mut bench, "arm"), StatusValue::Number(3.0));
+    bench.robot.set_reading(DeviceId::new("arm").unwrap(), 7.0);
+    assert_eq!(reads(&mut bench, "arm"), StatusValue::Number(7.0));
+}

@@ -3,6 +3,7 @@
 use urrcp::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 
 use super::*;
+use crate::plans::PlanEvent;
 
 fn names(ids: &[&str]) -> Vec<RequestId> {
     ids.iter().map(|id| RequestId::new(*id).unwrap()).collect()
@@ -294,4 +295,47 @@ fn a_start_that_sets_nothing_yet_is_no_late_step() {
     assert_eq!((begun.steps_done, begun.late_steps), (Some(0), Some(0)));
     bench.until(2_000);
     assert_eq!(bench.state("a").late_steps, Some(0));
+}
+
+#[test]
+fn of_a_script_that_the_driver_times_it_is_told_what_the_driver_says() {
+    let mut bench = planned::whole("arm");
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.until(2_010);
+    let done = |bench: &mut Bench| {
+        let report = bench.state("a");
+        (report.state, report.start_timestamp, report.steps_done, report.late_steps)
+    };
+    bench.hears(planned::P1, 1_000, PlanEvent::Began);
+    assert_eq!(done(&mut bench), (RequestState::Running, Some(at(1_000)), Some(0), Some(0)));
+    bench.hears(planned::P1, 1_000, PlanEvent::Step(0));
+    bench.hears(planned::P1, 2_010, PlanEvent::Step(1));
+    assert_eq!(done(&mut bench), (RequestState::Running, Some(at(1_000)), Some(2), Some(1)));
+}
+
+#[test]
+fn the_room_of_a_device_is_what_its_queue_still_takes() {
+    let mut bench = Bench::new();
+    let devices = vec![DeviceId::new("arm").unwrap()];
+    let room = |bench: &mut Bench| {
+        bench.inquire(Inquiry { devices: devices.clone(), ..Inquiry::default() }).devices[0].room
+    };
+    for (start, expected) in [(1_000.0, 2), (9_000.0, 1), (20_000.0, 0)] {
+        assert_eq!(room(&mut bench), expected);
+        bench.request(timed("arm", &start.to_string(), start, paper()));
+    }
+    bench.until(3_000);
+    assert_eq!(room(&mut bench), 1, "the first has ended");
+}
+
+#[test]
+fn of_a_single_value_it_is_told_as_of_a_script_of_one_step() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, Command::Set(Setpoint::new(ControlType::Position, 30.0))));
+    let held = bench.state("a");
+    assert_eq!((held.state, held.start_timestamp), (RequestState::Held, Some(at(1_000))));
+    bench.until(1_000);
+    assert_eq!(bench.values(), [(1_000, 30.0)]);
+    let ended = bench.state("a");
+    assert_eq!((ended.state, ended.steps_done, ended.late_steps), (RequestState::Ended, Some(1), Some(0)));
 }

@@ -490,3 +490,97 @@ fn a_robot_is_idle_until_it_holds_something_and_once_that_is_over() {
     bench.until(1_000);
     assert!(bench.robot.is_idle());
 }
+
+#[test]
+fn an_acceleration_of_nothing_slows_nothing_down() {
+    let limits = |acceleration: &str| {
+        format!(
+            r#"{{"id": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {{
+            "position": {{"min_value": 0, "max_value": 100, "granularity": 1}},
+            "acceleration": {{"min_value": {acceleration}, "max_value": 0, "granularity": 1}},
+            "script": {{"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8}}}}}}"#
+        )
+    };
+    for (acceleration, slows) in [("0", false), ("-10", true)] {
+        let mut bench = bench_of(&limits(acceleration), true);
+        let way = script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 80.0)]);
+        bench.request(timed("lift", "a", 0.0, way));
+        bench.until(500);
+        let stop =
+            ControlRequest::immediate(DeviceId::new("lift").unwrap(), Command::Script(Script::cancel()));
+        bench.request(stop);
+        let slow = bench.sets().iter().any(|set| matches!(set.motion, Motion::Slow { .. }));
+        assert_eq!(slow, slows, "{acceleration}");
+        assert_eq!(bench.robot.value("lift", ControlType::Position, bench.now) == Some(0.0), !slows);
+    }
+}
+
+/// What becomes of a script of the arm for which the robot wakes up so many nanoseconds late.
+fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 45.0), (1_000.0, 0.0)])));
+    bench.now = Timestamp::from_nanos(at(1_000).as_nanos() + nanos);
+    bench.robot.advance(bench.now, &mut bench.out);
+    bench.until(3_000);
+    (bench.statuses(), bench.responses().last().unwrap().late_steps)
+}
+
+#[test]
+fn a_start_may_be_fifty_milliseconds_late_and_counts_as_late_from_one_on() {
+    let played = ["Accepted", "Started", "OK"].map(str::to_owned).to_vec();
+    assert_eq!(woken_late(1_000_000), (played.clone(), Some(0)));
+    assert_eq!(woken_late(1_000_001), (played.clone(), Some(1)));
+    assert_eq!(woken_late(50_000_000), (played, Some(1)));
+    assert_eq!(woken_late(50_000_001).0, ["Accepted", "Failed late"]);
+}
+
+#[test]
+fn a_step_counts_as_late_from_a_millisecond_on_and_each_counts() {
+    for (nanos, late) in [(1_000_000, 0), (1_000_001, 2)] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+        for millis in [1_000, 2_000] {
+            bench.now = Timestamp::from_nanos(at(millis).as_nanos() + nanos);
+            bench.robot.advance(bench.now, &mut bench.out);
+        }
+        assert_eq!(bench.responses().last().unwrap().late_steps, Some(late));
+    }
+}
+
+#[test]
+fn a_device_that_is_stopped_to_hold_keeps_its_position_and_turns_no_more() {
+    for (hold, position) in [(true, 45.0), (false, 10.0)] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+        bench.request(at_once("wheel", "b", set(ControlType::Speed, 5.0)));
+        bench.until(500);
+        for device in ["arm", "wheel"] {
+            bench.request(ControlRequest {
+                hold,
+                ..at_once(device, device, Command::Script(Script::cancel()))
+            });
+        }
+        bench.until(3_000);
+        assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(position));
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
+        assert!(bench.robot.is_idle());
+    }
+}
+
+#[test]
+fn a_speed_whose_acceleration_is_nothing_ends_at_once() {
+    let wheel = |most: u32| {
+        format!(
+            r#"{{"id": "wheel", "available_control_types": {{
+            "speed": {{"min_value": -10, "max_value": 10, "granularity": 1}},
+            "acceleration": {{"min_value": 0, "max_value": {most}, "granularity": 1}}}}}}"#
+        )
+    };
+    for (most, after_a_second) in [(0, 0.0), (5, 3.0)] {
+        let mut bench = bench_of(&wheel(most), true);
+        bench.request(at_once("wheel", "a", set(ControlType::Speed, 8.0)));
+        bench.request(at_once("wheel", "b", Command::Script(Script::cancel())));
+        bench.until(1_000);
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(after_a_second));
+    }
+}

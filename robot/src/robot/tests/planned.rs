@@ -6,7 +6,7 @@ use super::*;
 use crate::hardware::AtEnd;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
 
-const P1: PlanId = PlanId(1);
+pub(super) const P1: PlanId = PlanId(1);
 const P2: PlanId = PlanId(2);
 
 /// A robot whose driver times the scripts of these devices, so far ahead.
@@ -19,7 +19,7 @@ fn planned(devices: &[(&str, Lookahead)]) -> Bench {
     bench
 }
 
-fn whole(device: &str) -> Bench {
+pub(super) fn whole(device: &str) -> Bench {
     planned(&[(device, Lookahead::Script)])
 }
 
@@ -43,7 +43,7 @@ impl Bench {
     }
 
     #[track_caller]
-    fn hears(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) {
+    pub(super) fn hears(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) {
         assert_eq!(self.says(id, at_ms, event), Ok(()));
     }
 
@@ -389,4 +389,289 @@ fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
         panic!("{:?}", bench.out.last())
     };
     assert_eq!(response.requests[0].steps_done, Some(1), "the machine itself would be two steps on");
+}
+
+#[test]
+fn each_step_that_the_driver_says_late_is_counted_once() {
+    let mut bench = whole("arm");
+    bench.paper();
+    // A millisecond behind its deadline is on time. What is said again, or behind a later step, counts no more.
+    for (at_ms, event) in [
+        (1_000, PlanEvent::Began),
+        (1_001, PlanEvent::Step(0)),
+        (2_002, PlanEvent::Step(1)),
+        (2_002, PlanEvent::Step(1)),
+        (2_003, PlanEvent::Step(0)),
+        (3_005, PlanEvent::Step(2)),
+        (3_005, PlanEvent::Done),
+    ] {
+        bench.until(at_ms);
+        bench.hears(P1, at_ms, event);
+    }
+    assert_eq!((bench.last().steps_done, bench.last().late_steps), (Some(3), Some(2)));
+}
+
+/// Slows down as it can.
+const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "arm", "name": "arm", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "acceleration": {"min_value": -400, "max_value": 400, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+#[test]
+fn a_device_that_slows_down_is_told_so_and_its_values_follow() {
+    let mut bench = Bench { robot: Robot::driven(serde_json::from_str(LIFT).unwrap()), ..Bench::new() };
+    let lookahead = BTreeMap::from([(DeviceId::new("arm").unwrap(), Lookahead::Script)]);
+    bench.robot.plans_ahead(&lookahead);
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 90.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.until(500);
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels(), [(1, Then::Slow)]);
+    assert!(bench.sets().iter().any(|set| matches!(set.motion, Motion::Slow { .. })), "{:?}", bench.out);
+}
+
+#[test]
+fn times_that_a_driver_names_may_be_off_by_ten_milliseconds() {
+    let mut bench = whole("arm");
+    bench.until(20);
+    bench.paper();
+    bench.until(1_000);
+    let just_beyond = |millis: i64, nanos: i64| Timestamp::from_nanos(BEGIN + millis * 1_000_000 + nanos);
+    let mut says = |at| bench.robot.plan_reported(bench.now, P1, at, &PlanEvent::Began, &mut Vec::new());
+    assert!(says(just_beyond(1_010, 1)).is_err_and(|why| why.contains("ahead")));
+    assert!(says(just_beyond(10, -1)).is_err_and(|why| why.contains("before it had it")));
+    assert_eq!(says(at(10)), Ok(()));
+    assert_eq!(says(at(1_010)), Ok(()));
+}
+
+#[test]
+fn a_time_that_is_ahead_is_told_as_now() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_009, PlanEvent::Began);
+    assert_eq!(bench.last().event_timestamp, Some(at(1_000)));
+}
+
+#[test]
+fn what_the_driver_has_done_is_logged_once_with_its_deadline_and_its_time() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(3_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 2_001, PlanEvent::Step(1));
+    bench.hears(P1, 3_000, PlanEvent::Done);
+    let played = |output: &Output| match output {
+        Output::Played { set, at } => Some((set.step.unwrap(), milliseconds(set.due), milliseconds(*at))),
+        _ => None,
+    };
+    let all: Vec<_> = bench.out.iter().filter_map(played).collect();
+    assert_eq!(all, [(0, 1_000.0, 2_001.0), (1, 2_000.0, 2_001.0), (2, 3_000.0, 3_000.0)]);
+}
+
+#[test]
+fn a_script_that_the_driver_stops_by_itself_fails_with_the_step() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 1_000, PlanEvent::Step(0));
+    bench.hears(P1, 1_050, PlanEvent::Cancelled);
+    let error = bench.last().error.as_ref().unwrap();
+    assert_eq!(error.message.to_string(), "the hardware was stopped in step 2, by itself");
+    assert_eq!(bench.cancels(), []);
+}
+
+#[test]
+fn a_continuation_that_is_refused_ends_what_the_driver_has() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(1_600);
+    let error = urrcp::ControlError::new(ErrorCode::Internal, "no");
+    bench.robot.plan_refused(bench.now, P1, 2, error, &mut bench.out);
+    assert_eq!(bench.cancels(), [(1, Then::Default)], "it still has the first steps");
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
+}
+
+#[test]
+fn a_continuation_that_is_too_late_ends_the_script_and_one_that_is_nearly_so_does_not() {
+    for (held_up_until, ends) in [(2_250, false), (2_251, true)] {
+        let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+        bench.paper();
+        bench.until(1_000);
+        bench.hears(P1, 1_000, PlanEvent::Began);
+        bench.now = at(held_up_until);
+        bench.robot.advance(bench.now, &mut bench.out);
+        assert_eq!(!bench.cancels().is_empty(), ends, "{held_up_until}");
+        assert_eq!(bench.parts().len(), if ends { 1 } else { 2 });
+    }
+}
+
+#[test]
+fn what_is_unreported_when_the_hardware_goes_away_is_told_as_unknown() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_100);
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    let error = bench.last().error.as_ref().unwrap();
+    let expected = "it is unknown whether the hardware played it to its end: the hardware is away: unplugged";
+    assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Internal, expected));
+    assert_eq!(bench.cancels(), [], "there is nobody to tell");
+}
+
+#[test]
+fn close_steps_are_handed_over_a_quarter_of_the_horizon_at_a_time() {
+    let block = BLOCK.replace(r#""max_number_of_steps": 4"#, r#""max_number_of_steps": 20"#);
+    let mut bench = Bench { robot: Robot::driven(serde_json::from_str(&block).unwrap()), ..Bench::new() };
+    let horizon = Lookahead::Horizon(Span::from_millis(400));
+    bench.robot.plans_ahead(&BTreeMap::from([(DeviceId::new("arm").unwrap(), horizon)]));
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    let steps: Vec<_> = (0..12).map(|step| (f64::from(step) * 50.0, 5.0)).collect();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &steps)));
+    let mut told = Vec::new();
+    for millis in 0..1_200 {
+        bench.until(millis);
+        if millis == 1_000 {
+            bench.hears(P1, 1_000, PlanEvent::Began);
+        }
+        if bench.parts().len() > told.len() {
+            let part = bench.parts().pop().unwrap();
+            told.push((millis, part.first, part.steps.len(), part.is_last));
+        }
+    }
+    assert_eq!(told, [(600, 0, 4, false), (750, 4, 3, false), (900, 7, 3, false), (1_050, 10, 2, true)]);
+}
+
+#[test]
+fn a_driver_has_three_quarters_of_a_second_to_say_that_it_began_and_as_long_to_say_that_it_ended() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_749);
+    assert_eq!(bench.cancels(), []);
+    bench.until(1_750);
+    assert_eq!(bench.cancels().len(), 1);
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_749);
+    assert_eq!(bench.cancels(), []);
+    bench.until(3_750);
+    assert_eq!(bench.cancels().len(), 1);
+}
+
+#[test]
+fn an_edge_that_looks_for_a_report_too_late_itself_looks_once_more_and_then_gives_up() {
+    for (looks_at, gives_up_at) in [(1_850, 1_850), (1_851, 2_601)] {
+        let mut bench = whole("arm");
+        bench.paper();
+        bench.now = at(looks_at);
+        bench.robot.advance(bench.now, &mut bench.out);
+        bench.until(gives_up_at - 1);
+        assert_eq!(bench.cancels().is_empty(), looks_at != gives_up_at);
+        bench.until(gives_up_at);
+        assert_eq!(bench.cancels().len(), 1, "{looks_at}");
+    }
+}
+
+#[test]
+fn what_a_driver_says_twice_counts_as_it_was_said_first() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    bench.hears(P1, 1_007, PlanEvent::Began);
+    bench.hears(P1, 1_009, PlanEvent::Began);
+    bench.until(2_990);
+    bench.hears(P1, 2_980, PlanEvent::Done);
+    bench.hears(P1, 2_990, PlanEvent::Done);
+    bench.until(3_000);
+    let told: Vec<_> = bench.responses().iter().filter_map(|response| response.event_timestamp).collect();
+    assert_eq!(told, [at(1_007), at(2_980)]);
+    assert!(bench.says(PlanId(0), 3_000, PlanEvent::Began).is_err(), "there has never been such a one");
+}
+
+#[test]
+fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_as_cancelled() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_100);
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    let error = bench.last().error.as_ref().unwrap();
+    let expected = "the device was stopped before its driver had said that the script was over";
+    assert_eq!((error.code.clone(), error.message.as_str()), (ErrorCode::Cancelled, expected));
+    // What has been cancelled once is not cancelled again.
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels().len(), 1);
+}
+
+#[test]
+fn a_device_without_a_default_value_is_told_to_hold_where_its_driver_has_it() {
+    let mut bench = whole("ramp");
+    bench.request(timed("ramp", "a", 0.0, script(ControlType::Position, &[(0.0, 5.0), (1_000.0, 80.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.until(500);
+    bench.request(ControlRequest::immediate(
+        DeviceId::new("ramp").unwrap(),
+        Command::Script(Script::default()),
+    ));
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
+    assert!(bench.sets().is_empty(), "{:?}", bench.sets());
+}
+
+#[test]
+fn a_script_that_fails_before_its_start_is_told_to_have_been_there() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(500);
+    bench.hears(P1, 500, PlanEvent::Failed("torque".to_owned()));
+    let error = bench.last().error.as_ref().unwrap();
+    assert_eq!(error.message.as_str(), "the hardware failed before its start: torque");
+}
+
+#[test]
+fn what_a_driver_says_of_a_script_that_it_was_not_told_yet_counts_for_nothing() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(100);
+    assert_eq!(bench.says(P1, 100, PlanEvent::Began), Ok(()));
+    bench.until(1_000);
+    assert_eq!(bench.statuses(), ["Accepted"]);
+}
+
+#[test]
+fn steps_are_named_up_to_the_last_that_was_handed_over() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    // Two of three were.
+    bench.hears(P1, 1_000, PlanEvent::Step(1));
+    assert!(bench.says(P1, 1_000, PlanEvent::Step(2)).is_err_and(|why| why.contains("2 were handed over")));
+}
+
+#[cfg(feature = "host")]
+#[test]
+fn on_a_clock_that_is_ahead_a_script_has_later_times() {
+    let mut bench = whole("arm");
+    bench.paper();
+    let part = bench.parts()[0].clone();
+    let there: PlanPart<urrcp::Robot> = part.clone().on_clock(Span::from_millis(5));
+    let times = |part: &PlanPart<urrcp::Robot>| {
+        let steps = part.steps.iter().map(|step| step.at);
+        [part.start, part.begin_by].into_iter().chain(steps).map(milliseconds).collect::<Vec<_>>()
+    };
+    assert_eq!(times(&part), [1_000.0, 1_050.0, 1_000.0, 2_000.0, 3_000.0]);
+    assert_eq!(times(&there), [1_005.0, 1_055.0, 1_005.0, 2_005.0, 3_005.0]);
+    assert_eq!((there.plan, there.device, there.is_last), (part.plan, part.device, part.is_last));
 }

@@ -467,3 +467,137 @@ fn who_may_stop_stops_the_robot_of_another_session_and_is_named_and_others_do_no
     });
     assert_eq!(told.map(|error| error.message).as_deref(), Some("stopped by operator cleo"));
 }
+
+#[test]
+fn what_is_forbidden_is_answered_in_kind_and_with_the_timestamp_of_the_question() {
+    let mut bench = Bench::new();
+    bench.robot.handle(bench.now, LINK, operator("anna", &[Role::Seize]), &mut bench.out);
+    let timestamp = Some(Timestamp::from_nanos(7));
+    let session = SessionId::new("show").ok();
+    bench.send(Message::Inquiry(urrcp::Inquiry { timestamp, ..urrcp::Inquiry::default() }));
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest { timestamp, session, seize: false }));
+    bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    let told = |output: &Output| match output {
+        Output::Send { message: Message::InquiryResponse(r), .. } => {
+            ("inquiry", r.originate_timestamp, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
+        }
+        Output::Send { message: Message::AvailabilityResponse(r), .. } => (
+            "availability",
+            r.originate_timestamp,
+            r.status.clone(),
+            r.error.as_ref().map(|e| e.code.clone()),
+        ),
+        Output::Send { message: Message::ControlResponse(r), .. } => {
+            ("control", None, r.status.clone(), r.error.as_ref().map(|e| e.code.clone()))
+        }
+        other => panic!("{other:?}"),
+    };
+    let forbidden = |kind, asked| (kind, asked, Status::Failed, Some(ErrorCode::Forbidden));
+    let expected = [
+        forbidden("inquiry", timestamp),
+        forbidden("availability", timestamp),
+        forbidden("availability", None),
+        forbidden("control", None),
+    ];
+    assert_eq!(bench.out.iter().map(told).collect::<Vec<_>>(), expected);
+    bench.until(500);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn a_refusal_names_the_roles_that_there_are_and_those_that_it_takes() {
+    for (roles, expected) in [
+        (&[Role::Stop][..], "1 Failed anna may stop, and this takes drive"),
+        (&[], "1 Failed anna may do nothing, and this takes drive"),
+    ] {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("anna", roles), &mut bench.out);
+        bench.send_on(LINK, hello("show"));
+        assert_eq!(bench.last_said(), expected);
+    }
+}
+
+#[test]
+fn an_idle_robot_is_free_again_after_five_seconds_of_silence() {
+    for (millis, expected) in
+        [(4_999, "2 Failed `r` belongs to another session until that ends"), (5_000, "2 OK ")]
+    {
+        let mut bench = Bench::new();
+        bench.send_on(LINK, hello("first"));
+        bench.until(millis);
+        bench.send_on(OTHER, hello("second"));
+        assert_eq!(bench.last_said(), expected, "{millis}");
+    }
+}
+
+#[test]
+fn an_idle_robot_is_free_at_once_when_the_last_link_of_its_session_is_down() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    bench.send_on(LinkId(3), hello("first"));
+    bench.robot.handle(bench.now, LinkId(3), Input::LinkDown, &mut bench.out);
+    bench.send_on(OTHER, hello("second"));
+    assert!(bench.last_said().starts_with("2 Failed"), "its other link stands");
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    bench.send_on(OTHER, hello("second"));
+    assert_eq!(bench.last_said(), "2 OK ");
+}
+
+#[test]
+fn who_names_no_session_is_told_that_a_robot_of_another_one_is_there() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
+    assert_eq!(bench.last_said(), "2 OK ");
+}
+
+#[cfg(feature = "host")]
+#[test]
+fn each_change_of_the_session_to_which_a_robot_belongs_has_a_number_of_its_own() {
+    let mut bench = Bench::new();
+    let mut seen = vec![bench.robot.last_claimant().0];
+    for session in ["first", "second"] {
+        bench.send_on(LINK, hello(session));
+        seen.push(bench.robot.last_claimant().0);
+        bench.send_on(LINK, hello(session));
+        assert_eq!(bench.robot.last_claimant().0, seen[seen.len() - 1], "the same again");
+        assert_eq!(bench.robot.last_claimant().1.unwrap().session.as_str(), session);
+        bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+        bench.robot.release_if_over(bench.now);
+        assert!(bench.robot.last_claimant().1.is_none());
+        seen.push(bench.robot.last_claimant().0);
+    }
+    assert!(seen.is_sorted_by(|before, after| before < after), "{seen:?}");
+}
+
+#[test]
+fn who_may_observe_reads_sensors_and_who_may_only_stop_does_not() {
+    let expected = "1 Failed anna may stop, and this takes observe or drive";
+    for (role, expected) in
+        [(Role::Observe, "1 Provide "), (Role::Drive, "1 Provide "), (Role::Stop, expected)]
+    {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
+        let read = ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor);
+        bench.send_on(LINK, Message::ControlRequest(read));
+        assert_eq!(bench.last_said(), expected);
+    }
+}
+
+#[test]
+fn what_an_operator_may_ask_without_and_with_a_session() {
+    for (role, asks, asks_for_its_session) in
+        [(Role::Observe, true, false), (Role::Drive, true, true), (Role::Stop, false, false)]
+    {
+        for (session, expected) in [(None, asks), (SessionId::new("show").ok(), asks_for_its_session)] {
+            let mut bench = Bench::new();
+            bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
+            bench.send(Message::Inquiry(urrcp::Inquiry { session, ..urrcp::Inquiry::default() }));
+            let Some(Output::Send { message: Message::InquiryResponse(r), .. }) = bench.out.last() else {
+                panic!("{:?}", bench.out)
+            };
+            assert_eq!(r.status == Status::Ok, expected, "{role}");
+        }
+    }
+}

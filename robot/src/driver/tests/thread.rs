@@ -1,0 +1,350 @@
+//! A driver's thread by itself: what it tells of hardware that fails, comes back and speaks unasked.
+
+use super::*;
+use crate::hardware::ReadingId;
+
+/// Hardware that the test answers for, call by call.
+struct Told<F> {
+    answer: F,
+    pushes: Option<Pushes>,
+    frames: bool,
+}
+
+impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Told<F> {
+    fn call(&mut self, what: &str) -> Result<(), DriverError> {
+        (self.answer)(what, self.pushes.as_ref().unwrap())
+    }
+}
+
+impl<F: FnMut(&str, &Pushes) -> Result<(), DriverError> + Send> Driver for Told<F> {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        self.call("connect")
+    }
+
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        self.call(&format!("{device} {}", setpoint.value))
+    }
+
+    fn set_frame(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), DriverError> {
+        self.call(&format!("{} values", values.len()))
+    }
+
+    fn takes_frames(&self) -> bool {
+        self.frames
+    }
+
+    fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
+        self.call(&format!("read {sensor}")).map(|()| 7.0)
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        self.call("ping")
+    }
+
+    fn take_pushes(&mut self, pushes: Pushes) {
+        self.pushes = Some(pushes);
+    }
+}
+
+/// What a driver's thread tells, in a word.
+fn in_words(news: &News) -> String {
+    match news {
+        News::There { connection, .. } => format!("there {connection}"),
+        News::Away { reason } => reason.clone(),
+        News::Reading { reading, .. } => format!("reading {reading:?}"),
+        News::Confirmed(tickets) => format!("confirmed {}", tickets.len()),
+        News::Plan(PlanNews::Refused { first, error, .. }) => format!("refused {first}: {}", error.message),
+        News::Plan(PlanNews::Cancelled(plan)) => format!("cancelled {}", plan.0),
+        News::Plan(PlanNews::Word { plan, event, .. }) => format!("{event:?} {}", plan.0),
+        News::Stale { device, .. } => format!("stale {device}"),
+    }
+}
+
+/// Runs a driver's thread here, until its mailbox is closed. For each piece of news it is told what to do with the mailbox.
+fn driven(
+    block: &str,
+    frames: bool,
+    answer: impl FnMut(&str, &Pushes) -> Result<(), DriverError> + Send + 'static,
+    on: impl Fn(&str, &Mailbox) + Send + 'static,
+) -> (Result<(), String>, Vec<String>) {
+    let (mailbox, (said, news)) = (Arc::new(Mailbox::default()), channel());
+    let driver = Box::new(Told { answer, pushes: None, frames });
+    let told = Arc::clone(&mailbox);
+    let tell = move |news: News| {
+        let word = in_words(&news);
+        on(&word, &told);
+        said.send(word).unwrap();
+    };
+    let block = serde_json::from_str(block).unwrap();
+    let worker = Worker::new(driver, block, mailbox, DriverOptions::default(), Box::new(tell));
+    (worker.run(), news.try_iter().collect())
+}
+
+fn set_order(device: &str, value: f64) -> mailbox::Order {
+    let key = (DeviceId::new(device).unwrap(), ControlType::Speed);
+    let setpoint = Setpoint::new(ControlType::Speed, value);
+    mailbox::Order::Set(key, mailbox::Value { setpoint, due: None })
+}
+
+fn read_order(id: u64) -> mailbox::Order {
+    mailbox::Order::Read(ReadingId(id), DeviceId::new("eye").unwrap())
+}
+
+fn post(mailbox: &Mailbox, connection: u64, orders: Vec<mailbox::Order>) {
+    mailbox.post(connection, orders.into_iter(), Demand::default());
+}
+
+fn away(why: &str) -> Result<(), DriverError> {
+    Err(DriverError::Away(why.to_owned()))
+}
+
+#[test]
+fn hardware_that_comes_back_too_late_to_be_told_anything_is_named() {
+    let answer = |what: &str, _: &Pushes| if what == "wheel 4" { away("cut") } else { Ok(()) };
+    let (ended, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
+        "there 1" => post(mailbox, 1, vec![set_order("wheel", 4.0)]),
+        "there 2" => mailbox.close(),
+        _ => {}
+    });
+    assert_eq!(news, ["there 1", "the hardware is away: cut", "there 2"]);
+    assert_eq!(ended, Err("the hardware came back too late to be told anything".to_owned()));
+}
+
+#[test]
+fn hardware_that_stays_away_is_named_if_it_was_moved_and_otherwise_not() {
+    for (moves, expected) in [(true, Err("the hardware is away: cut".to_owned())), (false, Ok(()))] {
+        let answer = move |what: &str, pushes: &Pushes| match what {
+            "wheel 4" => away("cut"),
+            "connect" if !moves => {
+                pushes.fault("no effect before the connection");
+                away("cut")
+            }
+            _ => Ok(()),
+        };
+        let (ended, _) = driven(BLOCK, false, answer, |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![set_order("wheel", 4.0)]),
+            _ => mailbox.close(),
+        });
+        assert_eq!(ended, expected);
+    }
+}
+
+#[test]
+fn a_frame_is_told_by_one_call_and_a_refused_one_names_its_first_values() {
+    let answer = |what: &str, _: &Pushes| match what {
+        "10 values" => Err(DriverError::Refused("too hot".to_owned())),
+        "2 values" | "read eye" | "connect" | "ping" => Ok(()),
+        other => panic!("{other}"),
+    };
+    let frame = |count: u32| (0..count).map(|i| set_order(&format!("d{i}"), 1.0)).collect();
+    let (_, news) = driven(BLOCK, true, answer, move |news, mailbox| match news {
+        "there 1" => {
+            post(mailbox, 1, vec![set_order("a", 1.0), set_order("b", 2.0), read_order(1)]);
+        }
+        reading if reading.starts_with("reading") => post(mailbox, 1, frame(10)),
+        _ => mailbox.close(),
+    });
+    let refused: Vec<_> = (0..8).map(|i| format!("speed 1 of `d{i}`")).collect();
+    assert_eq!(news.last(), Some(&format!("the hardware refused {}: too hot", refused.join(", "))));
+}
+
+#[test]
+fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
+    let mut answers = [Err(DriverError::Refused("dark".to_owned())), Ok(()), away("cut")].into_iter();
+    let answer =
+        move |what: &str, _: &Pushes| if what == "read eye" { answers.next().unwrap() } else { Ok(()) };
+    let (ended, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
+        "there 1" => post(mailbox, 1, vec![read_order(1), read_order(2), read_order(3)]),
+        "the hardware is away: cut" => mailbox.close(),
+        _ => {}
+    });
+    let expected = [
+        "there 1",
+        "reading Err(\"dark\")",
+        "reading Ok(7.0)",
+        "reading Err(\"cut\")",
+        "the hardware is away: cut",
+    ];
+    assert_eq!((news, ended), (expected.map(str::to_owned).to_vec(), Ok(())), "nothing was moved");
+}
+
+#[test]
+fn what_a_sensor_told_unasked_answers_a_request_for_as_long_as_its_delay_allows() {
+    let at_once = BLOCK.replace(r#""max_value": 9}"#, r#""max_value": 9, "max_delay": 0}"#);
+    for (block, expected) in [(BLOCK, "reading Ok(3.0)"), (&at_once, "reading Ok(7.0)")] {
+        let answer = |what: &str, pushes: &Pushes| {
+            if what == "wheel 4" {
+                pushes.reading(&DeviceId::new("eye").unwrap(), 3.0);
+            }
+            Ok(())
+        };
+        let (_, news) = driven(block, false, answer, |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![set_order("wheel", 4.0), read_order(1)]),
+            _ => mailbox.close(),
+        });
+        assert_eq!(news, ["there 1", expected]);
+    }
+}
+
+#[test]
+fn what_the_hardware_says_by_itself_ends_its_connection() {
+    let mut faults = 0;
+    let answer = move |what: &str, pushes: &Pushes| {
+        if what == "wheel 4" && faults == 0 {
+            faults += 1;
+            pushes.fault("stuck");
+        }
+        Ok(())
+    };
+    let (ended, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
+        "there 1" => post(mailbox, 1, vec![set_order("wheel", 4.0)]),
+        "there 2" => {
+            post(mailbox, 2, vec![set_order("wheel", 4.0)]);
+            mailbox.close();
+        }
+        _ => {}
+    });
+    assert_eq!(news, ["there 1", "the hardware reports a fault: stuck", "there 2"]);
+    assert_eq!(ended, Ok(()), "it was told after it had come back");
+}
+
+#[test]
+fn a_confirmation_that_a_driver_cannot_give_comes_with_the_next_answer() {
+    let (asked, pings) = channel();
+    let answer = move |what: &str, _: &Pushes| {
+        if what == "ping" {
+            asked.send(()).unwrap();
+        }
+        Ok(())
+    };
+    let (_, news) = driven(BLOCK, false, answer, |news, mailbox| match news {
+        "there 1" => {
+            let ask = mailbox::Order::Confirm(Ticket(1), DeviceId::new("wheel").unwrap());
+            let demand = Demand { held: true, confirmation: true, ..Demand::default() };
+            mailbox.post(1, [set_order("wheel", 4.0), ask].into_iter(), demand);
+        }
+        _ => mailbox.close(),
+    });
+    assert_eq!(news, ["there 1", "confirmed 1"]);
+    assert!(pings.try_iter().count() >= 1);
+}
+
+/// Steps of a script of the arm, the first of which is due this many milliseconds from now.
+fn take(first: usize, due: i64) -> mailbox::Order {
+    let clock = HostClock::anchored();
+    let at = |millis: i64| (clock.now() + Span::from_millis(millis)).assume_clock();
+    let setpoint = Setpoint::new(ControlType::Position, 5.0);
+    let part = PlanPart {
+        plan: crate::PlanId(1),
+        device: DeviceId::new("arm").unwrap(),
+        start: at(due),
+        begin_by: at(due + 50),
+        interpolation: urrcp::Interpolation::Hold,
+        first,
+        steps: vec![crate::plans::PlanStep { at: at(due), setpoint }],
+        is_last: true,
+    };
+    mailbox::Order::Plan(mailbox::PlanOrder::Take(part, clock))
+}
+
+#[test]
+fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
+    let refused = "this driver times no scripts";
+    let late = "after it could have been played";
+    for (first, due, expected) in
+        [(0, 60_000, refused), (0, -1_000, late), (2, 60_000, refused), (2, 100, refused), (2, -1_000, late)]
+    {
+        let (_, news) = driven(
+            BLOCK,
+            false,
+            |_, _| Ok(()),
+            move |news, mailbox| match news {
+                "there 1" => post(mailbox, 1, vec![take(first, due)]),
+                _ => mailbox.close(),
+            },
+        );
+        let told = &news[1];
+        assert!(told.starts_with(&format!("refused {first}: ")) && told.ends_with(expected), "{due}: {told}");
+    }
+}
+
+#[test]
+fn a_script_that_the_driver_never_had_is_over_when_it_is_to_be_ended() {
+    let cancel = || PlanCancel {
+        plan: crate::PlanId(1),
+        device: DeviceId::new("arm").unwrap(),
+        then: crate::Then::Keep,
+        why: String::new(),
+    };
+    let (_, news) = driven(
+        BLOCK,
+        false,
+        |_, _| Ok(()),
+        move |news, mailbox| match news {
+            "there 1" => {
+                post(mailbox, 1, vec![mailbox::Order::Plan(mailbox::PlanOrder::Cancel(cancel()))]);
+            }
+            _ => mailbox.close(),
+        },
+    );
+    assert_eq!(news, ["there 1", "cancelled 1"]);
+}
+
+#[test]
+fn a_driver_that_speaks_of_a_script_that_it_was_never_told_has_failed() {
+    for plan in [0, 2, 9] {
+        let answer = move |what: &str, pushes: &Pushes| {
+            if what == "wheel 4" {
+                // The first was refused: of that it may speak.
+                for plan in [1, plan] {
+                    pushes.plan(crate::PlanId(plan), Timestamp::from_nanos(0), PlanEvent::Done);
+                }
+            }
+            Ok(())
+        };
+        let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![take(0, 60_000), set_order("wheel", 4.0)]),
+            refused if refused.starts_with("refused") => {}
+            _ => mailbox.close(),
+        });
+        let expected =
+            format!("the hardware reports a fault: it speaks of plan {plan}, which it does not have");
+        assert_eq!(news.get(2), Some(&expected), "{news:?}");
+    }
+}
+
+#[test]
+fn a_value_that_is_too_old_is_told_and_not_set_and_others_are() {
+    let (told, calls) = channel();
+    let answer = move |what: &str, _: &Pushes| {
+        told.send(what.to_owned()).unwrap();
+        Ok(())
+    };
+    let old = HostClock::anchored().instant_of(Timestamp::from_nanos(0)) - 2 * STALE;
+    let mailbox::Order::Set(key, value) = set_order("arm", 4.0) else { panic!() };
+    let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| match news {
+        "there 1" => {
+            let stale = mailbox::Value { due: Some(old), ..value.clone() };
+            post(mailbox, 1, vec![mailbox::Order::Set(key.clone(), stale), set_order("wheel", 4.0)]);
+        }
+        _ => mailbox.close(),
+    });
+    assert_eq!(news, ["there 1", "stale arm"]);
+    let calls: Vec<_> = calls.try_iter().filter(|call| call != "ping").collect();
+    assert_eq!(calls, ["connect", "wheel 4"]);
+}
+
+#[test]
+fn a_driver_that_was_told_a_script_has_moved_its_hardware() {
+    let (ended, _) = driven(
+        BLOCK,
+        false,
+        |_, _| Ok(()),
+        |news, mailbox| match news {
+            "there 1" => post(mailbox, 1, vec![take(0, 60_000)]),
+            refused if refused.starts_with("refused") => mailbox.failed_by_itself("stuck".to_owned()),
+            _ => mailbox.close(),
+        },
+    );
+    assert_eq!(ended, Err("the hardware reports a fault: stuck".to_owned()));
+}

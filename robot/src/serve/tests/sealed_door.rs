@@ -1,0 +1,59 @@
+//! A robot that shares a secret: what proves nothing, and what was altered on its way.
+
+use super::*;
+use crate::role::Role;
+use crate::sealed::{Claim, Guard, Held, Secret, connect};
+
+/// A robot behind a secret, and a pass to it.
+async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let secret = Secret::generate().unwrap();
+    let robot = host.handle().robots()[0].clone();
+    let roles = [Role::Observe, Role::Drive].into_iter().collect();
+    let claim = Claim { name: "anna".into(), roles, expires: 4_000_000_000, serial: "0a:1b".into() };
+    let held = Held { robot: robot.clone(), pass: secret.pass(&claim), claim };
+    let door = Door::Sealed(Arc::new(Guard::new(robot, secret, None)));
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(serve_with(listener, host.handle(), 0, patience, door));
+    (host, address, held)
+}
+
+async fn ended(stream: &mut TcpStream) {
+    let mut rest = Vec::new();
+    let ended = tokio::time::timeout(Duration::from_secs(20), stream.read_to_end(&mut rest)).await;
+    assert!(ended.is_ok(), "it is left open");
+}
+
+#[tokio::test]
+async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
+    let (host, address, held) = sealed(Patience::default()).await;
+    for (altered, count) in [(&b""[..], 0), (b"\0\0\0\x01sixteen of a code.", 1), (b"\0\0\0\0", 2)] {
+        let mut stream = TcpStream::connect(address).await.unwrap();
+        let mut spoken = connect(&mut stream, &held).await.unwrap();
+        spoken.write_all(ASK).await.unwrap();
+        spoken.flush().await.unwrap();
+        spoken.read_exact(&mut [0]).await.unwrap();
+        drop(spoken);
+        stream.write_all(altered).await.unwrap();
+        stream.shutdown().await.unwrap();
+        ended(&mut stream).await;
+        assert_eq!(host.refusals().count(Reason::Altered), count);
+    }
+    assert_eq!(host.refusals().count(Reason::NotProven), 0);
+}
+
+#[tokio::test]
+async fn who_proves_nothing_is_hung_up_on_and_counted() {
+    let patience = Patience { first_message: Duration::from_millis(500), ..Patience::default() };
+    let (host, address, held) = sealed(patience).await;
+    let other = Held { pass: Secret::generate().unwrap().pass(&held.claim), ..held };
+    let stream = TcpStream::connect(address).await.unwrap();
+    assert!(connect(stream, &other).await.is_err());
+    let mut plain = TcpStream::connect(address).await.unwrap();
+    plain.write_all(ASK).await.unwrap();
+    ended(&mut plain).await;
+    let mut silent = TcpStream::connect(address).await.unwrap();
+    ended(&mut silent).await;
+    assert_eq!(host.refusals().count(Reason::NotProven), 3);
+}

@@ -1,0 +1,191 @@
+//! Identities of a test's authority, which count until 2120: statements, doors and lists of revoked certificates.
+//!
+//! `fixtures` holds identity files as `downbeat keys` writes them, with keys of no other use: `anna` and `nobody`, who has no name
+//! of the protocol, `robot`, and `stranger`, an operator of another authority; and lists of revoked certificates.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, SystemTime};
+
+use rustls::pki_types::ServerName;
+use tokio::net::{TcpListener, TcpStream};
+use tokio_rustls::TlsConnector;
+
+use super::*;
+use crate::role::Role;
+
+/// A folder of this test alone, gone in the end.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("downbeat-tls-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
+        let path = std::env::temp_dir().join(name);
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    /// A copy of a fixture that is its user's alone.
+    fn copy(&self, fixture: &str, name: &str) -> PathBuf {
+        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/tls/fixtures").join(fixture);
+        let path = self.0.join(name);
+        std::fs::copy(from, &path).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+        path
+    }
+
+    fn credentials(&self, name: &str) -> Credentials {
+        Credentials::read(&self.copy(&format!("{name}.pem"), name)).unwrap()
+    }
+
+    /// A list of revoked certificates, with nothing in it yet.
+    fn list(&self) -> Revoked {
+        Revoked::in_file(&self.copy("none-revoked.pem", "revoked.pem")).unwrap()
+    }
+
+    /// Replaces the list.
+    fn revoke(&self, fixture: &str) {
+        self.copy(fixture, "revoked.pem");
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _never_written = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[test]
+fn an_identity_file_says_whose_it_is_and_what_its_owner_may_do() {
+    let folder = Folder::new();
+    let anna = folder.credentials("anna");
+    assert_eq!(anna.identity().name.to_string(), "operator anna");
+    assert_eq!(anna.identity().roles, [Role::Observe, Role::Drive].into_iter().collect());
+    assert_eq!(anna.identity().expires, 4_733_510_400, "in 2120");
+    let proof = anna.identity().proof().unwrap();
+    assert_eq!((proof.name.as_str(), proof.roles), ("operator anna", anna.identity().roles.clone()));
+    let robot = folder.credentials("robot");
+    assert_eq!(robot.identity().name, Name::Robot("r0".parse().unwrap()));
+    assert_eq!(robot.identity().roles.to_string(), "no role");
+}
+
+#[test]
+fn an_identity_is_written_as_the_uris_that_it_is_read_from() {
+    let roles = [Role::Stop, Role::Drive].into_iter().collect();
+    let uris = Identity::uris(&Name::Operator("anna ö/1".to_owned()), &roles);
+    assert_eq!(uris, ["urrcp:operator:anna%20%C3%B6%2F1", "urrcp:role:drive", "urrcp:role:stop"]);
+    let robot = Identity::uris(&Name::Robot("cf 1".parse().unwrap()), &[].into_iter().collect());
+    assert_eq!(robot, ["urrcp:robot:cf%201"]);
+}
+
+#[test]
+fn a_file_that_is_no_identity_is_refused_with_what_it_lacks() {
+    let folder = Folder::new();
+    let anna = std::fs::read_to_string(folder.copy("anna.pem", "anna")).unwrap();
+    let parts: Vec<&str> = anna.split_inclusive("-----\n").collect();
+    let [key, certificate, authority] = [&parts[..2], &parts[2..4], &parts[4..6]].map(|part| part.concat());
+    let whole = [key.as_str(), &certificate, &authority];
+    assert_eq!(whole.concat(), anna);
+    for (text, expected) in [
+        (whole[1..].concat(), "there is no private key"),
+        (whole[..2].concat(), "there are 1 certificates in it"),
+        ([anna.as_str(), &authority].concat(), "there are 3 certificates in it"),
+    ] {
+        let path = folder.copy("anna.pem", "part");
+        std::fs::write(&path, text).unwrap();
+        let error = Credentials::read(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let nameless = Credentials::read(&folder.copy("nobody.pem", "nobody")).unwrap_err().to_string();
+    assert!(nameless.contains("has 0 names"), "{nameless}");
+    let list = Revoked::in_file(&folder.copy("anna.pem", "no-list")).unwrap_err().to_string();
+    assert!(list.contains("there is no list of revoked certificates in it"), "{list}");
+    assert!(matches!(Identity::of_certificate(b"no certificate"), Err(IdentityError::NotACertificate)));
+}
+
+#[test]
+fn a_statement_is_of_the_operator_that_has_signed_it() {
+    let folder = Folder::new();
+    let witness = Witness::new(folder.credentials("robot"), None).unwrap();
+    assert_eq!(witness.identity().name.to_string(), "robot r0");
+    let who =
+        |statement: &[u8], signed: &Signed| witness.who(statement, signed).map(|who| who.name.to_string());
+    let anna = folder.credentials("anna");
+    let signed = anna.sign(b"stop").unwrap();
+    assert_eq!(who(b"stop", &signed), Ok("operator anna".to_owned()));
+    assert_eq!(who(b"start", &signed), Err("it has not signed what it says".to_owned()));
+    let mixed = Signed { signature: folder.credentials("robot").sign(b"stop").unwrap().signature, ..signed };
+    assert_eq!(who(b"stop", &mixed), Err("it has not signed what it says".to_owned()));
+}
+
+#[test]
+fn a_statement_of_a_robot_or_of_another_authority_does_not_count() {
+    let folder = Folder::new();
+    let witness = Witness::new(folder.credentials("robot"), None).unwrap();
+    let signed = |name| folder.credentials(name).sign(b"stop").unwrap();
+    let refused = |name| witness.who(b"stop", &signed(name)).unwrap_err();
+    assert_eq!(refused("robot"), "robot r0 is no operator");
+    assert!(refused("stranger").starts_with("its certificate does not count here"));
+    let damaged = Signed { certificate: b"no certificate".to_vec(), ..signed("anna") };
+    assert!(witness.who(b"stop", &damaged).is_err());
+}
+
+#[test]
+fn a_statement_of_one_that_was_revoked_counts_no_more_also_when_the_list_is_damaged_later() {
+    let folder = Folder::new();
+    let witness = Witness::new(folder.credentials("robot"), Some(folder.list())).unwrap();
+    let signed = folder.credentials("anna").sign(b"stop").unwrap();
+    assert!(witness.who(b"stop", &signed).is_ok());
+    folder.revoke("anna-revoked.pem");
+    assert!(witness.who(b"stop", &signed).is_err());
+    folder.revoke("anna.pem");
+    assert!(witness.who(b"stop", &signed).is_err(), "the list that was read last counts");
+    folder.revoke("none-revoked.pem");
+    assert!(witness.who(b"stop", &signed).is_ok());
+}
+
+/// Whom a robot meets that this identity connects to, or why nobody.
+async fn meets(guard: &Guard, client: &Credentials) -> Result<String, String> {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let config = Arc::new(client_config(client, None).unwrap());
+    let connecting = async {
+        let stream = TcpStream::connect(address).await.unwrap();
+        let name = ServerName::try_from(SERVER_NAME).unwrap();
+        TlsConnector::from(config).connect(name, stream).await.map_err(|error| error.to_string())
+    };
+    let accepting = async { guard.accept(listener.accept().await.unwrap().0).await };
+    let (connected, accepted) = tokio::join!(connecting, accepting);
+    let (_stream, proof) = accepted.map_err(|error| error.to_string())?;
+    connected?;
+    Ok(proof.name.to_string())
+}
+
+#[tokio::test]
+async fn a_door_lets_in_operators_of_its_authority_alone() {
+    let folder = Folder::new();
+    let guard = Guard::new(folder.credentials("robot"), None).unwrap();
+    assert_eq!(guard.identity().name.to_string(), "robot r0");
+    assert_eq!(meets(&guard, &folder.credentials("anna")).await, Ok("operator anna".to_owned()));
+    assert!(meets(&guard, &folder.credentials("stranger")).await.is_err());
+}
+
+#[tokio::test]
+async fn a_door_obeys_a_list_that_was_replaced_and_not_one_that_cannot_be_read() {
+    let folder = Folder::new();
+    let guard = Guard::new(folder.credentials("robot"), Some(folder.list())).unwrap();
+    let anna = folder.credentials("anna");
+    assert!(meets(&guard, &anna).await.is_ok());
+    let lists = [("anna-revoked.pem", false), ("anna.pem", false), ("none-revoked.pem", true)];
+    for (seconds, (list, is_let_in)) in (1..).zip(lists) {
+        folder.revoke(list);
+        // Files that are written in one tick of the clock look alike.
+        let written = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
+        let file = std::fs::File::options().write(true).open(folder.0.join("revoked.pem")).unwrap();
+        file.set_modified(written).unwrap();
+        assert_eq!(meets(&guard, &anna).await.is_ok(), is_let_in, "{list}");
+    }
+}
