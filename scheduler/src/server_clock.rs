@@ -391,6 +391,17 @@ mod tests {
         assert!(state.lost_since.unwrap() - began < Span::from_millis(20), "{state:?}");
     }
 
+    #[tokio::test]
+    async fn a_watch_that_is_dropped_asks_no_more() {
+        let server = Responder::default().start().await;
+        let watch = NtpWatch::start(server, ServerClock::anchored(Span::ZERO), Duration::from_millis(20));
+        let mut states = watch.states.clone();
+        states.changed().await.unwrap();
+        drop(watch);
+        let ends = async { while states.changed().await.is_ok() {} };
+        tokio::time::timeout(Duration::from_secs(5), ends).await.expect("nobody tells anything any more");
+    }
+
     #[test]
     fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
         for millis in [0, 250, -250, 3_600_000, -3_600_000] {
