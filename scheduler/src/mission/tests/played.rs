@@ -29,9 +29,14 @@ pub(super) struct Played {
 impl Played {
     /// All links stand at once, and the first act is sent as soon as it is known how long the disk takes.
     pub(super) fn begun(mission: Mission) -> Self {
+        Self::of(mission, Vec::new())
+    }
+
+    /// The same; these robots hear nothing, and say nothing.
+    pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
         let arrivals = (0..mission.robots.len()).map(|robot| (at(0), Event::LinkUp { robot })).collect();
         let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
-        let (scripts, mute) = (HashMap::new(), Vec::new());
+        let scripts = HashMap::new();
         let mut played =
             Self { mission, now: at(0), records: 0, scripts, arrivals, mute, told, sent, recorded };
         played.run_until(at(10));
@@ -174,14 +179,39 @@ fn a_mission_whose_robots_do_what_they_are_told_is_done() {
     }
 }
 
+#[cfg(feature = "metrics")]
 #[test]
 fn acts_under_way_are_counted_by_how_far_they_are() {
+    let mut mission = waits_in(1);
+    assert_eq!(mission.act_stages(), [0, 0, 0]);
+    assert_eq!(mission.phase_name(), super::figures::PhaseName::Greeting);
+    mission = Played::begun(mission).mission;
+    assert_eq!(mission.act_stages(), [0, 1, 0], "on its way to its start");
     let mut played = Played::begun(waits_in(1));
-    let stages = |played: &Played| {
-        let of = |act: &Act| (act.was_sent(), act.is_playing());
-        played.mission.acts.iter().map(of).collect::<Vec<_>>()
-    };
-    assert_eq!(stages(&played), [(true, false)]);
     played.run_to_the_start();
-    assert_eq!(stages(&played), [(true, true), (false, false)]);
+    assert_eq!(played.mission.act_stages(), [1, 0, 1], "one plays, and one waits for the operator");
+    assert_eq!(played.mission.phase_name(), super::figures::PhaseName::Performing);
+}
+
+#[cfg(feature = "metrics")]
+#[test]
+fn the_figures_of_a_robot_contain_the_acts_under_way() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let figures = |played: &Played| {
+        let figures = played.mission.figures_of(0);
+        (
+            figures.totals.sent,
+            figures.totals.started,
+            figures.is_linked,
+            figures.takes_part,
+            figures.awaits_stop,
+        )
+    };
+    assert_eq!(figures(&played), (1, 0, true, true, false));
+    played.run_to_the_start();
+    assert_eq!(figures(&played), (1, 1, true, true, false));
+    assert!(played.mission.figures_of(0).clock.is_some());
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    assert_eq!(figures(&played), (1, 1, true, true, true));
 }

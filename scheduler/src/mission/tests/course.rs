@@ -1,0 +1,208 @@
+//! How acts follow each other, what became of them, and how the mission ends by that.
+
+use downbeat_scripts::OnFailure;
+
+use super::played::Played;
+use super::*;
+use crate::mission::bench::ms;
+
+fn broken() -> FailureKind {
+    FailureKind::Garbled { reason: "x".to_owned() }
+}
+
+fn fates(played: &Played) -> Vec<ActFate> {
+    played.mission.fates.iter().map(|course| course.fate.clone()).collect()
+}
+
+fn stop(played: &mut Played) -> Outcome {
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.run_to_the_end()
+}
+
+#[test]
+fn an_act_was_withdrawn_before_its_start_stopped_after_it_and_played_once_it_is_over() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Withdrawn]);
+
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Stopped]);
+
+    let mut played = Played::begun(waits_in(1));
+    played.run_until(played.now + ms(3_000));
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Played, ActFate::StillWaiting]);
+
+    let mut played = Played::begun(begins_at_once(Tells::Nothing));
+    assert_eq!(played.run_to_the_end(), Outcome::Unknown);
+    assert_eq!(fates(&played), [ActFate::Unknown]);
+}
+
+#[test]
+fn a_mission_that_fails_has_not_started_as_long_as_nothing_has_moved() {
+    let fail = |played: &mut Played| {
+        let now = played.now;
+        played.mission.fail(now, 0, broken());
+        played.run_to_the_end()
+    };
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(fail(&mut played), Outcome::NotStarted);
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    assert_eq!(fail(&mut played), Outcome::Failed, "it plays");
+    let mut played = Played::begun(waits_in(1));
+    played.run_until(played.now + ms(3_000));
+    assert_eq!(played.mission.reports.len(), 1);
+    assert_eq!(fail(&mut played), Outcome::Failed, "an act was played");
+}
+
+#[test]
+fn acts_follow_each_other_and_no_more_begin_than_are_wanted() {
+    for (acts_max, begun, bound) in [(None, 2, None), (Some(2), 2, None), (Some(1), 1, Some(1))] {
+        let mut mission = waits_in(2);
+        mission.options.acts_max = acts_max;
+        let mut played = Played::begun(mission);
+        assert_eq!(played.run_to_the_end(), Outcome::Done, "{acts_max:?}");
+        assert_eq!(played.mission.acts_begun, begun, "{acts_max:?}");
+        assert_eq!(played.mission.bound_reached(), bound, "{acts_max:?}");
+        let totals = played.mission.robots[0].totals;
+        let begun = begun as usize;
+        assert_eq!(
+            (totals.scripts, totals.sent, totals.accepted, totals.started),
+            (begun, begun, begun, begun)
+        );
+        assert_eq!((totals.failed, totals.unaccounted, totals.retries), (0, 0, 0));
+        assert_eq!((totals.steps_done, totals.steps_planned), (2 * begun as u64, 2 * begun as u64));
+    }
+}
+
+#[test]
+fn an_act_that_follows_at_once_starts_when_the_one_before_it_ends() {
+    let mut played = Played::begun(waits_in(2));
+    let _done = played.run_to_the_end();
+    let [one, two] = [0, 1].map(|act| &played.mission.reports[act]);
+    assert_eq!(two.start, one.start + ms(400));
+    assert_eq!((one.gap, two.gap), (None, Some(Span::ZERO)));
+}
+
+#[test]
+fn the_report_of_an_act_tells_its_instants() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let timing = played.mission.acts[0].timing().unwrap().clone();
+    let _done = played.run_to_the_end();
+    let report = &played.mission.reports[0];
+    assert_eq!((report.timestamp, report.start), (timing.timestamp, timing.start));
+    assert_eq!(report.start, report.timestamp + report.lead.total());
+    assert_eq!(report.spread, Some(Span::ZERO));
+    // The request was answered after the disk and one round trip.
+    let accepted = report.margin_left.map(|left| timing.decision - left);
+    assert!(
+        accepted.is_some_and(|at| at > timing.timestamp && at < timing.timestamp + ms(10)),
+        "{accepted:?}"
+    );
+    let window = report.window.unwrap();
+    assert!(window > Span::ZERO && window < ms(5), "{window}");
+    let device = &report.robots[0].devices[0];
+    assert_eq!(device.planned_start, Some(timing.start));
+    assert_eq!((device.first_step, device.start_error), (Span::ZERO, Some(Span::ZERO)));
+    assert_eq!((device.steps_done, device.steps_planned, device.late_steps), (2, 2, 0));
+}
+
+/// One act of two robots; the others go on without one that fails.
+fn without_those_that_fail() -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
+    choreography.acts[0].on_failure.default = OnFailure::Without;
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let participants = vec![participant("r0"), participant("r1")];
+    Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap()
+}
+
+#[test]
+fn the_others_go_on_without_a_robot_that_fails_and_the_outcome_says_so() {
+    let mut played = Played::begun(without_those_that_fail());
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.fail(now, 1, broken());
+    assert_eq!(played.mission.robots[1].standing, Standing::Out);
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    let report = &played.mission.reports[0];
+    assert_eq!(report.robots.iter().map(|robot| robot.left_out).collect::<Vec<_>>(), [false, true]);
+    let stopped = |robot: usize| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
+    assert_eq!((stopped(0), stopped(1)), (false, true));
+}
+
+#[test]
+fn a_mission_that_nobody_is_left_to_play_has_failed() {
+    let mut played = Played::begun(without_those_that_fail());
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    let reason = played.told.iter().find_map(|told| match told {
+        Progress::Stopping { reason, .. } => Some(reason.clone()),
+        _ => None,
+    });
+    let reason = reason.or_else(|| played.mission.because().map(str::to_owned));
+    assert!(
+        reason.is_none_or(|reason| reason.starts_with("r0: ") && reason.ends_with("; 1 robot more failed"))
+    );
+}
+
+#[test]
+fn a_failure_may_lead_to_another_act_once_all_are_at_rest() {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
+    let bow = choreography.acts[0].clone();
+    choreography.acts.push(bow);
+    choreography.acts[0].on_failure.then = Some(1);
+    choreography.acts[0].next = Way::End;
+    choreography.acts[1].next = Way::End;
+    choreography.acts[1].wait = Wait::Done;
+    let participant = Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), vec![participant], options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.abort(now, Outcome::Failed, Rest::Default, Some(1));
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
+}
+
+#[test]
+fn robots_are_asked_three_times_a_lease_while_they_play() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    let from = played.now;
+    played.run_until(from + ms(5_000));
+    let asked =
+        played.sent.iter().filter(|(at, _, message)| *at > from && matches!(message, Message::Inquiry(_)));
+    let asked: Vec<_> = asked.map(|(at, ..)| *at).collect();
+    assert!(asked.len() >= 7, "{asked:?}");
+    // The running lease is two seconds.
+    for pair in asked.windows(2) {
+        assert_eq!(pair[1] - pair[0], Span::from_nanos(2_000_000_000 / 3));
+    }
+}
+
+#[test]
+fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision() {
+    let mut played = Played::of(begins_at_once(Everything), vec![0]);
+    let timing = played.mission.acts[0].timing().unwrap().clone();
+    played.run_until(timing.ask_again() - Span::from_nanos(1));
+    let requests = |played: &Played| {
+        let request = |(.., message): &&(Timestamp<Server>, usize, Message)| {
+            matches!(message, Message::ControlRequest(_))
+        };
+        played.sent.iter().filter(request).count()
+    };
+    assert_eq!(requests(&played), 1);
+    played.run_until(timing.ask_again());
+    assert_eq!((requests(&played), played.mission.robots[0].totals.retries), (2, 1));
+    played.run_until(timing.decision);
+    let kinds: Vec<_> =
+        played.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
+    assert!(kinds[0].contains("acceptance by `a`"), "{kinds:?}");
+}
