@@ -410,4 +410,26 @@ mod tests {
             assert!((ahead + offset).abs() < Span::from_micros(50), "{millis}: {ahead}");
         }
     }
+
+    #[tokio::test]
+    async fn a_server_without_a_port_is_asked_on_that_of_ntp() {
+        for (server, address) in [
+            ("127.0.0.1", "127.0.0.1:123"),
+            ("127.0.0.1:1123", "127.0.0.1:1123"),
+            ("::1", "[::1]:123"),
+            ("[::1]:5", "[::1]:5"),
+        ] {
+            assert_eq!(resolve(server).await, Ok(address.parse().unwrap()));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_server_is_asked_a_few_times_for_its_offset() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let reading = ask_ntp(&responder.start().await).await.unwrap();
+        let error = (reading.offset - Span::from_millis(250)).abs();
+        assert!(error <= reading.uncertainty + Span::from_micros(5), "{reading:?}");
+        assert_eq!(reading.stratum, 1);
+    }
 }

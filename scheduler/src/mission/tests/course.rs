@@ -1,6 +1,6 @@
 //! How acts follow each other, what became of them, and how the mission ends by that.
 
-use downbeat_scripts::OnFailure;
+use downbeat_scripts::{Choreography, OnFailure};
 
 use super::played::Played;
 use super::*;
@@ -145,10 +145,8 @@ fn a_mission_that_nobody_is_left_to_play_has_failed() {
         Progress::Stopping { reason, .. } => Some(reason.clone()),
         _ => None,
     });
-    let reason = reason.or_else(|| played.mission.because().map(str::to_owned));
-    assert!(
-        reason.is_none_or(|reason| reason.starts_with("r0: ") && reason.ends_with("; 1 robot more failed"))
-    );
+    let reason = reason.unwrap();
+    assert!(reason.starts_with("r0: ") && reason.ends_with("; 1 robot more failed"), "{reason}");
 }
 
 #[test]
@@ -205,4 +203,119 @@ fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision()
     let kinds: Vec<_> =
         played.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(kinds[0].contains("acceptance by `a`"), "{kinds:?}");
+}
+
+#[test]
+fn a_round_of_acts_that_nobody_is_left_to_play_ends() {
+    let mut mission = waits_in(2);
+    let mut choreography = Choreography::clone(&mission.choreography);
+    choreography.acts[1].next = Way::Act(0);
+    mission.choreography = Arc::new(choreography);
+    mission.robots[0].standing = Standing::Out;
+    let mut played = Played::begun(mission);
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    assert_eq!(fates(&played), [ActFate::NobodyLeft, ActFate::NobodyLeft]);
+}
+
+#[test]
+fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() {
+    let mut played = Played::begun(waits_in(1));
+    played.run_to_the_start();
+    let mission = &mut played.mission;
+    answers(mission, None, Err("`two` waits until `one` has ended"));
+    answers(mission, Some("two"), Err("`two` waits until `one` has ended"));
+    answers(mission, Some("one"), Err("`one` does not wait for the operator now"));
+    played.run_until(played.now + ms(3_000));
+    answers(&mut played.mission, Some("two"), Ok("two"));
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_mission_that_the_operator_leaves_reports_the_acts_under_way() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let now = played.now;
+    played.mission.leave(now);
+    assert_eq!((played.mission.acts.len(), played.mission.reports.len()), (0, 1));
+}
+
+#[test]
+fn robots_of_a_session_are_told_it_with_every_request() {
+    let mut mission = begins_at_once(Everything);
+    let session = Session::named("show".parse().unwrap());
+    let told = Some(session.on_the_wire().clone());
+    mission.options.session = Some(session);
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    for (.., message) in &played.sent {
+        let of = match message {
+            Message::ControlRequest(request) => &request.session,
+            Message::Inquiry(inquiry) => &inquiry.session,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(*of, told);
+    }
+    assert!(played.sent.len() > 3);
+}
+
+#[test]
+fn the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience() {
+    let mut mission = begins_at_once(Everything);
+    let _begun = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let _waits = mission.advance(at(0));
+    let ends = mission.acts[0].since() + mission.options.patience;
+    assert!(mission.next_wakeup() <= Some(ends));
+    let _waits = mission.advance(ends - Span::from_nanos(1));
+    assert_eq!(mission.outcome, None);
+    let _ends = mission.advance(ends);
+    assert!(matches!(mission.outcome(), Some(Outcome::JournalLost { .. })), "{:?}", mission.outcome);
+}
+
+/// How a mission ends that is sent with these options, before anything of it plays.
+fn sent_with(lease: Option<i64>, options: impl Fn(&mut MissionOptions)) -> Option<Outcome> {
+    let mut mission = begins_at_once(Everything);
+    let mut choreography = Choreography::clone(&mission.choreography);
+    choreography.acts[0].plan.stop_condition.pending = lease.map(|lease| urrcp::Millis::from_span(ms(lease)));
+    mission.choreography = Arc::new(choreography);
+    options(&mut mission.options);
+    Played::begun(mission).mission.outcome().cloned()
+}
+
+#[test]
+fn what_the_operator_asks_for_is_kept_or_refused() {
+    assert_eq!(sent_with(Some(240), |_| {}), None);
+    let (lease, needed) = (ms(239), ms(240));
+    assert_eq!(sent_with(Some(239), |_| {}), Some(Outcome::LeaseTooShort { lease, needed }));
+
+    let Some(Outcome::LeadTooShort { lead, needed, safe_start }) =
+        sent_with(None, |options| options.lead = Some(ms(1)))
+    else {
+        panic!()
+    };
+    assert_eq!(
+        (lead, safe_start - needed.total()),
+        (ms(1), at(2)),
+        "once it is known how long the disk takes"
+    );
+    let lead = needed.total();
+    assert_eq!(sent_with(None, |options| options.lead = Some(lead)), None);
+    let just = lead - Span::from_nanos(1);
+    assert!(matches!(
+        sent_with(None, |options| options.lead = Some(just)),
+        Some(Outcome::LeadTooShort { .. })
+    ));
+
+    assert_eq!(sent_with(None, |options| options.start_at = Some(safe_start)), None);
+    let start = safe_start - Span::from_nanos(1);
+    let too_soon = sent_with(None, |options| options.start_at = Some(start));
+    assert_eq!(too_soon, Some(Outcome::StartTooSoon { start, safe_start }));
+}
+
+#[test]
+fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answers_and_leases() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.start_at = Some(at(1_500));
+    let played = Played::begun(mission);
+    let timing = played.mission.acts[0].timing().unwrap();
+    assert_eq!((timing.start, timing.gap), (at(1_500), Some(Span::ZERO)));
+    assert!(timing.lead.lease > ms(500), "{:?}", timing.lead);
 }

@@ -2,6 +2,7 @@
 
 use urrcp::{AvailabilityResponse, ControlError};
 
+use super::played::Played;
 use super::*;
 use crate::mission::bench::ms;
 use crate::mission::seize::Ownership;
@@ -151,4 +152,191 @@ fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at
         mission.follow_on_its_way(at(2), 0);
         assert_eq!(mission.robots[0].reads.len(), reads, "its answer is awaited");
     }
+}
+
+fn asked() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission
+}
+
+/// So many exchanges of timestamps with the robot.
+fn answers_times(mission: &mut Mission, count: i64) {
+    for exchange in 0..count {
+        let there = by_robot(at(exchange * 10 + 1));
+        let sample = ClockSample::from_exchange(at(exchange * 10), there, there, at(exchange * 10 + 2));
+        mission.robots[0].clock.add(sample);
+    }
+}
+
+#[test]
+fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent() {
+    let mut played = Played::begun(asked());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
+    let before = &played.sent[..first.unwrap()];
+    let times =
+        before.iter().filter(|(.., message)| matches!(message, Message::AvailabilityRequest(_))).count();
+    assert_eq!(times, 8);
+    assert!(matches!(before[0].2, Message::InitializationRequest(_)));
+    let greeted = played.told.iter().find_map(|told| match told {
+        Progress::Greeted { clock_offset_max, preflight } => Some((*clock_offset_max, preflight.clone())),
+        _ => None,
+    });
+    let (offset, preflight) = greeted.unwrap();
+    assert!(offset.unwrap() < Span::from_micros(1), "{offset:?}");
+    let failed =
+        |(_, verdict): &(Check, Verdict)| matches!(verdict, Verdict::Failure(_) | Verdict::Warning(_));
+    assert!(!preflight.rows[0].checks.iter().any(failed), "{preflight:?}");
+    assert!(played.recorded.iter().any(|record| matches!(record, Record::Checked)));
+}
+
+#[test]
+fn a_preflight_ends_once_the_fleet_is_checked() {
+    for (fails, outcome) in [(false, Outcome::Ready), (true, Outcome::NotReady)] {
+        let mut mission = asked();
+        mission.options.preflight_only = true;
+        let mut played = Played::of(mission, if fails { vec![0] } else { Vec::new() });
+        assert_eq!(played.run_to_the_end(), outcome);
+        let moved = |(.., message): &(Timestamp<Server>, usize, Message)| {
+            matches!(message, Message::ControlRequest(_))
+        };
+        assert!(!played.sent.iter().any(moved));
+    }
+}
+
+#[test]
+fn a_robot_that_fails_while_it_is_greeted_keeps_the_mission_from_starting() {
+    let mut mission = asked();
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    mission.fail(at(1), 0, FailureKind::Garbled { reason: "x".into() });
+    assert_eq!(mission.outcome(), Some(&Outcome::NotStarted));
+}
+
+#[test]
+fn what_was_awaited_in_vain_is_named() {
+    type Reached = fn(&mut Mission);
+    let reached: [(Reached, Option<&str>); 6] = [
+        (|_| {}, Some("connection")),
+        (|mission| mission.robots[0].connected(at(0)), Some("initialization block")),
+        (|mission| _ = mission.robots[0].named(), Some("availability response")),
+        (|mission| answers_times(mission, 7), Some("further availability responses")),
+        (
+            |mission| {
+                answers_times(mission, 1);
+                mission.read(at(100), 0, "a".parse().unwrap(), super::super::robot_state::Reading::Wait(0));
+            },
+            Some("readings of its sensors"),
+        ),
+        (|mission| mission.robots[0].reads.clear(), None),
+    ];
+    for count in 1..=reached.len() {
+        let mut mission = asked();
+        reached[..count].iter().for_each(|(reach, _)| reach(&mut mission));
+        mission.greeting_overdue(at(5_000));
+        let kinds = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect::<Vec<_>>();
+        let within = mission.options.patience;
+        let expected =
+            reached[count - 1].1.map(|awaited| FailureKind::Silent { awaited: awaited.to_owned(), within });
+        assert_eq!(kinds, expected.into_iter().collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].exchanges.ignore();
+    mission.greeting_overdue(at(5_000));
+    let text = mission.robots[0].failures[0].kind.to_string();
+    assert!(text.contains("availability response to a question (1 came that answer none"), "{text}");
+}
+
+/// Acts follow each other for ever, played by whichever of two robots are there. The second one is not there at first.
+fn waits_for_nobody(greeting: Greeting) -> Played {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].next = Way::Act(0);
+    choreography.acts[0].wait = Wait::Done;
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let participants = vec![participant("r0"), participant("r1")];
+    let options = MissionOptions { greeting, join: Join::NextAct, ..MissionOptions::default() };
+    let mut mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let down = Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() };
+    let _reconnects = mission.handle(at(0), down);
+    let mut played = Played::linked(mission, &[0]);
+    played.run_until(at(1_000));
+    played
+}
+
+#[test]
+fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
+    for greeting in [Greeting::Full, Greeting::Skip] {
+        let mut played = waits_for_nobody(greeting);
+        assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+        assert_eq!(played.mission.phase, Phase::Performing, "{greeting:?}");
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(5_000));
+        assert_eq!(played.mission.robots[1].standing, Standing::In, "{greeting:?}");
+        assert!(played.mission.robots[1].totals.started > 0, "{greeting:?}");
+        let reattached = |told: &&Progress| matches!(told, Progress::Reattached { .. });
+        assert_eq!(played.told.iter().filter(reattached).count(), usize::from(greeting == Greeting::Full));
+        if greeting == Greeting::Full {
+            assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    let block = robot("another", Everything, 2).block.unwrap();
+    let told = || Event::Received { robot: 1, message: Message::InitializationBlock(block.clone()) };
+    played.mutes(1);
+    for _ in 0..2 {
+        played.happens(Event::LinkUp { robot: 1 });
+        played.happens(told());
+        assert_eq!(played.mission.robots[1].standing, Standing::Out);
+        assert_eq!(played.mission.robots[1].failures.len(), 1, "it is told once");
+        assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.connecting));
+    }
+    assert_eq!(played.mission.phase, Phase::Performing, "the others go on");
+}
+
+#[test]
+fn another_robot_at_an_address_is_told_once_while_robots_are_greeted_and_its_link_is_kept() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let block = robot("another", Everything, 2).block.unwrap();
+    for _ in 0..2 {
+        let message = Message::InitializationBlock(block.clone());
+        let _told = mission.handle(at(1), Event::Received { robot: 0, message });
+    }
+    assert_eq!(mission.robots[0].failures.len(), 1);
+    assert!(mission.robots[0].lost().is_none());
+}
+
+#[test]
+fn that_ntp_is_lost_and_back_is_told_once_each() {
+    let mut mission = begins_at_once(Everything);
+    let state =
+        |lost: Option<i64>| Event::ServerTime(NtpState { lost_since: lost.map(at), ..NtpState::default() });
+    let mut told = |lost| {
+        let actions = mission.handle(at(0), state(lost));
+        let what = |action: &Action| match action {
+            Action::Tell(Progress::NtpLost { since }) => Some(Some(*since)),
+            Action::Tell(Progress::NtpBack { .. }) => Some(None),
+            _ => None,
+        };
+        actions.iter().filter_map(what).collect::<Vec<_>>()
+    };
+    assert_eq!(told(None), []);
+    assert_eq!(told(Some(5)), [Some(at(5))]);
+    assert_eq!(told(Some(5)), []);
+    assert_eq!(told(None), [None]);
+    assert_eq!(told(None), []);
+    assert!(mission.ntp().is_some());
 }

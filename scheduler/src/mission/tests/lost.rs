@@ -99,3 +99,41 @@ fn a_robot_that_falls_silent_while_it_plays_fails() {
         played.mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert!(matches!(kinds.as_slice(), [FailureKind::Silent { .. }]), "{kinds:?}");
 }
+
+#[test]
+fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the_robots() {
+    for (late, held_up) in [(100, 0), (101, 1)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        let due = played.now;
+        played.mission.next_round = Some(due);
+        played.mission.robots[0].questions.asked(due);
+        played.mission.notice_hold_up(due + ms(late));
+        assert_eq!(played.mission.rounds_held_up, held_up);
+        assert_eq!(played.mission.robots[0].questions.unanswered().is_none(), held_up > 0);
+    }
+}
+
+#[test]
+fn a_round_that_falls_into_the_quiet_around_a_start_comes_a_moment_later() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let start = played.mission.acts[0].timing().unwrap().start;
+    let now = start - Span::from_micros(100);
+    played.run_until(now);
+    let before = played.sent.len();
+    played.mission.next_round = Some(now);
+    played.mission.renew_if_due(now);
+    assert_eq!((played.mission.actions.len(), played.sent.len()), (0, before));
+    assert_eq!(played.mission.next_round, Some(start + ms(1)));
+}
+
+#[test]
+fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    let heard =
+        |played: &Played| played.told.iter().filter(|told| matches!(told, Progress::Heard { .. })).count();
+    let before = heard(&played);
+    played.run_until(played.now + ms(6_000));
+    // Nine rounds, of which every second one is later than 900 ms after the one that was told of.
+    assert!((4..=5).contains(&(heard(&played) - before)), "{before}, {}", heard(&played));
+}

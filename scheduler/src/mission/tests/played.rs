@@ -34,13 +34,19 @@ impl Played {
 
     /// The same; these robots hear nothing, and say nothing.
     pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
-        let arrivals = (0..mission.robots.len()).map(|robot| (at(0), Event::LinkUp { robot })).collect();
-        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
-        let scripts = HashMap::new();
-        let mut played =
-            Self { mission, now: at(0), records: 0, scripts, arrivals, mute, told, sent, recorded };
+        let all: Vec<usize> = (0..mission.robots.len()).collect();
+        let mut played = Self::linked(mission, &all);
+        played.mute = mute;
         played.run_until(at(10));
         played
+    }
+
+    /// The links of these robots are about to stand.
+    pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
+        let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
+        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
+        let (scripts, mute) = (HashMap::new(), Vec::new());
+        Self { mission, now: at(0), records: 0, scripts, arrivals, mute, told, sent, recorded }
     }
 
     pub(super) fn run_until(&mut self, until: Timestamp<Server>) {

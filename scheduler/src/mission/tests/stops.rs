@@ -2,6 +2,7 @@
 
 use urrcp::ControlRequest;
 
+use super::played::Played;
 use super::*;
 use crate::mission::bench::ms;
 
@@ -115,4 +116,118 @@ fn a_journal_that_is_lost_stops_the_mission_and_lets_nothing_follow_a_stop() {
     mission.abort(at(1), Outcome::Failed, Rest::Hold, Some(0));
     let _told = mission.handle(at(2), lost());
     assert_eq!(mission.then, None);
+}
+
+#[test]
+fn a_robot_that_has_confirmed_its_stop_is_at_rest_and_that_is_written_down() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    let by = Some("anna".to_owned());
+    played.happens(Event::StopRequested { rest: Rest::Default, by });
+    assert_eq!(played.mission.because(), Some("stopped by anna"));
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert!(
+        played.told.iter().any(|told| matches!(told, Progress::AtRest { robot } if robot.as_str() == "r0"))
+    );
+    let confirmed = |record: &Record| matches!(record, Record::StopConfirmed { .. });
+    assert_eq!(played.recorded.iter().filter(|record| confirmed(record)).count(), 1);
+}
+
+#[test]
+fn a_word_that_comes_after_the_end_changes_nothing() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let by = Some("anna".to_owned());
+    played.happens(Event::StopRequested { rest: Rest::Default, by });
+    assert_eq!((played.mission.because(), played.mission.outcome()), (None, Some(&Outcome::Done)));
+}
+
+#[test]
+fn that_a_robot_was_not_reached_by_its_stop_is_told_with_the_reason_once() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    let down = || Event::LinkDown { robot: 0, loss: Loss::Unreachable, reason: "no route".to_owned() };
+    played.happens(down());
+    assert!(!played.mission.robots[0].has_failed(), "it may still be reached");
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    let kinds: Vec<_> =
+        played.mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::LinkDown { reason: "no route".to_owned() }]);
+}
+
+#[test]
+fn a_robot_that_does_not_answer_its_stop_on_a_link_that_stands_has_no_failure() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert!(!played.mission.robots[0].has_failed() && played.mission.robots[0].awaits_stop());
+}
+
+#[test]
+fn while_a_mission_stops_a_robot_that_is_heard_again_is_not_told_of() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() });
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert!(!played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
+    assert!(played.mission.robots[0].is_settled(), "its stop came with the new link");
+}
+
+#[test]
+fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
+    let left = crate::journal::LeftOn {
+        devices: ["a", "b"].map(|device| device.parse().unwrap()).into(),
+        shift: ms(7),
+        leases: vec![Some(urrcp::Millis::from_span(ms(2_000))), None],
+    };
+    for (until, renewed) in [(Some(at(-500)), at(-500)), (None, at(0)), (Some(at(500)), at(0))] {
+        for (leases, expected) in
+            [(left.leases.clone(), vec![Some(renewed + ms(2_000)), None]), (Vec::new(), vec![Some(renewed)])]
+        {
+            let left = crate::journal::Left {
+                robots: [("r0".parse().unwrap(), crate::journal::LeftOn { leases, ..left.clone() })].into(),
+                own_ids: [("r0".parse().unwrap(), "UR5-1".parse().unwrap())].into(),
+                renewed_until: until,
+            };
+            let participants =
+                vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
+            let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+            let mut mission =
+                Mission::withdraw("s".to_owned(), participants, options, &left, Rest::Hold, at(0));
+            assert_eq!(mission.robots[0].own_id.as_str(), "UR5-1");
+            assert_eq!(mission.robots[0].left, expected);
+            let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 }));
+            let devices: Vec<_> = stops.iter().map(|stop| stop.device_id.as_str()).collect();
+            assert_eq!(devices, ["a", "b"]);
+            assert!(stops.iter().all(|stop| stop.hold && stop.timestamp == Some(at(0) + ms(7))));
+        }
+    }
+}
+
+#[test]
+fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop() {
+    for (steps_done, completed) in [(None, false), (Some(2), true)] {
+        let mut played = Played::begun(begins_at_once(Tells::Reports));
+        played.run_to_the_start();
+        played.mutes(0);
+        let end = played.mission.acts[0].timing().unwrap().end;
+        played.run_until(end + ms(5));
+        played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+        let ended = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, played.now);
+        let ended = urrcp::ControlResponse { steps_done, ..ended };
+        played.now = played.now + ms(1);
+        played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
+        let act = &played.mission.acts[0];
+        let script = act.script(ScriptRef { act: 0, member: 0, script: 0 });
+        assert_eq!((script.has_completed(), script.is_out()), (completed, false), "{steps_done:?}");
+        assert!(played.mission.robots[0].awaits_stop(), "it confirms no stop");
+    }
 }
