@@ -250,6 +250,16 @@ fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
 }
 
 #[test]
+fn where_there_is_no_folder_of_the_state_there_are_no_missions() {
+    let state = tempfile::tempdir().unwrap();
+    let missions = Missions::of(&state.path().join("none")).unwrap();
+    assert_eq!((missions.found.len(), missions.unread()), (0, 0));
+    let file = state.path().join("file");
+    std::fs::write(&file, "text").unwrap();
+    assert!(Missions::of(&file).is_err());
+}
+
+#[test]
 fn folders_of_which_nothing_is_known_are_counted_whether_damaged_or_refused() {
     let state = tempfile::tempdir().unwrap();
     for number in 1..=3 {

@@ -381,4 +381,18 @@ mod tests {
             assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken);
         }
     }
+
+    #[test]
+    fn a_robot_that_has_flooded_may_describe_itself_as_often_as_it_is_asked_to() {
+        let asked = Asked::default();
+        taken(&mut Budget::new(asked.clone()), at(0), 100);
+        let budget = Budget::new(asked.clone());
+        let block = r#"{"initialization_block": {"id": "r", "api_version": "1", "devices": [{"id": "a", "name": "a", "available_control_types": {}}]}}"#;
+        let described: Message = serde_json::from_str(block).unwrap();
+        let passed = |count: usize| (0..count).filter(|_| budget.passes(&described)).count();
+        assert_eq!(passed(1), 0, "nobody asked");
+        (0..2)
+            .for_each(|_| asked.note(&Message::InitializationRequest(InitializationRequest::default()), 30));
+        assert_eq!(passed(5), 2);
+    }
 }

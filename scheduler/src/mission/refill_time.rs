@@ -183,24 +183,28 @@ mod tests {
     fn an_act_whose_time_has_passed_is_held_against_what_the_act_before_it_leaves_on_the_devices() {
         for (wait, round_trip, tight) in [
             (Wait::Instant(at(0)), ms(40), true),
-            (Wait::Instant(at(0)), ms(4), false),
-            (Wait::Instant(at(600_000)), ms(40), true),
+            (Wait::Instant(at(0)), ms(8), false),
+            (Wait::Instant(at(600_000)), ms(40), false),
             (Wait::Done, ms(40), false),
         ] {
-            let mut mission = greeted(1, [round_trip; 2]);
+            // Each act fits by itself. Behind the other one its second script has room 20 ms before its start.
+            let mut mission = greeted(2, [round_trip; 2]);
             let mut choreography = downbeat_scripts::Choreography::clone(&mission.choreography);
             choreography.acts.push(choreography.acts[0].clone());
             choreography.acts[1].wait = wait.clone();
+            let short = [("a", 0, 10), ("a", 20, 10)].map(bench::device_script).to_vec();
+            choreography.acts[1].plan.robots.iter_mut().for_each(|robot| robot.scripts.clone_from(&short));
+            choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = ms(2_000));
             mission.choreography = choreography.into();
             mission.options.greeting = crate::mission::Greeting::Skip;
             for robot in 0..2 {
-                let _up = mission.handle(at(100), crate::mission::Event::LinkUp { robot });
+                let _up = mission.handle(at(1_000), crate::mission::Event::LinkUp { robot });
             }
-            let _known = mission.handle(at(100), crate::mission::Event::Recorded { count: 1 });
+            let _known = mission.handle(at(1_000), crate::mission::Event::Recorded { count: 1 });
             assert!(mission.acts[0].timing().is_some());
-            assert!(!mission.is_too_tight_behind(at(100), 0), "nothing is before it");
-            mission.line_up_act(at(100), 1);
-            assert_eq!(mission.is_too_tight_behind(at(100), 1), tight, "{wait:?}, {round_trip}");
+            assert!(!mission.is_too_tight_behind(at(1_000), 0), "nothing is before it");
+            mission.line_up_act(at(1_000), 1);
+            assert_eq!(mission.is_too_tight_behind(at(1_000), 1), tight, "{wait:?}, {round_trip}");
         }
     }
 }

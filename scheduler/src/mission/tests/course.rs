@@ -206,18 +206,6 @@ fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision()
 }
 
 #[test]
-fn a_round_of_acts_that_nobody_is_left_to_play_ends() {
-    let mut mission = waits_in(2);
-    let mut choreography = Choreography::clone(&mission.choreography);
-    choreography.acts[1].next = Way::Act(0);
-    mission.choreography = Arc::new(choreography);
-    mission.robots[0].standing = Standing::Out;
-    let mut played = Played::begun(mission);
-    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
-    assert_eq!(fates(&played), [ActFate::NobodyLeft, ActFate::NobodyLeft]);
-}
-
-#[test]
 fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() {
     let mut played = Played::begun(waits_in(1));
     played.run_to_the_start();
@@ -227,7 +215,6 @@ fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() 
     answers(mission, Some("one"), Err("`one` does not wait for the operator now"));
     played.run_until(played.now + ms(3_000));
     answers(&mut played.mission, Some("two"), Ok("two"));
-    assert_eq!(played.run_to_the_end(), Outcome::Done);
 }
 
 #[test]
@@ -318,4 +305,57 @@ fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answe
     let timing = played.mission.acts[0].timing().unwrap();
     assert_eq!((timing.start, timing.gap), (at(1_500), Some(Span::ZERO)));
     assert!(timing.lead.lease > ms(500), "{:?}", timing.lead);
+}
+
+#[test]
+fn an_act_that_has_waited_for_too_long_fails_ends_or_gives_way_as_the_scenario_says() {
+    let two = || Outcome::DoneSkipping { acts: vec!["one".to_owned()] };
+    for (way, outcome, second) in [
+        (Way::Fail, Outcome::Failed, ActFate::NotReached),
+        (Way::End, two(), ActFate::NotReached),
+        (Way::Act(1), two(), ActFate::Played),
+    ] {
+        let mut mission = waits_in(0);
+        let mut choreography = Choreography::clone(&mission.choreography);
+        choreography.acts[0].timeout = Some(ms(1_000));
+        choreography.acts[0].on_timeout = way;
+        mission.choreography = Arc::new(choreography);
+        let mut played = Played::begun(mission);
+        played.run_until(at(1_000) - Span::from_nanos(1));
+        assert_eq!(played.mission.acts[0].index(), 0, "{way:?}");
+        let ended = played.run_to_the_end();
+        assert!(ended == outcome || way == Way::Fail && ended == Outcome::NotStarted, "{way:?}: {ended}");
+        assert_eq!(fates(&played)[1], second, "{way:?}");
+        assert!(matches!(fates(&played)[0], ActFate::TimedOut { .. }), "{way:?}: {:?}", fates(&played));
+    }
+}
+
+#[test]
+fn a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission() {
+    for (robot, outcome) in [(1, Outcome::DoneWithout), (0, Outcome::Failed)] {
+        let mut mission = without_those_that_fail();
+        let mut choreography = Choreography::clone(&mission.choreography);
+        choreography.acts[0].on_failure.default = OnFailure::Abort;
+        choreography.acts[0].on_failure.robots = vec![("r1".parse().unwrap(), OnFailure::Without)];
+        mission.choreography = Arc::new(choreography);
+        let mut played = Played::begun(mission);
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.fail(now, robot, broken());
+        assert_eq!(played.run_to_the_end(), outcome, "r{robot}");
+    }
+}
+
+#[test]
+fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
+    let mut mission = begins_at_once(Everything);
+    assert_eq!(mission.recording_time(), ms(30));
+    for (took, allowed) in [(100, 200), (0, 150), (0, 112), (5_000, 2_000)] {
+        mission.recording.count += 1;
+        let count = mission.recording.count;
+        mission.recording.awaited.push_back((count, None, at(0)));
+        mission.arrived = at(took);
+        mission.recorded(at(took), count);
+        assert_eq!(mission.recording_time().as_nanos() / 1_000_000, allowed, "{took}");
+    }
 }

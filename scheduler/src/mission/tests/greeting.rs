@@ -261,10 +261,9 @@ fn waits_for_nobody(greeting: Greeting) -> Played {
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
     let participants = vec![participant("r0"), participant("r1")];
     let options = MissionOptions { greeting, join: Join::NextAct, ..MissionOptions::default() };
-    let mut mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
-    let down = Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() };
-    let _reconnects = mission.handle(at(0), down);
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
     let mut played = Played::linked(mission, &[0]);
+    played.happens(Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() });
     played.run_until(at(1_000));
     played
 }
@@ -279,8 +278,7 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
         played.run_until(at(5_000));
         assert_eq!(played.mission.robots[1].standing, Standing::In, "{greeting:?}");
         assert!(played.mission.robots[1].totals.started > 0, "{greeting:?}");
-        let reattached = |told: &&Progress| matches!(told, Progress::Reattached { .. });
-        assert_eq!(played.told.iter().filter(reattached).count(), usize::from(greeting == Greeting::Full));
+        assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })), "{greeting:?}");
         if greeting == Greeting::Full {
             assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
         }
@@ -339,4 +337,60 @@ fn that_ntp_is_lost_and_back_is_told_once_each() {
     assert_eq!(told(None), [None]);
     assert_eq!(told(None), []);
     assert!(mission.ntp().is_some());
+}
+
+#[test]
+fn a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    assert!(!mission.takes_stops(at(250) - Span::from_nanos(1), 0));
+    assert!(mission.takes_stops(at(250), 0));
+    let (expected, told) = ("r0".parse().unwrap(), "another".parse().unwrap());
+    mission.note_failure(0, FailureKind::AnotherRobot { expected, told });
+    assert!(!mission.takes_stops(at(250), 0));
+}
+
+#[test]
+fn a_robot_that_cannot_be_reached_is_tried_again_unless_that_is_of_no_use() {
+    for (loss, before, now, fails) in [
+        (Loss::Refused, None, 0, false),
+        (Loss::Refused, Some(0), 499, false),
+        (Loss::Refused, Some(0), 500, true),
+        (Loss::Unreachable, Some(0), 500, false),
+        (Loss::Unreachable, Some(0), 4_999, false),
+        (Loss::Unreachable, Some(0), 5_000, true),
+        (Loss::Denied, None, 0, true),
+    ] {
+        let mut mission = asked();
+        mission
+            .robots
+            .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+        let down = |loss| Event::LinkDown { robot: 0, loss, reason: "why".to_owned() };
+        if let Some(before) = before {
+            let _reconnects = mission.handle(at(before), down(Loss::Unreachable));
+        }
+        let actions = mission.handle(at(now), down(loss));
+        assert_eq!(mission.robots[0].has_failed(), fails, "{loss:?} at {now}");
+        let again = actions.iter().any(|action| matches!(action, Action::Reconnect { .. }));
+        assert_eq!(again, !fails, "{loss:?} at {now}");
+    }
+}
+
+#[test]
+fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    let there = by_robot(at(1));
+    let response = AvailabilityResponse {
+        error: Some(busy()),
+        ..AvailabilityResponse::new(&urrcp::AvailabilityRequest::default(), there, there, Status::Failed)
+    };
+    let message = Message::AvailabilityResponse(response);
+    let _failed = mission.handle(at(2), Event::Received { robot: 0, message });
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
 }

@@ -231,3 +231,33 @@ fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop()
         assert!(played.mission.robots[0].awaits_stop(), "it confirms no stop");
     }
 }
+
+#[test]
+fn a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operator_wants_it_to_stop() {
+    for by_operator in [true, false] {
+        let mut mission = sent();
+        let stops = if by_operator {
+            asked_to_stop(&mut mission, 1, Rest::Default)
+        } else {
+            mission.abort(at(1), Outcome::Failed, Rest::Default, None);
+            stops_in(&std::mem::take(&mut mission.actions))
+        };
+        for _ in 0..2 {
+            let refused = urrcp::ControlResponse {
+                error: super::super::bench::refusal(ErrorCode::Busy),
+                ..super::super::bench::response(
+                    &stops[0].device_id,
+                    stops[0].request_id.as_ref(),
+                    Status::Failed,
+                    at(2),
+                )
+            };
+            let message = Message::ControlResponse(refused);
+            let _noted = mission.handle(at(2), Event::Received { robot: 0, message });
+        }
+        let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+        assert!(matches!(kinds.as_slice(), [FailureKind::NotAvailable { .. }]), "{kinds:?}");
+        assert_eq!(mission.robots[0].is_left_to_others(), !by_operator);
+        assert_eq!(mission.outcome().is_some(), !by_operator, "it is not waited for");
+    }
+}
