@@ -391,6 +391,17 @@ mod tests {
         assert!(state.lost_since.unwrap() - began < Span::from_millis(20), "{state:?}");
     }
 
+    #[tokio::test]
+    async fn a_watch_that_is_dropped_asks_no_more() {
+        let server = Responder::default().start().await;
+        let watch = NtpWatch::start(server, ServerClock::anchored(Span::ZERO), Duration::from_millis(20));
+        let mut states = watch.states.clone();
+        states.changed().await.unwrap();
+        drop(watch);
+        let ends = async { while states.changed().await.is_ok() {} };
+        tokio::time::timeout(Duration::from_secs(5), ends).await.expect("nobody tells anything any more");
+    }
+
     #[test]
     fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
         for millis in [0, 250, -250, 3_600_000, -3_600_000] {
@@ -398,5 +409,27 @@ mod tests {
             let ahead = ServerClock::anchored(offset).system_ahead();
             assert!((ahead + offset).abs() < Span::from_micros(50), "{millis}: {ahead}");
         }
+    }
+
+    #[tokio::test]
+    async fn a_server_without_a_port_is_asked_on_that_of_ntp() {
+        for (server, address) in [
+            ("127.0.0.1", "127.0.0.1:123"),
+            ("127.0.0.1:1123", "127.0.0.1:1123"),
+            ("::1", "[::1]:123"),
+            ("[::1]:5", "[::1]:5"),
+        ] {
+            assert_eq!(resolve(server).await, Ok(address.parse().unwrap()));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_server_is_asked_a_few_times_for_its_offset() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let reading = ask_ntp(&responder.start().await).await.unwrap();
+        let error = (reading.offset - Span::from_millis(250)).abs();
+        assert!(error <= reading.uncertainty + Span::from_micros(5), "{reading:?}");
+        assert_eq!(reading.stratum, 1);
     }
 }

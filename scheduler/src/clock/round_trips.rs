@@ -220,4 +220,21 @@ mod tests {
         let (trips, _) = after(Span::from_nanos(1), std::iter::repeat_n(1, 100_000));
         assert!(trips.latest.len() <= EXCHANGES_MAX && trips.latest.capacity() <= 4 * EXCHANGES_MAX);
     }
+
+    #[test]
+    fn of_many_exchanges_two_outliers_are_left_out_and_of_few_one() {
+        for (count, high) in [(EXCHANGES_MANY - 1, 90), (EXCHANGES_MANY, 1)] {
+            let delays = (0..count).map(|k| [100, 90].get(k).copied().unwrap_or(1));
+            assert_eq!(after(millis(200), delays).0.high(), millis(high), "{count}");
+        }
+    }
+
+    #[test]
+    fn of_exchanges_that_were_under_way_at_once_the_longest_counts() {
+        let mut trips = RoundTrips::default();
+        for (sent, at) in [(0, 10), (100, 120), (105, 165), (106, 130)] {
+            trips.add(Timestamp::from_nanos(0) + millis(at), millis(at - sent));
+        }
+        assert_eq!((trips.latest.len(), trips.high()), (2, millis(60)), "{trips:?}");
+    }
 }

@@ -264,4 +264,13 @@ mod tests {
         set_permissions(state.join("socket"), Permissions::from_mode(0o600)).unwrap();
         assert_eq!(socket(&state, "socket").unwrap(), state.join("socket"));
     }
+
+    #[test]
+    fn what_stands_where_a_folder_is_to_be_created_is_named() {
+        let stage = tempfile::tempdir().unwrap();
+        let path = stage.path().join("elsewhere");
+        std::fs::write(&path, "text").unwrap();
+        assert!(told(create_folder(&path)).contains("elsewhere is no folder"));
+        assert_eq!(create_folder(&path.join("below")).unwrap_err().kind(), ErrorKind::NotADirectory);
+    }
 }

@@ -250,6 +250,36 @@ fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
 }
 
 #[test]
+fn where_there_is_no_folder_of_the_state_there_are_no_missions() {
+    let state = tempfile::tempdir().unwrap();
+    let missions = Missions::of(&state.path().join("none")).unwrap();
+    assert_eq!((missions.found.len(), missions.unread()), (0, 0));
+    let file = state.path().join("file");
+    std::fs::write(&file, "text").unwrap();
+    assert!(Missions::of(&file).is_err());
+}
+
+#[test]
+fn folders_of_which_nothing_is_known_are_counted_whether_damaged_or_refused() {
+    let state = tempfile::tempdir().unwrap();
+    for number in 1..=3 {
+        mission(state.path(), number, 0, true);
+    }
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.unread()), (3, 0));
+    for folder in [&missions.found[0].folder, &missions.found[1].folder] {
+        let path = folder.join("journal");
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[3] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+    }
+    std::os::unix::fs::symlink(&missions.found[2].folder, state.path().join("elsewhere")).unwrap();
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.damaged.len(), missions.refused.len()), (1, 2, 1));
+    assert_eq!(missions.unread(), 3);
+}
+
+#[test]
 fn old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays() {
     let state = tempfile::tempdir().unwrap();
     mission(state.path(), 0, 0, false);

@@ -360,4 +360,39 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_robot_may_tell_what_becomes_of_scripts_that_another_process_has_sent() {
+        let asked = Asked::default();
+        asked.note_held(50);
+        assert_eq!(taken(&mut Budget::new(asked), at(0), 100), RESERVE_MESSAGES + 50 * ANSWERS_TO_A_REQUEST);
+    }
+
+    #[test]
+    fn an_answer_may_be_as_long_as_what_was_asked_about() {
+        let inquiry = Inquiry {
+            requests: (0..9).map(|index| RequestId::new(format!("r{index}")).unwrap()).collect(),
+            ..Inquiry::default()
+        };
+        let longest = usize::try_from(RESERVE_BYTES + 10 * ANSWER_BYTES).unwrap();
+        for (bytes, taken) in [(longest, true), (longest + 1, false)] {
+            let asked = Asked::default();
+            asked.note(&Message::Inquiry(inquiry.clone()), 100);
+            assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken);
+        }
+    }
+
+    #[test]
+    fn a_robot_that_has_flooded_may_describe_itself_as_often_as_it_is_asked_to() {
+        let asked = Asked::default();
+        taken(&mut Budget::new(asked.clone()), at(0), 100);
+        let budget = Budget::new(asked.clone());
+        let block = r#"{"initialization_block": {"id": "r", "api_version": "1", "devices": [{"id": "a", "name": "a", "available_control_types": {}}]}}"#;
+        let described: Message = serde_json::from_str(block).unwrap();
+        let passed = |count: usize| (0..count).filter(|_| budget.passes(&described)).count();
+        assert_eq!(passed(1), 0, "nobody asked");
+        (0..2)
+            .for_each(|_| asked.note(&Message::InitializationRequest(InitializationRequest::default()), 30));
+        assert_eq!(passed(5), 2);
+    }
 }

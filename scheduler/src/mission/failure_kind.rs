@@ -320,4 +320,27 @@ mod tests {
             "`after` leads through every kind, in their order"
         );
     }
+
+    #[test]
+    fn only_what_would_help_is_advised() {
+        let silent = |awaited: &str| {
+            FailureKind::Silent { awaited: awaited.to_owned(), within: Span::from_millis(5_000) }.to_string()
+        };
+        assert!(silent("initialization block").contains("is a robot that speaks URRCP"));
+        assert!(silent("answer").ends_with("5 s"), "{}", silent("answer"));
+        let not_available =
+            |code| FailureKind::NotAvailable { error: ControlError::new(code, "why") }.to_string();
+        assert!(not_available(ErrorCode::Busy).contains("downbeat stop"));
+        assert!(
+            not_available(ErrorCode::Internal).ends_with("why"),
+            "{}",
+            not_available(ErrorCode::Internal)
+        );
+        let clock = |offset, uncertainty| {
+            let span = Span::from_millis;
+            FailureKind::Clock { offset: span(offset), uncertainty: span(uncertainty), tolerance: span(10) }
+        };
+        assert!(clock(100, 1).to_string().contains("check the robot's NTP"));
+        assert!(clock(1, 100).to_string().contains("use a steadier link"));
+    }
 }

@@ -289,7 +289,7 @@ impl Mission {
     }
 
     /// Asks a robot for its times again, unless an answer is on its way: a network that doubles answers would double questions.
-    fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
         if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {

@@ -154,4 +154,20 @@ mod tests {
             assert_eq!(same, None);
         }
     }
+
+    #[test]
+    fn of_many_devices_a_few_are_shown_and_the_others_counted() {
+        let device = |index: usize| OtherLatency {
+            device: format!("d{index}").parse().unwrap(),
+            declared: Span::from_millis(42),
+            compensated: Span::ZERO,
+            from: None,
+        };
+        let text = |count: usize| LatencyDiffers { devices: (0..count).map(device).collect() }.to_string();
+        let all = text(SHOWN_MAX);
+        assert!(!all.contains("more devices") && all.contains(&format!("`d{}`", SHOWN_MAX - 1)), "{all}");
+        let some = text(SHOWN_MAX + 2);
+        assert!(some.contains("is compensated, and 2 more devices; to compensate"), "{some}");
+        assert!(!some.contains(&format!("d{SHOWN_MAX}")), "{some}");
+    }
 }

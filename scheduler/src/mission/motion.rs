@@ -304,4 +304,51 @@ mod tests {
         assert_eq!((spread.spread, spread.uncertainty), (Span::from_millis(5), Span::from_millis(2)));
         assert_eq!(spread.motions, 2);
     }
+
+    /// A sensor that shows a ramp of a second, which begins 100 ms after the start of its act.
+    fn watched() -> Watched {
+        Watched {
+            robot: 0,
+            device: "d".parse().unwrap(),
+            sensor: "s".parse().unwrap(),
+            taken: Taken::default(),
+            sensor_delay: Span::ZERO,
+            visible: 0.1,
+            range: None,
+            movement: movement(&[(0, 5.0), (1_000, 45.0)], true).unwrap(),
+            latency: Span::from_millis(40),
+            lag: None,
+            readings: Vec::new(),
+            asked: None,
+        }
+    }
+
+    #[test]
+    fn a_sensor_is_asked_one_question_at_a_time_from_before_the_movement_until_after_it() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let begins = start + Span::from_millis(100);
+        let mut watched = watched();
+        assert_eq!(watched.due(start), Some(begins - BEFORE));
+        watched.ask(begins);
+        assert_eq!(watched.due(start), Some(begins + ANSWERED), "it is not waited for longer");
+        watched.answered(begins + Span::from_millis(1), Some(5.0));
+        assert_eq!(watched.due(start), Some(begins + EVERY));
+        watched.answered(begins + Span::from_millis(2), Some(6.0));
+        assert_eq!(watched.readings.len(), 1, "nobody had asked again");
+        let last = begins + watched.latency + AFTER.min(Span::from_millis(1_000) - watched.latency);
+        for (asked, due) in [(last - EVERY, Some(last)), (last - EVERY + Span::from_nanos(1), None)] {
+            watched.asked = Some((asked, false));
+            assert_eq!(watched.due(start), due);
+        }
+    }
+
+    #[test]
+    fn a_motion_is_planned_when_its_command_and_its_latency_say() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let robot = crate::mission::bench::robot("r0", crate::mission::bench::Tells::Everything, 2);
+        let report = watched().report(start, &robot);
+        assert_eq!(report.planned, start + Span::from_millis(140));
+        assert_eq!((report.error, report.readings), (None, 0));
+        assert!(report.unclear.is_some());
+    }
 }

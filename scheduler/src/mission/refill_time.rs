@@ -112,4 +112,99 @@ mod tests {
         let measured = late(&robot, at(0));
         assert!((ms(50)..=ms(52)).contains(&measured), "{measured}");
     }
+
+    /// Two robots with two scripts each, ten milliseconds apart, and devices that hold so many; the links take so long both ways.
+    fn greeted(queue: usize, round_trips: [Span; 2]) -> Mission {
+        let scripts: &[bench::Planned] = &[("a", 0, 400), ("a", 410, 400)];
+        let mut choreography = bench::choreography(&[scripts; 2]);
+        choreography.acts[0].name = "one".to_owned();
+        let participant = |id: &str| {
+            let block = bench::robot(id, Tells::Everything, queue).block;
+            crate::mission::Participant::new(RobotId::new(id).unwrap(), block)
+        };
+        let participants = vec![participant("r0"), participant("r1")];
+        let options = crate::mission::MissionOptions::default();
+        let mut mission = Mission::new(choreography, participants, options, at(0)).unwrap();
+        for (robot, round_trip) in mission.robots.iter_mut().zip(round_trips) {
+            let there = bench::by_robot(at(0) + round_trip / 2);
+            robot.clock.add(ClockSample::from_exchange(at(0), there, there, at(0) + round_trip));
+        }
+        mission
+    }
+
+    #[test]
+    fn a_robot_whose_link_is_too_slow_for_its_second_script_is_refused_before_anything_moves() {
+        for (queue, round_trip, refused) in
+            [(1, ms(8), false), (1, ms(8) + Span::from_micros(1), true), (2, ms(200), false)]
+        {
+            let mut mission = greeted(queue, [ms(1), round_trip]);
+            mission.check_refills(at(1_000));
+            assert!(!mission.robots[0].has_failed());
+            let failures: Vec<_> =
+                mission.robots[1].failures.iter().map(|failure| failure.kind.clone()).collect();
+            let expected = FailureKind::NoTimeToSend {
+                device: "a".parse().unwrap(),
+                act: Some("one".to_owned()),
+                script: 1,
+                time: ms(10),
+                needed: round_trip + round_trip / 4,
+            };
+            assert_eq!(failures, if refused { vec![expected] } else { vec![] }, "{queue}, {round_trip}");
+        }
+    }
+
+    #[test]
+    fn an_act_waits_for_the_slowest_link() {
+        assert_eq!(greeted(1, [ms(8), ms(40)]).longest_sending(at(1_000)), ms(50));
+        assert_eq!(greeted(1, [ms(40), ms(8)]).longest_sending(at(1_000)), ms(50));
+    }
+
+    #[test]
+    fn a_robot_that_does_not_report_is_sent_a_script_after_the_end_of_the_one_before_was_awaited_and_asked_for()
+     {
+        for (tells, takes) in [
+            (Tells::Everything, ms(10)),
+            (Tells::Reports, ms(10)),
+            (Tells::Answers, ms(20) + LAPSE),
+            (Tells::Nothing, ms(10) + LAPSE),
+        ] {
+            let mut robot = bench::robot("r0", tells, 2);
+            robot.settings.clock = ClockMode::Measured;
+            for sent in [0, 20, 40] {
+                let there = bench::by_robot(at(sent + 4));
+                robot.clock.add(ClockSample::from_exchange(at(sent), there, there, at(sent + 8)));
+            }
+            let late = if robot.reports() { Span::ZERO } else { late(&robot, at(60)) };
+            assert_eq!(sending(&robot, at(60)), takes + late, "{tells:?}");
+        }
+    }
+
+    #[test]
+    fn an_act_whose_time_has_passed_is_held_against_what_the_act_before_it_leaves_on_the_devices() {
+        for (wait, round_trip, tight) in [
+            (Wait::Instant(at(0)), ms(40), true),
+            (Wait::Instant(at(0)), ms(8), false),
+            (Wait::Instant(at(600_000)), ms(40), false),
+            (Wait::Done, ms(40), false),
+        ] {
+            // Each act fits by itself. Behind the other one its second script has room 20 ms before its start.
+            let mut mission = greeted(2, [round_trip; 2]);
+            let mut choreography = downbeat_scripts::Choreography::clone(&mission.choreography);
+            choreography.acts.push(choreography.acts[0].clone());
+            choreography.acts[1].wait = wait.clone();
+            let short = [("a", 0, 10), ("a", 20, 10)].map(bench::device_script).to_vec();
+            choreography.acts[1].plan.robots.iter_mut().for_each(|robot| robot.scripts.clone_from(&short));
+            choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = ms(2_000));
+            mission.choreography = choreography.into();
+            mission.options.greeting = crate::mission::Greeting::Skip;
+            for robot in 0..2 {
+                let _up = mission.handle(at(1_000), crate::mission::Event::LinkUp { robot });
+            }
+            let _known = mission.handle(at(1_000), crate::mission::Event::Recorded { count: 1 });
+            assert!(mission.acts[0].timing().is_some());
+            assert!(!mission.is_too_tight_behind(at(1_000), 0), "nothing is before it");
+            mission.line_up_act(at(1_000), 1);
+            assert_eq!(mission.is_too_tight_behind(at(1_000), 1), tight, "{wait:?}, {round_trip}");
+        }
+    }
 }

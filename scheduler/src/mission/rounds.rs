@@ -260,7 +260,7 @@ impl Mission {
     }
 
     /// How long a robot may owe an answer while it has scripts of an act that has started.
-    fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
+    pub(super) fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
         let state = &self.robots[robot];
         let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
         let linked = state.is_up() || state.owes_its_name_since().is_some();

@@ -358,4 +358,83 @@ mod tests {
         }
         assert_eq!(later.predicted - now.predicted, Span::from_micros(400));
     }
+
+    /// Robots `r0`, `r1` and so on, whose clocks are ahead by so many milliseconds.
+    fn ahead_by(offsets: &[i64]) -> Vec<RobotState> {
+        let robot = |(index, ahead): (usize, &i64)| {
+            let mut robot = bench::robot(&format!("r{index}"), Tells::Everything, 2);
+            let instant = at(10 + ahead).assume_clock();
+            robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+            robot
+        };
+        offsets.iter().enumerate().map(robot).collect()
+    }
+
+    fn budget(robots: &[RobotState]) -> SkewBudget {
+        let scripts: Vec<&[bench::Planned]> = vec![&[("a", 0, 400)]; robots.len()];
+        let choreography = bench::played(&scripts);
+        let members = crate::mission::act::members(&choreography.acts[0].plan, robots);
+        SkewBudget::of(members.iter(), robots, ms(60), at(11)).unwrap()
+    }
+
+    #[test]
+    fn a_robot_that_plays_alone_spreads_by_its_wake_up_and_what_its_latency_varies_both_ways() {
+        let mut robots = ahead_by(&[30]);
+        robots[0].settings.wake_up = ms(5);
+        let latency = urrcp::Latency { median: ms(40), spread: ms(20) };
+        let latency = DeviceLatency { latency, from: LatencySource::File, lag: None };
+        robots[0].settings.latencies.insert("a".parse().unwrap(), latency);
+        let alone = budget(&robots);
+        assert_eq!((alone.clocks, alone.predicted), (ms(5), ms(45)));
+    }
+
+    #[test]
+    fn a_clock_that_is_ahead_starts_its_robot_early_and_a_late_wake_up_late() {
+        let mut robots = ahead_by(&[30, -10]);
+        robots[1].settings.wake_up = ms(5);
+        let budget = budget(&robots);
+        let [ahead, behind] = budget.robots.as_slice() else { panic!("{budget:?}") };
+        assert!((ahead.offset - ms(30)).abs() < Span::from_micros(1), "{ahead:?}");
+        let early = ahead.offset + ahead.uncertainty;
+        let late = behind.uncertainty - behind.offset + ms(5);
+        assert_eq!(budget.early_and_late(), (early, late));
+        assert_eq!(budget.predicted, early + late);
+        let of = |robot: &str| budget.early_and_late_of(&RobotId::new(robot).unwrap());
+        assert_eq!(
+            (of("r0"), of("r1"), of("r2")),
+            (Some((early, Span::ZERO)), Some((Span::ZERO, late)), None)
+        );
+        assert_eq!(budget.late_of(&robots[0].id), Some(ahead.uncertainty - ahead.offset), "surely early");
+        let earlier =
+            |by| budget.earlier_than(by).into_iter().map(|(id, _)| id.to_string()).collect::<Vec<_>>();
+        assert_eq!(earlier(early), Vec::<String>::new());
+        assert_eq!(earlier(early - Span::from_nanos(1)), ["r0"]);
+    }
+
+    #[test]
+    fn a_budget_that_is_as_wide_as_the_tolerance_fits() {
+        let wide = budget(&ahead_by(&[0, 20]));
+        for (tolerance, fits) in [(wide.predicted, true), (wide.predicted - Span::from_nanos(1), false)] {
+            assert_eq!(SkewBudget { tolerance, ..wide.clone() }.fits(), fits);
+        }
+    }
+
+    #[test]
+    fn where_requests_are_translated_only_what_a_clock_has_strayed_since_counts() {
+        let mut robots = ahead_by(&[30, 30]);
+        robots[1].settings.clock = ClockMode::Measured;
+        let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
+        let choreography = bench::played(&scripts);
+        let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
+        let offsets = |budget: Option<SkewBudget>| {
+            let offset = |robot: &RobotSkew| (robot.offset + Span::from_micros(500)).as_nanos() / 1_000_000;
+            budget.unwrap().robots.iter().map(offset).collect::<Vec<_>>()
+        };
+        let before = SkewBudget::of(members.iter(), &robots, ms(60), at(11));
+        assert_eq!(offsets(before), [30, 0]);
+        let ahead = SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), at(1_011)));
+        assert_eq!(offsets(ahead), [30, 0], "its rate is unknown");
+        let sent = SkewBudget::of_sent(members.iter(), &robots, ms(60), at(11));
+        assert_eq!(offsets(sent), [30, 30], "nothing was translated");
+    }
 }

@@ -1,12 +1,18 @@
 //! Missions without links, as far as they can be seen by what they answer.
 
+mod course;
+mod greeting;
 mod hostile;
+mod lost;
 mod motions;
+mod played;
+mod stops;
+mod table;
 
 use std::sync::Arc;
 
 use downbeat_scripts::{SensorRange, Wait, Way};
-use urrcp::{ErrorCode, RequestId, Status};
+use urrcp::{DeviceId, ErrorCode, RequestId, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
@@ -61,7 +67,12 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
 
 /// One act that begins at once, played by a robot that reports, and takes inquiries or none.
 fn begins_at_once(tells: Tells) -> Mission {
-    begins_with(tells, &[("a", 0, 400)])
+    one_act(tells, 400)
+}
+
+/// The same with an act that takes so many milliseconds.
+fn one_act(tells: Tells, takes: i64) -> Mission {
+    begins_with(tells, &[("a", 0, takes)])
 }
 
 fn begins_with(tells: Tells, scripts: &[Planned]) -> Mission {
@@ -101,6 +112,8 @@ fn a_robot_that_takes_no_inquiries_is_sent_again_what_waits_when_its_link_is_bac
         let actions = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
         let expected = if again { first } else { Vec::new() };
         assert_eq!(scripts_in(&actions), expected, "{tells:?}");
+        let totals = mission.robots[0].totals;
+        assert_eq!((totals.reconnects, totals.retries), (1, u32::from(again)), "{tells:?}");
     }
 }
 
@@ -522,4 +535,16 @@ fn the_first_round_is_not_due_at_once() {
     assert_eq!((mission.actions.len(), mission.next_round), (before, Some(at(1_001))));
     mission.renew_if_due(at(1_001));
     assert!(mission.actions.len() > before, "the robot is asked");
+}
+
+#[test]
+fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
+    let mut mission = waits_in(1);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.lead_elsewhere(0);
+    assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the act that plays goes on");
+    mission.line_up_act(at(1), 1);
+    assert_eq!((mission.acts.len(), mission.acts_begun), (2, 2));
+    mission.lead_elsewhere(0);
+    assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
 }

@@ -36,6 +36,40 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
     assert!(line.contains(r#""device_id":"arm""#), "{line}");
 }
 
+#[tokio::test]
+async fn behind_a_long_upload_that_the_robot_may_still_be_reading_a_stop_comes_by_a_connection_of_its_own() {
+    for (messages, overtakes) in [(400, true), (100, false)] {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let (link, _happened) = linked(listener.local_addr().unwrap().port());
+        let cancel = |device: &str| {
+            let cancel = Command::Script(Script::cancel());
+            Message::ControlRequest(ControlRequest::immediate(device.parse().unwrap(), cancel))
+        };
+        // All of them wait before the link stands, and are written as one.
+        for _ in 0..messages {
+            link.send(cancel(&"x".repeat(250)), Urgency::InOrder).unwrap();
+        }
+        let (first, _) = listener.accept().await.unwrap();
+        let mut first = tokio::io::BufReader::new(first).lines();
+        for _ in 0..messages {
+            first.next_line().await.unwrap().unwrap();
+        }
+        link.send(cancel("arm"), Urgency::Overtaking).unwrap();
+        let came = tokio::time::timeout(Duration::from_secs(60), async {
+            tokio::select! {
+                line = first.next_line() => (false, line.unwrap().unwrap()),
+                second = listener.accept() => {
+                    let mut second = tokio::io::BufReader::new(second.unwrap().0).lines();
+                    (true, second.next_line().await.unwrap().unwrap())
+                }
+            }
+        });
+        let (by_its_own, line) = came.await.unwrap();
+        assert!(line.contains(r#""device_id":"arm""#), "{line}");
+        assert_eq!(by_its_own, overtakes, "behind {messages} messages");
+    }
+}
+
 async fn next(happened: &mut mpsc::Receiver<Happened>) -> Event {
     match tokio::time::timeout(Duration::from_secs(60), happened.recv()).await.unwrap().unwrap() {
         Happened::OnLink { event, .. } => *event,

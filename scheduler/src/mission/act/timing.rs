@@ -430,4 +430,103 @@ mod tests {
         assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(70));
         assert!(timing(Leases::Fixed, round_trip).doubt() > Span::from_millis(240));
     }
+
+    fn measured(robots: usize, scripts: usize, questions: usize) -> Measured {
+        let (early, late, record) = (Span::from_millis(1), Span::from_millis(2), Span::from_millis(20));
+        let (leases, round_trip) = (Leases::Shortened, Span::from_millis(8));
+        Measured { robots, scripts, questions, leases, round_trip, early, late, record }
+    }
+
+    #[test]
+    fn a_round_takes_longer_the_more_robots_and_scripts_there_are() {
+        assert_eq!(measured(1_000, 500, 1).round(), Span::from_millis(26));
+        let lease = Span::from_millis(240);
+        assert_eq!(Pace::of(&measured(1_000, 500, 1), lease).period, Span::from_millis(26));
+        assert_eq!(measured(1_000, 500, 1).lease_least(), Span::from_millis(1 + 2 + 8 + 32 + 2 * 26));
+        let near = Measured { round_trip: Span::from_millis(1), ..measured(0, 0, 1) };
+        assert_eq!(near.lease_least(), Span::from_millis(1 + 2 + 1 + 30));
+    }
+
+    #[test]
+    fn a_robot_that_is_asked_several_questions_a_round_is_asked_less_often_up_to_a_bound() {
+        let period = |questions, round_trip| {
+            let measured =
+                Measured { round_trip: Span::from_millis(round_trip), ..measured(6, 6, questions) };
+            Pace::of(&measured, Span::from_millis(3_000)).period
+        };
+        let periods = [0, 1, 2, 3, 9].map(|questions| period(questions, 8));
+        assert_eq!(periods, [5, 5, 10, 15, 15].map(Span::from_millis));
+        assert_eq!(period(2, 160), Span::from_millis(160), "two halves of a round trip");
+    }
+
+    #[test]
+    fn the_instants_of_an_act_by_an_example() {
+        let timing = timing(Leases::Shortened, Span::from_millis(8));
+        let after = |at: Timestamp<Server>| at - timing.timestamp;
+        let micros = Span::from_micros;
+        // Three round trips, six requests and a margin; a lease of 240 ms; a margin of 50 ms.
+        assert_eq!((after(timing.decision), after(timing.start)), (micros(77_000), micros(367_000)));
+        assert_eq!(timing.final_lease(), micros(1_000 + 2_000 + 8_000 + 32_000 + 2 * 162));
+        assert_eq!(
+            (after(timing.earliest_start()), after(timing.begun())),
+            (micros(366_000), micros(369_000))
+        );
+        assert_eq!(timing.early_at_most(), micros(5_000));
+        assert_eq!((after(timing.brink()), after(timing.critical())), (micros(358_000), micros(314_676)));
+        assert_eq!(after(timing.commit_from()), micros(325_676));
+        assert_eq!(after(timing.commit_by(timing.critical())), micros(342_000));
+        assert_eq!(after(timing.record_from()), micros(284_676));
+        assert_eq!(after(timing.no_return()), micros(322_000));
+        assert_eq!(after(timing.last_withdrawal()), micros(353_000));
+        assert_eq!(timing.doubt(), micros(80_324));
+        assert_eq!(after(timing.ask_again()), micros(77_000) * 2 / 3);
+        assert_eq!((timing.pace.silence(), timing.pace.needed()), (micros(20_000), micros(92_324)));
+        assert_eq!(timing.recording(), micros(20_000));
+    }
+
+    #[test]
+    fn rounds_come_closer_to_each_other_and_the_last_one_is_a_period_before_the_critical_instant() {
+        let timing = timing(Leases::Shortened, Span::from_millis(8));
+        let next = |at: Timestamp<Server>| timing.round_after(at) - at;
+        let (last, period) = (timing.critical() - timing.pace.period, timing.pace.period);
+        assert_eq!(next(timing.decision), Span::from_millis(60), "a quarter of the lease");
+        let near = timing.critical() - Span::from_millis(30);
+        assert_eq!(next(near), Span::from_millis(10), "a third of what is left");
+        assert_eq!(timing.round_after(last - Span::from_millis(2)), last);
+        assert_eq!(timing.round_after(last), timing.critical());
+        assert_eq!(timing.round_after(last + Span::from_millis(1)), last + Span::from_millis(1) + period);
+    }
+
+    #[test]
+    fn a_message_passes_after_the_critical_instant_while_there_is_time_for_the_commitment_behind_it() {
+        for leases in [Leases::Shortened, Leases::Fixed] {
+            let timing = timing(leases, Span::from_millis(8));
+            let last = timing.brink() - Span::from_millis(16);
+            let shortened = leases == Leases::Shortened;
+            assert_eq!(timing.lets_through(last), shortened);
+            assert!(!timing.lets_through(last + Span::from_nanos(1)));
+            assert_eq!(timing.lease_at(timing.brink() + Span::from_millis(1)), Span::ZERO);
+        }
+    }
+
+    #[test]
+    fn a_clock_is_allowed_for_while_two_rounds_are_left_and_the_lease_can_carry_it() {
+        let before = timing(Leases::Shortened, Span::from_millis(8));
+        let (early, late) = (Span::from_millis(20), Span::from_millis(30));
+        let mut widened = before.clone();
+        assert!(widened.allow_for(before.decision, (early, late)));
+        assert_eq!(widened.final_lease(), before.final_lease() + Span::from_millis(19 + 28));
+        assert_eq!((widened.early_at_most(), widened.pace.late), (early + Span::from_millis(4), late));
+        let last = widened.critical() - widened.pace.period * 2;
+        for (now, allowed) in [(last, true), (last + Span::from_nanos(1), false)] {
+            let mut timing = before.clone();
+            assert_eq!(timing.allow_for(now, (early, late)), allowed);
+            assert_eq!(timing.pace == before.pace, !allowed, "what is not allowed for changes nothing");
+        }
+        let longest = before.lead.lease - before.final_lease() + Span::from_millis(2);
+        let mut timing = Timing { start: before.start + Span::from_millis(1_000), ..before.clone() };
+        assert!(!timing.allow_for(before.decision, (Span::ZERO, longest + Span::from_nanos(1))));
+        assert!(timing.allow_for(before.decision, (Span::ZERO, longest)));
+        assert_eq!(timing.early_at_most(), before.early_at_most(), "no earlier than it was");
+    }
 }

@@ -212,3 +212,47 @@ fn what_was_sent_shortly_before_or_between_two_instants_may_have_reached_it_ther
     assert!(!spoken(&robot, 3_100, 4_000), "it was there before");
     assert!(!spoken(&robot, 0, 1_900), "it came later");
 }
+
+#[test]
+fn silence_counts_from_what_was_last_heard_and_a_question_has_two_thirds_of_the_time() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let silent = |robot: &RobotState| robot.silent_at(ms(300));
+    assert_eq!(silent(&robot), None, "it owes no answer");
+    robot.questions.asked(at(10));
+    assert_eq!(silent(&robot), Some(at(310)), "it has never been heard");
+    robot.heard(at(0));
+    assert_eq!(silent(&robot), Some(at(300)));
+    robot.questions.answer(at(10));
+    robot.questions.asked(at(250));
+    assert_eq!((robot.questions.last_asked(), silent(&robot)), (Some(at(250)), Some(at(450))));
+}
+
+#[test]
+fn the_totals_of_a_robot_add_up_over_its_scripts() {
+    let mut totals = Totals::default();
+    let script = |status: Option<Status>, late: u32| {
+        let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+        if let Some(status) = status {
+            script.sent(at(0));
+            let error = bench::refusal(ErrorCode::Late).filter(|_| status == Status::Failed);
+            let said = response(&script.plan.device, None, status, at(1));
+            script.answered(&ControlResponse { error, late_steps: Some(late), ..said });
+        }
+        script
+    };
+    for (status, late, error) in [
+        (None, 0, None),
+        (Some(Status::Accepted), 0, None),
+        (Some(Status::Ok), 1, Some(ms(2))),
+        (Some(Status::Ok), 1, Some(ms(-5))),
+        (Some(Status::Started), 1, Some(ms(3))),
+        (Some(Status::Failed), 0, None),
+        (Some(Status::Failed), 0, None),
+    ] {
+        totals.add(&script(status, late), error);
+    }
+    let Totals { scripts, sent, accepted, failed, started, unaccounted, .. } = totals;
+    assert_eq!((scripts, sent, accepted, failed, started, unaccounted), (7, 6, 4, 2, 3, 2));
+    assert_eq!((totals.steps_done, totals.steps_planned, totals.late_steps), (4, 14, 3));
+    assert_eq!(totals.start_error, Some(ms(-5)), "the largest, early or late");
+}

@@ -300,3 +300,52 @@ fn a_script_of_which_a_step_was_done_has_begun_whatever_else_is_known() {
     script.steps_done = 1;
     assert!(script.has_begun());
 }
+
+#[test]
+fn a_request_came_again_if_it_was_sent_twice_or_perhaps_by_another_process() {
+    let mut script = sent();
+    assert!(!script.came_again());
+    assert!(script.was_sent_since(at(0)) && !script.was_sent_since(at(0) + Span::from_nanos(1)));
+    script.sent(at(1));
+    assert!(script.came_again());
+    assert!(!script.was_sent_since(at(1)), "for the first time");
+    let mut taken_up = sent();
+    taken_up.taken_up();
+    assert!(taken_up.came_again());
+}
+
+#[test]
+fn steps_and_late_steps_never_become_fewer() {
+    let mut script = sent();
+    let id = script.request_id().unwrap().clone();
+    for (steps, late, expected) in [(2, 1, (2, 1)), (1, 0, (2, 1))] {
+        let said = ControlResponse {
+            steps_done: Some(steps),
+            late_steps: Some(late),
+            ..response(&script.plan.device, Some(&id), Status::Started, at(steps.into()))
+        };
+        script.answered(&said);
+        assert_eq!((script.steps_done(), script.late_steps()), expected);
+    }
+    let told = RequestReport { late_steps: Some(2), ..report(&id, RequestState::Running, None) };
+    script.reported(&told, at(5), by_robot(at(5)));
+    assert_eq!((script.steps_done(), script.late_steps()), (2, 2));
+}
+
+#[test]
+fn a_robot_that_knows_nothing_of_a_script_may_have_played_what_another_process_sent() {
+    let late = |script: &Script| ControlResponse {
+        error: refusal(ErrorCode::Late),
+        ..response(&script.plan.device, script.request_id(), Status::Failed, at(1))
+    };
+    let mut script = sent();
+    assert!(!script.may_have_been_played(&late(&script)), "nobody else has sent it");
+    script.taken_up();
+    assert!(script.may_have_been_played(&late(&script)));
+    let busy = ControlResponse { error: refusal(ErrorCode::Busy), ..late(&script) };
+    assert!(!script.may_have_been_played(&busy));
+    let accepted = ControlResponse { status: Status::Accepted, ..late(&script) };
+    assert!(!script.may_have_been_played(&accepted));
+    take(&mut script, Said::Accepted, 2);
+    assert!(!script.may_have_been_played(&late(&script)), "it is known that the robot had it");
+}

@@ -1,0 +1,396 @@
+//! Who counts as the robot that is meant, when robots are asked again, and robots of other sessions.
+
+use urrcp::{AvailabilityResponse, ControlError};
+
+use super::played::Played;
+use super::*;
+use crate::mission::bench::ms;
+use crate::mission::seize::Ownership;
+
+fn asks(actions: &[Action]) -> usize {
+    let asks = |action: &&Action| {
+        matches!(action, Action::Send { message: Message::AvailabilityRequest(_) | Message::Inquiry(_), .. })
+    };
+    actions.iter().filter(asks).count()
+}
+
+#[test]
+fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_that_is_meant() {
+    let response = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1)),
+        timestamp: by_robot(at(1)),
+        status: Status::Ok,
+        error: None,
+    };
+    let message = Message::AvailabilityResponse(response);
+    for (greeting, up, counts) in
+        [(Greeting::Skip, false, true), (Greeting::Full, false, false), (Greeting::Full, true, true)]
+    {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = greeting;
+        mission.robots[0].connected(at(0));
+        if up {
+            mission.robots[0].named();
+        }
+        assert_eq!(mission.is_the_one(at(1), 0, &message), counts, "{greeting:?}, named: {up}");
+    }
+}
+
+#[test]
+fn a_robot_whose_answer_is_under_way_is_asked_again_after_three_round_trips_and_a_little() {
+    let mut mission = greets_a_clock(0, 40);
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].questions.asked(at(100));
+    let again = at(100) + ms(3 * 40 + 20);
+    mission.ask_further(again - Span::from_nanos(1), 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 0);
+    mission.ask_further(again, 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
+}
+
+/// A mission that may take a robot of another session, which has proven who it is.
+fn may_seize() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission.options.seize = true;
+    mission.robots[0].proven = true;
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission
+}
+
+fn busy() -> ControlError {
+    ControlError::new(ErrorCode::Busy, "it belongs to `other`")
+}
+
+#[test]
+fn only_a_proven_robot_of_another_session_is_taken_and_only_before_it_was_ours() {
+    type Change = fn(&mut Mission);
+    let changes: [(&str, Change); 5] = [
+        ("the operator does not want it", |mission| mission.options.seize = false),
+        ("it has not proven who it is", |mission| mission.robots[0].proven = false),
+        ("it was ours", |mission| mission.robots[0].ownership = Ownership::Seized),
+        ("it has answered", |mission| {
+            let there = by_robot(at(1));
+            mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(2)));
+        }),
+        ("the mission has begun", |mission| mission.phase = Phase::Performing),
+    ];
+    for (why, change) in changes {
+        let mut mission = may_seize();
+        change(&mut mission);
+        assert!(!mission.is_to_be_seized(0, &busy()) && !mission.robots[0].is_of_another(), "{why}");
+    }
+    let internal = ControlError::new(ErrorCode::Internal, "its hardware is away");
+    assert!(!may_seize().is_to_be_seized(0, &internal));
+    let mut mission = may_seize();
+    assert!(mission.is_to_be_seized(0, &busy()) && mission.robots[0].is_of_another());
+}
+
+#[test]
+fn a_robot_of_another_session_is_taken_unless_another_robot_has_failed() {
+    for fails in [false, true] {
+        let mut mission = may_seize();
+        assert!(!mission.seize_others(at(1)), "it belongs to nobody");
+        assert!(mission.is_to_be_seized(0, &busy()));
+        mission.robots[0].positions = vec![("a".parse().unwrap(), 1.0)];
+        if fails {
+            mission.note_failure(0, FailureKind::Garbled { reason: "x".into() });
+        }
+        assert_eq!(mission.seize_others(at(1)), !fails);
+        if fails {
+            assert_eq!(mission.robots[0].ownership, Ownership::Asked);
+            let busy = FailureKind::NotAvailable { error: busy() };
+            assert_eq!(mission.robots[0].failures.last().map(|failure| &failure.kind), Some(&busy));
+            continue;
+        }
+        assert_eq!(mission.robots[0].ownership, Ownership::Seizing);
+        assert_eq!(mission.robots[0].positions, [], "where it stood while it was another's");
+        let seizes = |action: &Action| matches!(action, Action::Send { message: Message::AvailabilityRequest(asked), .. } if asked.seize);
+        assert!(mission.actions.iter().any(seizes));
+        mission.is_ours(at(2), 0);
+        assert_eq!(mission.robots[0].ownership, Ownership::Seized);
+    }
+}
+
+#[test]
+fn a_robot_that_has_become_free_meanwhile_is_asked_as_any_other() {
+    let mut mission = may_seize();
+    assert!(mission.is_to_be_seized(0, &busy()));
+    mission.is_ours(at(1), 0);
+    assert_eq!(mission.robots[0].ownership, Ownership::Asked);
+}
+
+/// A mission whose robot says that its device `a`, which begins at 45, can tell where it stands.
+fn tells_where_it_stands() -> Mission {
+    let mut mission = may_seize();
+    let text = serde_json::to_string(mission.robots[0].block.as_ref().unwrap()).unwrap().replacen(
+        "\"available_control_types\":{",
+        "\"available_control_types\":{\"sensor\":{\"min_value\":0,\"max_value\":90},",
+        1,
+    );
+    let mut block: urrcp::InitializationBlock = serde_json::from_str(&text).unwrap();
+    block.devices[0].interpolation = urrcp::Interpolation::Linear;
+    mission.robots[0].block = Some(block);
+    mission
+}
+
+#[test]
+fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at_a_time() {
+    for (ownership, stands, reads) in
+        [(Ownership::Seized, 10.0, 1), (Ownership::Seized, 45.0, 0), (Ownership::Asked, 10.0, 0)]
+    {
+        let mut mission = tells_where_it_stands();
+        mission.robots[0].ownership = ownership.clone();
+        mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
+        mission.follow_on_its_way(at(1), 0);
+        assert_eq!(mission.robots[0].reads.len(), reads, "{ownership:?} at {stands}");
+        assert_eq!(mission.robots[0].positions.len(), 1 - reads);
+        mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
+        mission.follow_on_its_way(at(2), 0);
+        assert_eq!(mission.robots[0].reads.len(), reads, "its answer is awaited");
+    }
+}
+
+fn asked() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission
+}
+
+/// So many exchanges of timestamps with the robot.
+fn answers_times(mission: &mut Mission, count: i64) {
+    for exchange in 0..count {
+        let there = by_robot(at(exchange * 10 + 1));
+        let sample = ClockSample::from_exchange(at(exchange * 10), there, there, at(exchange * 10 + 2));
+        mission.robots[0].clock.add(sample);
+    }
+}
+
+#[test]
+fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent() {
+    let mut played = Played::begun(asked());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
+    let before = &played.sent[..first.unwrap()];
+    let times =
+        before.iter().filter(|(.., message)| matches!(message, Message::AvailabilityRequest(_))).count();
+    assert_eq!(times, 8);
+    assert!(matches!(before[0].2, Message::InitializationRequest(_)));
+    let greeted = played.told.iter().find_map(|told| match told {
+        Progress::Greeted { clock_offset_max, preflight } => Some((*clock_offset_max, preflight.clone())),
+        _ => None,
+    });
+    let (offset, preflight) = greeted.unwrap();
+    assert!(offset.unwrap() < Span::from_micros(1), "{offset:?}");
+    let failed =
+        |(_, verdict): &(Check, Verdict)| matches!(verdict, Verdict::Failure(_) | Verdict::Warning(_));
+    assert!(!preflight.rows[0].checks.iter().any(failed), "{preflight:?}");
+    assert!(played.recorded.iter().any(|record| matches!(record, Record::Checked)));
+}
+
+#[test]
+fn a_preflight_ends_once_the_fleet_is_checked() {
+    for (fails, outcome) in [(false, Outcome::Ready), (true, Outcome::NotReady)] {
+        let mut mission = asked();
+        mission.options.preflight_only = true;
+        let mut played = Played::of(mission, if fails { vec![0] } else { Vec::new() });
+        assert_eq!(played.run_to_the_end(), outcome);
+        let moved = |(.., message): &(Timestamp<Server>, usize, Message)| {
+            matches!(message, Message::ControlRequest(_))
+        };
+        assert!(!played.sent.iter().any(moved));
+    }
+}
+
+#[test]
+fn a_robot_that_fails_while_it_is_greeted_keeps_the_mission_from_starting() {
+    let mut mission = asked();
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    mission.fail(at(1), 0, FailureKind::Garbled { reason: "x".into() });
+    assert_eq!(mission.outcome(), Some(&Outcome::NotStarted));
+}
+
+#[test]
+fn what_was_awaited_in_vain_is_named() {
+    type Reached = fn(&mut Mission);
+    let reached: [(Reached, Option<&str>); 6] = [
+        (|_| {}, Some("connection")),
+        (|mission| mission.robots[0].connected(at(0)), Some("initialization block")),
+        (|mission| _ = mission.robots[0].named(), Some("availability response")),
+        (|mission| answers_times(mission, 7), Some("further availability responses")),
+        (
+            |mission| {
+                answers_times(mission, 1);
+                mission.read(at(100), 0, "a".parse().unwrap(), super::super::robot_state::Reading::Wait(0));
+            },
+            Some("readings of its sensors"),
+        ),
+        (|mission| mission.robots[0].reads.clear(), None),
+    ];
+    for count in 1..=reached.len() {
+        let mut mission = asked();
+        reached[..count].iter().for_each(|(reach, _)| reach(&mut mission));
+        mission.greeting_overdue(at(5_000));
+        let kinds = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect::<Vec<_>>();
+        let within = mission.options.patience;
+        let expected =
+            reached[count - 1].1.map(|awaited| FailureKind::Silent { awaited: awaited.to_owned(), within });
+        assert_eq!(kinds, expected.into_iter().collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].exchanges.ignore();
+    mission.greeting_overdue(at(5_000));
+    let text = mission.robots[0].failures[0].kind.to_string();
+    assert!(text.contains("availability response to a question (1 came that answer none"), "{text}");
+}
+
+/// Acts follow each other for ever, played by whichever of two robots are there. The second one is not there at first.
+fn waits_for_nobody(greeting: Greeting) -> Played {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].next = Way::Act(0);
+    choreography.acts[0].wait = Wait::Done;
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let participants = vec![participant("r0"), participant("r1")];
+    let options = MissionOptions { greeting, join: Join::NextAct, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let mut played = Played::linked(mission, &[0]);
+    played.happens(Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() });
+    played.run_until(at(1_000));
+    played
+}
+
+#[test]
+fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
+    for greeting in [Greeting::Full, Greeting::Skip] {
+        let mut played = waits_for_nobody(greeting);
+        assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+        assert_eq!(played.mission.phase, Phase::Performing, "{greeting:?}");
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(5_000));
+        assert_eq!(played.mission.robots[1].standing, Standing::In, "{greeting:?}");
+        assert!(played.mission.robots[1].totals.started > 0, "{greeting:?}");
+        assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })), "{greeting:?}");
+        if greeting == Greeting::Full {
+            assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    let block = robot("another", Everything, 2).block.unwrap();
+    let told = || Event::Received { robot: 1, message: Message::InitializationBlock(block.clone()) };
+    played.mutes(1);
+    for _ in 0..2 {
+        played.happens(Event::LinkUp { robot: 1 });
+        played.happens(told());
+        assert_eq!(played.mission.robots[1].standing, Standing::Out);
+        assert_eq!(played.mission.robots[1].failures.len(), 1, "it is told once");
+        assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.connecting));
+    }
+    assert_eq!(played.mission.phase, Phase::Performing, "the others go on");
+}
+
+#[test]
+fn another_robot_at_an_address_is_told_once_while_robots_are_greeted_and_its_link_is_kept() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let block = robot("another", Everything, 2).block.unwrap();
+    for _ in 0..2 {
+        let message = Message::InitializationBlock(block.clone());
+        let _told = mission.handle(at(1), Event::Received { robot: 0, message });
+    }
+    assert_eq!(mission.robots[0].failures.len(), 1);
+    assert!(mission.robots[0].lost().is_none());
+}
+
+#[test]
+fn that_ntp_is_lost_and_back_is_told_once_each() {
+    let mut mission = begins_at_once(Everything);
+    let state =
+        |lost: Option<i64>| Event::ServerTime(NtpState { lost_since: lost.map(at), ..NtpState::default() });
+    let mut told = |lost| {
+        let actions = mission.handle(at(0), state(lost));
+        let what = |action: &Action| match action {
+            Action::Tell(Progress::NtpLost { since }) => Some(Some(*since)),
+            Action::Tell(Progress::NtpBack { .. }) => Some(None),
+            _ => None,
+        };
+        actions.iter().filter_map(what).collect::<Vec<_>>()
+    };
+    assert_eq!(told(None), []);
+    assert_eq!(told(Some(5)), [Some(at(5))]);
+    assert_eq!(told(Some(5)), []);
+    assert_eq!(told(None), [None]);
+    assert_eq!(told(None), []);
+    assert!(mission.ntp().is_some());
+}
+
+#[test]
+fn a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    assert!(!mission.takes_stops(at(250) - Span::from_nanos(1), 0));
+    assert!(mission.takes_stops(at(250), 0));
+    let (expected, told) = ("r0".parse().unwrap(), "another".parse().unwrap());
+    mission.note_failure(0, FailureKind::AnotherRobot { expected, told });
+    assert!(!mission.takes_stops(at(250), 0));
+}
+
+#[test]
+fn a_robot_that_cannot_be_reached_is_tried_again_unless_that_is_of_no_use() {
+    for (loss, before, now, fails) in [
+        (Loss::Refused, None, 0, false),
+        (Loss::Refused, Some(0), 499, false),
+        (Loss::Refused, Some(0), 500, true),
+        (Loss::Unreachable, Some(0), 500, false),
+        (Loss::Unreachable, Some(0), 4_999, false),
+        (Loss::Unreachable, Some(0), 5_000, true),
+        (Loss::Denied, None, 0, true),
+    ] {
+        let mut mission = asked();
+        mission
+            .robots
+            .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+        let down = |loss| Event::LinkDown { robot: 0, loss, reason: "why".to_owned() };
+        if let Some(before) = before {
+            let _reconnects = mission.handle(at(before), down(Loss::Unreachable));
+        }
+        let actions = mission.handle(at(now), down(loss));
+        assert_eq!(mission.robots[0].has_failed(), fails, "{loss:?} at {now}");
+        let again = actions.iter().any(|action| matches!(action, Action::Reconnect { .. }));
+        assert_eq!(again, !fails, "{loss:?} at {now}");
+    }
+}
+
+#[test]
+fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    let there = by_robot(at(1));
+    let response = AvailabilityResponse {
+        error: Some(busy()),
+        ..AvailabilityResponse::new(&urrcp::AvailabilityRequest::default(), there, there, Status::Failed)
+    };
+    let message = Message::AvailabilityResponse(response);
+    let _failed = mission.handle(at(2), Event::Received { robot: 0, message });
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
+}

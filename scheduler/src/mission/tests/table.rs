@@ -1,0 +1,152 @@
+//! The table of the preflight.
+
+use super::*;
+
+#[track_caller]
+fn verdict(mission: &Mission, check: Check, now: i64) -> Verdict {
+    let table = preflight::table(mission, at(now));
+    table.rows[0].checks.iter().find(|(of, _)| *of == check).unwrap().1.clone()
+}
+
+fn asked() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission
+}
+
+#[test]
+fn what_a_robot_says_of_itself_is_checked_once_it_has_said_it() {
+    let mut mission = asked();
+    for (introduced, identity, version, description) in [
+        (false, Verdict::NotChecked, Verdict::NotChecked, Verdict::NotChecked),
+        (true, Verdict::Pass("r0".into()), Verdict::Pass("1".into()), Verdict::Pass("fits".into())),
+    ] {
+        mission.robots[0].introduced = introduced;
+        assert_eq!(verdict(&mission, Check::Identity, 0), identity);
+        assert_eq!(verdict(&mission, Check::Version, 0), version);
+        assert_eq!(verdict(&mission, Check::Description, 0), description);
+    }
+}
+
+#[test]
+fn the_delays_of_a_link_and_the_offset_of_a_clock_are_told_in_milliseconds() {
+    let mut mission = asked();
+    assert_eq!(verdict(&mission, Check::Link, 0), Verdict::Warning("not there".into()));
+    assert_eq!(verdict(&mission, Check::Clock, 0), Verdict::NotChecked);
+    mission.robots[0].connected(at(0));
+    assert_eq!(verdict(&mission, Check::Link, 0), Verdict::Pass("up".into()), "it has not said its name");
+    mission.robots[0].named();
+    assert_eq!(verdict(&mission, Check::Link, 0), Verdict::Pass("up".into()));
+    let there = by_robot(at(7));
+    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(4)));
+    assert_eq!(verdict(&mission, Check::Link, 4), Verdict::Pass("4.00 to 4.00 ms".into()));
+    let Verdict::Pass(clock) = verdict(&mission, Check::Clock, 4) else { panic!() };
+    assert!(clock == "5.00 ±3.00 ms", "{clock}");
+    let offset = preflight::table(&mission, at(4)).rows[0].clock_offset.unwrap();
+    assert!((offset - Span::from_millis(5)).abs() < Span::from_micros(1), "{offset}");
+    mission.robots[0].settings.clock = ClockMode::Measured;
+    let Verdict::Pass(clock) = verdict(&mission, Check::Clock, 4) else { panic!() };
+    assert!(clock.ends_with(" ms, measured"), "{clock}");
+}
+
+#[test]
+fn a_link_that_is_lost_is_told_with_its_reason() {
+    let mut mission = asked();
+    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    let _reconnects = mission.handle(at(0), down);
+    assert_eq!(verdict(&mission, Check::Link, 0), Verdict::Warning("it broke".into()));
+}
+
+#[test]
+fn a_certificate_that_ends_within_a_month_is_told_of_in_days() {
+    const DAY: i64 = 24 * 3_600 * 1_000;
+    for (days, expected) in
+        [(None, None), (Some(31), None), (Some(30), None), (Some(29), Some("29 days more"))]
+            .into_iter()
+            .chain([(Some(1), Some("1 day more")), (Some(-3), Some("0 days more"))])
+    {
+        let mut mission = asked();
+        mission.robots[0].introduced = true;
+        mission.robots[0].certified_until = days.map(|days| at(days * DAY));
+        let verdict = verdict(&mission, Check::Identity, 0);
+        match (&verdict, expected) {
+            (Verdict::Pass(_), None) => {}
+            (Verdict::Warning(text), Some(expected)) => assert!(text.contains(expected), "{text}"),
+            other => panic!("{days:?}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn hardware_is_there_once_a_robot_that_is_asked_has_answered() {
+    let mut mission = asked();
+    assert_eq!(verdict(&mission, Check::Hardware, 0), Verdict::NotChecked);
+    let there = by_robot(at(1));
+    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(2)));
+    assert_eq!(verdict(&mission, Check::Hardware, 2), Verdict::Pass("there".into()));
+    mission.options.greeting = Greeting::Skip;
+    assert_eq!(verdict(&mission, Check::Hardware, 2), Verdict::NotChecked);
+}
+
+#[test]
+fn positions_that_were_read_are_counted() {
+    let mut mission = asked();
+    assert_eq!(verdict(&mission, Check::Position, 0), Verdict::NotChecked);
+    mission.robots[0].positions = vec![("a".parse().unwrap(), 1.0), ("b".parse().unwrap(), 2.0)];
+    assert_eq!(verdict(&mission, Check::Position, 0), Verdict::Pass("2 read".into()));
+}
+
+#[test]
+fn a_robot_that_was_taken_from_another_session_is_told_of() {
+    let mut mission = asked();
+    mission.options.session = Some(Session::named("s".parse().unwrap()));
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].ownership = super::super::seize::Ownership::Seized;
+    let text = "ours, taken from another session";
+    assert_eq!(verdict(&mission, Check::Free, 0), Verdict::Warning(text.into()));
+}
+
+#[test]
+fn failures_stand_in_the_column_that_they_concern_and_those_left_out_are_counted_with_the_first() {
+    let mut mission = asked();
+    mission.note_failure(0, FailureKind::Garbled { reason: "x".into() });
+    let Verdict::Failure(one) = verdict(&mission, Check::Link, 0) else { panic!() };
+    assert!(!one.contains("more failures"), "{one}");
+    for _ in 0..65 {
+        mission.note_failure(0, FailureKind::Garbled { reason: "x".into() });
+    }
+    mission.note_failure(0, FailureKind::WrongVersion { version: "2".into() });
+    let Verdict::Failure(link) = verdict(&mission, Check::Link, 0) else { panic!() };
+    assert!(link.ends_with("; 2 more failures"), "{link}");
+    let Verdict::Failure(version) = verdict(&mission, Check::Version, 0) else { panic!() };
+    assert!(!version.contains("more"), "{version}");
+}
+
+#[test]
+fn readings_are_those_required_then_where_devices_stand_then_what_is_only_shown() {
+    for (greeting, count) in [(Greeting::Full, 4), (Greeting::Skip, 3)] {
+        let mut mission = asked();
+        mission.options.greeting = greeting;
+        let state = &mut mission.robots[0];
+        state.block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Linear;
+        let range = SensorRange::Above(50.0);
+        state.settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        state.readings = vec![None];
+        state.positions = vec![("a".parse().unwrap(), 44.0)];
+        state.shown = vec![("b".parse().unwrap(), None), ("c".parse().unwrap(), Some(3.0))];
+        for device in ["eye", "b", "c"] {
+            state.unread.insert(device.parse().unwrap(), "it is dark".to_owned());
+        }
+        let readings = preflight::table(&mission, at(0)).rows[0].readings.clone();
+        assert_eq!(readings.len(), count);
+        let of = |device: &str| readings.iter().find(|reading| reading.device.as_str() == device);
+        if let Some(eye) = of("eye") {
+            assert_eq!((eye.reading, eye.why.as_deref()), (None, Some("it is dark")));
+            assert!(eye.expected.is_some());
+        }
+        assert!(of("a").unwrap().expected.as_ref().is_some_and(|text| text.starts_with("45 ±")));
+        assert_eq!(of("b").unwrap().why.as_deref(), Some("it is dark"));
+        assert_eq!((of("c").unwrap().reading, of("c").unwrap().why.as_deref()), (Some(3.0), None));
+    }
+}
