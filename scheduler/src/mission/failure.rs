@@ -169,10 +169,10 @@ impl Mission {
         }
     }
 
-    /// It has been heard again on a new link.
+    /// It has been heard again on a new link. Of one that was not there so far it is told when it joins.
     pub(super) fn is_back(&mut self, robot: usize) {
         self.give_up = self.earliest_give_up();
-        if self.phase == Phase::Performing {
+        if self.phase == Phase::Performing && self.robots[robot].standing != Standing::Absent {
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Reattached { robot });
         }

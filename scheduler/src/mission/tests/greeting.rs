@@ -278,7 +278,8 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
         played.run_until(at(5_000));
         assert_eq!(played.mission.robots[1].standing, Standing::In, "{greeting:?}");
         assert!(played.mission.robots[1].totals.started > 0, "{greeting:?}");
-        assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })), "{greeting:?}");
+        let told = played.told.iter().filter(|told| matches!(told, Progress::Reattached { .. }));
+        assert_eq!(told.count(), 1, "{greeting:?}");
         if greeting == Greeting::Full {
             assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
         }
