@@ -577,6 +577,14 @@ async fn a_sensor_is_read_no_more_often_than_its_rate() {
 }
 
 #[test]
+fn what_is_set_of_a_driver_leaves_the_rest_as_it_was() {
+    let options = DriverOptions::default().with_samples_per_second(40.0).with_readings_per_second(3.0);
+    let options = options.with_pings_per_second(7.0);
+    let set = [options.samples_per_second, options.readings_per_second, options.pings_per_second];
+    assert_eq!(set, [40.0, 3.0, 7.0].map(Some));
+}
+
+#[test]
 fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
     let mailbox = Mailbox::default();
     mailbox.connected(1, mailbox::Manners { acknowledges: true, ..MANNERS });

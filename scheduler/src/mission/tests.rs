@@ -461,6 +461,14 @@ fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() 
 }
 
 #[test]
+fn an_act_knows_for_which_robot_it_is_sent_so_early() {
+    let mut played = played::Played::begun(one_act(Everything, 400));
+    played.run_to_the_start();
+    let slowest = played.mission.acts[0].timing().unwrap().slowest.as_ref();
+    assert_eq!(slowest.map(|(robot, _)| robot.as_str()), Some("r0"));
+}
+
+#[test]
 fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would_end_then() {
     let mut mission = begins_with(Tells::Reports, &[("a", 0, 400), ("a", 400, 0)]);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
@@ -481,6 +489,9 @@ fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would
     let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &ended);
     let last = ScriptRef { act: 0, member: 0, script: 1 };
     assert_eq!(found, Some(last), "the end of what began before it was not heard");
+    let again = says(Status::Started, start + ms(400));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &again);
+    assert_eq!(found, None, "neither came again");
 }
 
 #[test]

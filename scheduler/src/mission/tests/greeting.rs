@@ -337,7 +337,8 @@ fn that_ntp_is_lost_and_back_is_told_once_each() {
     assert_eq!(told(Some(5)), []);
     assert_eq!(told(None), [None]);
     assert_eq!(told(None), []);
-    assert!(mission.ntp().is_some());
+    assert_eq!(told(Some(9)), [Some(at(9))]);
+    assert_eq!(mission.ntp().and_then(|state| state.lost_since), Some(at(9)));
 }
 
 #[test]

@@ -397,6 +397,8 @@ fn what_is_withdrawn_ends_before_it_begins_and_no_earlier_than_it_has_to() {
         assert_eq!(named.lease, Some(bench.timing().lease_at(bench.now) + offset));
     }
     assert!(bench.now + first.lease.unwrap() <= bench.timing().brink());
+    let at_the_brink = bench.act.to_withdraw(0, bench.timing().brink(), None);
+    assert!(at_the_brink.is_empty(), "its lease has ended by then");
     bench.commit_from_here();
     assert!(withdrawn(&bench).is_empty(), "it may have begun");
 }
