@@ -23,7 +23,7 @@ pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// Between two words to the operator of what a robot says of itself.
 const TOLD_INTERVAL: Span = Span::from_millis(900);
 /// A round that comes so late was held up on this machine, and says nothing about the robots.
-const HELD_UP: Span = Span::from_millis(100);
+pub(super) const HELD_UP: Span = Span::from_millis(100);
 
 impl Mission {
     /// Asks all robots when the next round is due; a little later where that would disturb robots that start.

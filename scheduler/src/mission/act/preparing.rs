@@ -7,6 +7,7 @@ use super::{Act, ActAction, Member, Stage, Timing};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::{Promise, PromisedScript, Record};
 use crate::mission::robot_state::RobotState;
+use crate::mission::rounds::HELD_UP;
 use crate::mission::script::{Script, ScriptRef};
 use crate::mission::skew::SkewBudget;
 use crate::mission::{Outcome, Progress};
@@ -168,13 +169,21 @@ impl Act {
             self.stage = Stage::Over;
             return Vec::new();
         }
-        if !all {
-            let slow = self.present().filter(|member| !member.has_accepted(timing));
-            let failure = |member: &Member| (member.robot, unaccepted(&robots[member.robot], member, timing));
-            return vec![ActAction::Fail(slow.map(failure).collect())];
-        }
         // A decision that comes late would shorten what the leases need to run out before the start.
-        if now > timing.brink() - timing.lead.lease {
+        let too_late = now > timing.brink() - timing.lead.lease;
+        if !all {
+            // Where this process stood still, acceptances may have come that it has not read: only a link that is down is blamed.
+            let held_up = too_late && now > timing.decision + HELD_UP;
+            let blamed = |member: &&Member| !held_up || robots[member.robot].broken().is_some();
+            let slow: Vec<&Member> =
+                self.present().filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
+            if slow.is_empty() {
+                return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
+            }
+            let failure = |member: &Member| (member.robot, unaccepted(&robots[member.robot], member, timing));
+            return vec![ActAction::Fail(slow.into_iter().map(failure).collect())];
+        }
+        if too_late {
             return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
         }
         self.decide(now, robots)

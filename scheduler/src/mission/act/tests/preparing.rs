@@ -3,6 +3,20 @@
 use super::*;
 
 #[test]
+fn where_this_process_stood_still_nobody_is_blamed_for_acceptances_that_it_has_not_read() {
+    for (late, blamed) in [(ms(0), 1), (ms(1_000), 0)] {
+        let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+        bench.promise(Leases::Fixed);
+        bench.run_until(bench.timing().decision - ms(1));
+        bench.now = bench.timing().decision + late;
+        bench.pump();
+        assert_eq!(bench.failed.len(), blamed, "{late} after the decision was due");
+        let late = matches!(bench.withdrawn, Some((_, Outcome::DecisionLate { .. })));
+        assert_eq!(late, blamed == 0);
+    }
+}
+
+#[test]
 fn nothing_is_sent_before_the_promise_is_on_the_disk() {
     let mut bench = Bench { disk: None, ..Bench::pair() };
     bench.promise(Leases::Shortened);
