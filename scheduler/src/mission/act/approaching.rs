@@ -285,8 +285,13 @@ impl Act {
     /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: it
     /// cannot be known whether they will start.
     fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
-        let Stage::Committed(commitment) = &mut self.stage else { return Vec::new() };
-        if commitment.doubt.take_if(|at| now >= *at).is_none() {
+        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        let due = commitment.doubt.take_if(|at| now >= *at).is_some();
+        // Where this process stood still until no withdrawal helps, answers may have come that it has not read: as with any
+        // other act that plays, silence is judged once they are.
+        if !due || now >= timing.begins() {
             return Vec::new();
         }
         let (since, within) = (commitment.since, now - commitment.since);

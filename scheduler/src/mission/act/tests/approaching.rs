@@ -309,6 +309,19 @@ fn those_that_answered_the_commitment_start_without_the_doubtful_one() {
 }
 
 #[test]
+fn a_process_that_stood_still_until_no_withdrawal_helps_blames_no_robot_whose_answer_it_has_not_read() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        for late in [Span::ZERO, ms(1_000)] {
+            let mut bench = with_doubt(OnDoubt::Withdraw, Policy::Without);
+            bench.commit(leases);
+            bench.now = bench.timing().begins() + late;
+            bench.pump();
+            assert!(bench.failed.is_empty(), "{leases:?} {late}: {:?}", bench.failed);
+        }
+    }
+}
+
+#[test]
 fn the_window_of_the_commitment_is_told_once_when_all_have_answered() {
     let mut bench = Bench::pair();
     bench.commit(Leases::Shortened);
