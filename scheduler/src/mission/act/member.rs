@@ -26,6 +26,8 @@ pub(crate) struct Member {
     scripts: Vec<Script>,
     /// One for each device, in order of their scripts.
     chains: Vec<Chain>,
+    /// When it was last asked for reports that were overdue.
+    pub(super) asked: Option<Timestamp<Server>>,
 }
 
 /// What requests are asked about together: those whose lease a question does not shorten come last, the others in order of the
@@ -55,7 +57,7 @@ impl Member {
                 None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
             }
         }
-        Self { robot, part: Part::Taking, shift: Span::ZERO, scripts, chains }
+        Self { robot, part: Part::Taking, shift: Span::ZERO, scripts, chains, asked: None }
     }
 
     /// Changes one of its scripts.

@@ -294,17 +294,20 @@ impl Act {
     /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
     fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
+        let again = ASK_AGAIN.max(longest_round_trip(self, robots));
         let mut ask = Vec::new();
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
-        for member in self.present() {
+        for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
             let robot = &robots[member.robot];
             // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
             if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
                 continue;
             }
             let due =
-                |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
-            let Some(script) = member.under_way().map(|(_, script)| script).find(due) else { continue };
+                |script: &Script| self.report_due(member, script, robot, grace).filter(|due| now >= *due);
+            let mut scripts = member.under_way().map(|(_, script)| script);
+            let Some(script) = scripts.find(|script| due(script).is_some()) else { continue };
+            let newest = || member.under_way().filter_map(|(_, script)| due(script)).max();
             // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
             let was_asked =
                 |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
@@ -316,16 +319,19 @@ impl Act {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
                 let awaited = format!("report of the {what} of `{}`", script.plan.device);
                 failing.push((member.robot, FailureKind::Silent { awaited, within: grace * 2 }));
-            } else if robot.takes_inquiries() {
-                ask.push(member.robot);
+            } else if robot.takes_inquiries()
+                && may_be_asked(now, member.asked, newest(), robot, (again, grace))
+            {
+                ask.push(place);
             }
         }
         let mut actions = Vec::new();
-        if let Stage::Playing(playing) = &mut self.stage
-            && !ask.is_empty()
-        {
-            playing.asked = Some(now);
-            actions.push(ActAction::Ask(ask));
+        if !ask.is_empty() {
+            if let Stage::Playing(playing) = &mut self.stage {
+                playing.asked = Some(now);
+            }
+            ask.iter().for_each(|place| self.members[*place].asked = Some(now));
+            actions.push(ActAction::Ask(ask.into_iter().map(|place| self.members[place].robot).collect()));
         }
         if !failing.is_empty() {
             actions.push(ActAction::Fail(failing));
@@ -501,6 +507,20 @@ fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
     told.max(shown).unwrap_or(timing.pace.late)
+}
+
+/// Whether a robot that was asked at `asked` for reports is asked again, the newest of which was due at `due`: not while an
+/// answer is still under way. A robot that cannot keep up would be asked ever more.
+fn may_be_asked(
+    now: Timestamp<Server>,
+    asked: Option<Timestamp<Server>>,
+    due: Option<Timestamp<Server>>,
+    robot: &RobotState,
+    (again, grace): (Span, Span),
+) -> bool {
+    let Some(asked) = asked else { return true };
+    let owed = robot.questions.unanswered().is_some_and(|open| open <= asked);
+    due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
 }
 
 /// What became of its scripts cannot be learned from it.

@@ -148,6 +148,43 @@ fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
     );
 }
 
+/// Many robots that begin one after another.
+fn one_after_another(robots: usize) -> Bench {
+    let scripts: Vec<Vec<Planned>> =
+        (0..robots).map(|robot| vec![("a", i64::try_from(robot).unwrap(), 400)]).collect();
+    let scripts: Vec<&[Planned]> = scripts.iter().map(Vec::as_slice).collect();
+    let bench = Bench::new(&vec![Tells::Everything; robots], &scripts);
+    Bench { mum: (0..robots).collect(), ..bench }
+}
+
+#[test]
+fn robots_whose_reports_and_answers_are_under_way_for_long_are_not_asked_ever_more() {
+    let mut bench = one_after_another(100);
+    bench.play(Leases::Shortened);
+    bench.silent = bench.mum.clone();
+    let grace = bench.act.report_grace(&bench.robots);
+    bench.run_until(bench.start() + grace * 2 - ms(1));
+    for robot in 0..100 {
+        let playing = |question: &&Question| question.stage == Progressed::Playing;
+        let asked = bench.asked_of(robot).filter(playing).count();
+        assert_eq!(asked, 1, "robot {robot}");
+    }
+    assert!(bench.failed.is_empty());
+}
+
+#[test]
+fn a_question_for_an_overdue_report_that_is_lost_is_asked_again() {
+    let mut bench = one_after_another(2);
+    bench.play(Leases::Shortened);
+    let grace = bench.act.report_grace(&bench.robots);
+    bench.silent = vec![0];
+    bench.run_until(bench.start() + grace + ms(100));
+    bench.silent.clear();
+    bench.run_to_the_end();
+    assert!(bench.failed.is_empty(), "{:?}", bench.failed);
+    assert_eq!((bench.state(0, 0), bench.state(1, 0)), (&COMPLETED, &COMPLETED));
+}
+
 #[test]
 fn a_report_that_was_lost_is_made_good_by_the_answer() {
     let mut bench = Bench { mum: vec![1], ..Bench::pair() };
