@@ -34,8 +34,13 @@ pub fn names(first: usize, count: usize) -> Vec<String> {
     (first..first + count).map(|i| format!("r{i}")).collect()
 }
 
-/// A folder with a robot and a scenario that all play: 1, 2, 3, and so on, under a running lease.
+/// A folder with a robot and a scenario that all play: 1, 2, 3, and so on, under a running lease. Who fails is left out.
 pub fn stage(running: &str) -> Stage {
+    stage_where(running, "without")
+}
+
+/// The same with this rule for failures.
+pub fn stage_where(running: &str, on_failure: &str) -> Stage {
     let stage = Stage::new();
     let track: Vec<_> =
         (0..STEPS).map(|step| format!("{{at: {}ms, to: {}}}", step * EVERY_MS, step + 1)).collect();
@@ -43,7 +48,7 @@ pub fn stage(running: &str) -> Stage {
     stage.file(
         "play.yaml",
         format!(
-            "scenario: play\nstart_tolerance: 2s\non_failure: without\nstop_condition: {{running: {running}}}\ncues:\n  \
+            "scenario: play\nstart_tolerance: 2s\non_failure: {on_failure}\nstop_condition: {{running: {running}}}\ncues:\n  \
              - {{at: 0s, robots: all, tracks: {{d: [{}]}}}}\n",
             track.join(", ")
         ),

@@ -1,5 +1,16 @@
 //! What one publication carries: a number, how much its sender has read, and bytes.
 
+/// What stands behind a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Next {
+    /// Others may follow.
+    More,
+    /// The sender says nothing more.
+    End,
+    /// The sender has lost something of the connection, and says and hears nothing more.
+    Broken,
+}
+
 /// Bytes ahead of the content: kind, number, bytes read.
 const HEADER: usize = 17;
 
@@ -10,8 +21,7 @@ pub(super) struct Frame<'a> {
     pub(super) number: u64,
     /// Bytes of content that the sender has read on this connection in all.
     pub(super) read: u64,
-    /// The sender says nothing more.
-    pub(super) ends: bool,
+    pub(super) next: Next,
     /// The next bytes of the stream.
     pub(super) content: &'a [u8],
 }
@@ -19,7 +29,11 @@ pub(super) struct Frame<'a> {
 impl<'a> Frame<'a> {
     pub(super) fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER + self.content.len());
-        bytes.push(u8::from(self.ends));
+        bytes.push(match self.next {
+            Next::More => 0,
+            Next::End => 1,
+            Next::Broken => 2,
+        });
         bytes.extend(self.number.to_le_bytes());
         bytes.extend(self.read.to_le_bytes());
         bytes.extend(self.content);
@@ -31,12 +45,13 @@ impl<'a> Frame<'a> {
         let (kind, rest) = bytes.split_first()?;
         let (number, rest) = rest.split_first_chunk::<8>()?;
         let (read, content) = rest.split_first_chunk::<8>()?;
-        let ends = match kind {
-            0 => false,
-            1 => true,
+        let next = match kind {
+            0 => Next::More,
+            1 => Next::End,
+            2 => Next::Broken,
             _ => return None,
         };
-        Some(Self { number: u64::from_le_bytes(*number), read: u64::from_le_bytes(*read), ends, content })
+        Some(Self { number: u64::from_le_bytes(*number), read: u64::from_le_bytes(*read), next, content })
     }
 }
 
@@ -46,15 +61,15 @@ mod tests {
 
     #[test]
     fn a_frame_is_read_as_it_was_written_and_nothing_else_is_a_frame() {
-        let frame = Frame { number: 258, read: u64::MAX, ends: true, content: b"abc" };
+        let frame = Frame { number: 258, read: u64::MAX, next: Next::End, content: b"abc" };
         let bytes = frame.encode();
         assert_eq!(Frame::decode(&bytes), Some(frame));
-        let empty = Frame { content: b"", ends: false, ..frame };
+        let empty = Frame { content: b"", next: Next::Broken, ..frame };
         assert_eq!(Frame::decode(&empty.encode()), Some(empty));
         assert_eq!(Frame::decode(&bytes[..HEADER - 1]), None);
         assert_eq!(Frame::decode(b""), None);
         let mut unknown = bytes;
-        unknown[0] = 2;
+        unknown[0] = 3;
         assert_eq!(Frame::decode(&unknown), None);
     }
 }

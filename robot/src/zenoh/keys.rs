@@ -39,31 +39,79 @@ impl Key {
         format!("{}/robot/{session}", self.0)
     }
 
-    pub(super) fn to(&self, link: &str) -> String {
-        format!("{}/link/{link}/to", self.0)
+    /// The tokens of this robot and of all that stand next to it.
+    pub(super) fn robots_beside(&self) -> String {
+        self.beside("*/robot/*")
     }
 
-    pub(super) fn from(&self, link: &str) -> String {
-        format!("{}/link/{link}/from", self.0)
+    /// The token of a scheduler's session for the robots that stand here, or with `*` those of all.
+    pub(super) fn scheduler(&self, session: &str) -> String {
+        self.beside(&format!("scheduler/{session}"))
     }
 
-    pub(super) fn scheduler(&self, link: &str) -> String {
-        format!("{}/link/{link}/scheduler", self.0)
+    pub(super) fn to(&self) -> String {
+        format!("{}/to", self.0)
     }
+
+    pub(super) fn from(&self, session: &str) -> String {
+        format!("{}/from/{session}", self.0)
+    }
+
+    fn beside(&self, what: &str) -> String {
+        self.0.rsplit_once('/').map_or_else(|| what.to_owned(), |(place, _)| format!("{place}/{what}"))
+    }
+}
+
+/// Which connection: who has opened it, and its number there. It is attached to every frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct LinkId {
+    session: u128,
+    number: u64,
+}
+
+impl LinkId {
+    /// `None` if this is no id of a session.
+    pub(super) fn new(session: &str, number: u64) -> Option<Self> {
+        u128::from_str_radix(session, 16).ok().map(|session| Self { session, number })
+    }
+
+    pub(super) fn session(&self) -> String {
+        format!("{:x}", self.session)
+    }
+
+    pub(super) fn encode(&self) -> Vec<u8> {
+        [&self.session.to_le_bytes()[..], &self.number.to_le_bytes()].concat()
+    }
+
+    pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
+        let (session, number) = bytes.split_first_chunk()?;
+        let number = number.try_into().ok()?;
+        Some(Self { session: u128::from_le_bytes(*session), number: u64::from_le_bytes(number) })
+    }
+}
+
+impl fmt::Display for LinkId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:x}.{}", self.session, self.number)
+    }
+}
+
+impl FromStr for LinkId {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Self, ()> {
+        let (session, number) = text.split_once('.').ok_or(())?;
+        Self::new(session, number.parse().map_err(|_| ())?).ok_or(())
+    }
+}
+
+/// The key of the robot whose token this is.
+pub(super) fn robot_of(token: &str) -> Option<&str> {
+    token.rsplit_once('/')?.0.strip_suffix("/robot")
 }
 
 /// Stands behind the name of a connection, after a space, when one is opened for stops.
 pub(super) const STOPS: &str = "stop";
-
-/// The connection that a key below a robot's belongs to: its last chunk but one.
-pub(super) fn link_of(key: &str) -> Option<&str> {
-    key.rsplit('/').nth(1)
-}
-
-/// Which session declared the token of a robot: its last chunk.
-pub(super) fn session_of(key: &str) -> Option<&str> {
-    key.rsplit('/').next()
-}
 
 #[cfg(test)]
 mod tests {
@@ -80,10 +128,25 @@ mod tests {
     }
 
     #[test]
-    fn what_belongs_to_a_connection_is_found_by_its_key() {
-        let key: Key = "hall/arm".parse().unwrap();
-        assert_eq!(link_of(&key.to("l7")), Some("l7"));
-        assert_eq!(link_of(&key.scheduler("l7")), Some("l7"));
-        assert_eq!(session_of(&key.robot("z")), Some("z"));
+    fn what_stands_next_to_a_robot_has_the_same_place() {
+        let key = |key: &str| key.parse::<Key>().unwrap();
+        assert_eq!(key("site/hall/arm").robots_beside(), "site/hall/*/robot/*");
+        assert_eq!(key("site/hall/arm").scheduler("7"), "site/hall/scheduler/7");
+        assert_eq!(key("arm").robots_beside(), "*/robot/*");
+        assert_eq!(key("arm").scheduler("7"), "scheduler/7");
+        assert_eq!(robot_of(&key("site/hall/arm").robot("7")), Some("site/hall/arm"));
+        assert_eq!(robot_of(&key("site/hall/arm").scheduler("7")), None);
+    }
+
+    #[test]
+    fn the_id_of_a_connection_is_read_as_it_was_written() {
+        let link = LinkId::new("f00d", 258).unwrap();
+        assert_eq!(LinkId::decode(&link.encode()), Some(link));
+        assert_eq!(link.to_string().parse(), Ok(link));
+        assert_eq!((link.session().as_str(), link.to_string().as_str()), ("f00d", "f00d.258"));
+        assert_eq!(LinkId::decode(&link.encode()[1..]), None);
+        for wrong in ["", "f00d", "f00d.", ".1", "x.1", "f00d.1.2"] {
+            assert_eq!(wrong.parse::<LinkId>(), Err(()), "{wrong:?}");
+        }
     }
 }

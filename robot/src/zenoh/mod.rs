@@ -6,9 +6,12 @@
 //! | key | what |
 //! |---|---|
 //! | `KEY/robot/ID` | liveliness token of the robot's Zenoh session: the robot's process is there and reached |
+//! | `PLACE/scheduler/ID` | liveliness token of the scheduler's session; `PLACE` is `KEY` without its last chunk |
 //! | `KEY/open` | answers queries that open a connection: the query carries the name of the connection, and `stop` behind it for one that goes ahead of others; the answer the robot's `ID` |
-//! | `KEY/link/NAME/scheduler` | liveliness token of the other side of one connection |
-//! | `KEY/link/NAME/to`, `KEY/link/NAME/from` | the frames of a connection, to the robot and from it |
+//! | `KEY/to`, `KEY/from/ID` | the frames to the robot, and from it to the scheduler's session; each has the name of its connection attached |
+//!
+//! Keys of frames and queries are declared, and without wildcards: for any others, every session and every router compares each
+//! message with the keys of all robots.
 //!
 //! A frame is numbered. One that is lost, repeated or overtaken on its way breaks the connection.
 

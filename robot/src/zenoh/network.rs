@@ -1,16 +1,24 @@
-//! The Zenoh session of a process. Two threads of its own speak on it, because Zenoh waits where its queues are full: one for
-//! what is in haste, which nothing else keeps waiting, and one for the rest.
+//! The Zenoh session of a process. Threads of its own speak on it, because Zenoh waits where its queues are full: one for what is
+//! in haste, which nothing else keeps waiting, one for other frames, and one on which connections begin and end: a declaration
+//! takes the longer the more robots there are, and frames do not wait behind it.
 
+use std::any::Any;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::fmt;
+use std::io;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ::zenoh::qos::{CongestionControl, Priority};
+use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
 
 use super::config::{self, NetworkError};
-use super::stream::Shared;
+use super::keys::LinkId;
+use super::presence::Tokens;
+use super::stream::{Shared, Target};
 
 /// Whether what is sent on a connection goes ahead of all others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,6 +41,9 @@ impl Haste {
 
 type Call = Box<dyn FnOnce(&Session) + Send>;
 
+/// What has to be undeclared by being dropped, behind a lock, because what Zenoh hands back may not be shared between threads.
+pub(super) type Kept = Box<dyn Any + Send + Sync>;
+
 /// A way into a Zenoh network. Clones are the same session, which ends with the last of them.
 #[derive(Clone)]
 pub struct Network(Arc<Inner>);
@@ -42,7 +53,20 @@ struct Inner {
     open_endpoint: Option<String>,
     calm: flume::Sender<Call>,
     hasty: flume::Sender<Call>,
+    declaring: flume::Sender<Call>,
     connections: AtomicU64,
+    /// What other sessions show this one.
+    tokens: Tokens,
+    /// What was declared for as long as the session lasts, by its keys.
+    lasting: Mutex<HashMap<String, Kept>>,
+}
+
+impl Drop for Inner {
+    fn drop(&mut self) {
+        let lasting = std::mem::take(&mut self.lasting);
+        // Zenoh may wait, and this may be a thread of an asynchronous runtime.
+        let _ended = self.declaring.send(Box::new(move |_| drop(lasting)));
+    }
 }
 
 impl fmt::Debug for Network {
@@ -71,27 +95,26 @@ impl Network {
 
     fn with(config: ::zenoh::Config, named: &str) -> Result<Self, NetworkError> {
         let open_endpoint = config::open_endpoint(&config);
-        let ((calm, calls), (hasty, hasty_calls)) = (flume::unbounded::<Call>(), flume::unbounded::<Call>());
         let (tell, opened) = flume::bounded(1);
-        let thread = std::thread::Builder::new().name("zenoh".to_owned());
-        let speaking = thread.spawn(move || {
+        let calm = speak("zenoh", move || {
             let session = ::zenoh::open(config).wait().map(|session| (session.clone(), session));
             let (told, session) =
                 session.map_or_else(|error| (Err(error), None), |(one, two)| (Ok(one), Some(two)));
             let _waits = tell.send(told);
-            session.iter().for_each(|session| calls.iter().for_each(|call| call(session)));
-        });
-        speaking.map_err(NetworkError::Thread)?;
+            session
+        })?;
         let session = match opened.recv() {
             Ok(Ok(session)) => session,
             Ok(Err(error)) => return Err(NetworkError::not_joined(named, error.as_ref())),
             Err(_) => return Err(NetworkError::not_joined(named, "its thread has ended")),
         };
         let id = session.zid().to_string();
-        let thread = std::thread::Builder::new().name("zenoh-haste".to_owned());
-        let speaking = thread.spawn(move || hasty_calls.iter().for_each(|call| call(&session)));
-        speaking.map_err(NetworkError::Thread)?;
-        Ok(Self(Arc::new(Inner { id, open_endpoint, calm, hasty, connections: AtomicU64::new(0) })))
+        let another = session.clone();
+        let hasty = speak("zenoh-haste", move || Some(session))?;
+        let declaring = speak("zenoh-declare", move || Some(another))?;
+        let (tokens, lasting) = (Tokens::default(), Mutex::default());
+        let connections = AtomicU64::new(0);
+        Ok(Self(Arc::new(Inner { id, open_endpoint, calm, hasty, declaring, connections, tokens, lasting })))
     }
 
     /// The id of the session.
@@ -107,8 +130,51 @@ impl Network {
     }
 
     /// A name that no other connection has.
-    pub(super) fn connection(&self) -> String {
-        format!("{}.{}", self.0.id, self.0.connections.fetch_add(1, Ordering::Relaxed))
+    pub(super) fn connection(&self) -> io::Result<LinkId> {
+        let number = self.0.connections.fetch_add(1, Ordering::Relaxed);
+        LinkId::new(self.id(), number).ok_or_else(|| io::Error::other("the Zenoh session has an unusual id"))
+    }
+
+    /// What other sessions show this one.
+    pub(super) fn tokens(&self) -> &Tokens {
+        &self.0.tokens
+    }
+
+    /// Hears of the tokens at these keys, for as long as the session lasts.
+    pub(super) fn watch(&self, session: &Session, keys: String) -> ::zenoh::Result<()> {
+        self.once(keys, |keys| {
+            let tokens = self.tokens().clone();
+            let told = session.liveliness().declare_subscriber(keys).history(true);
+            Ok(Box::new(Mutex::new(told.callback(move |sample: Sample| tokens.hear(&sample)).wait()?)))
+        })
+    }
+
+    /// Shows a token to other sessions, for as long as this one lasts.
+    pub(super) fn show(&self, session: &Session, token: String) -> ::zenoh::Result<()> {
+        self.once(token, |token| Ok(Box::new(Mutex::new(session.liveliness().declare_token(token).wait()?))))
+    }
+
+    fn once(
+        &self,
+        key: String,
+        declare: impl FnOnce(String) -> ::zenoh::Result<Kept>,
+    ) -> ::zenoh::Result<()> {
+        let mut lasting = self.0.lasting.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Entry::Vacant(new) = lasting.entry(key) {
+            let kept = declare(new.key().clone())?;
+            new.insert(kept);
+        }
+        Ok(())
+    }
+
+    /// Begins or ends something with the session, which may take its time.
+    pub(super) fn declare(&self, haste: Haste, call: impl FnOnce(&Session) + Send + 'static) {
+        let calls = match haste {
+            Haste::None => &self.0.declaring,
+            Haste::Stop => &self.0.hasty,
+        };
+        // Its thread ends with this.
+        let _ended = calls.send(Box::new(call));
     }
 
     /// Does this with the session, behind what it was asked for before.
@@ -128,14 +194,34 @@ impl Network {
     }
 
     /// Publishes a frame of a connection, which breaks if that fails.
-    pub(super) fn publish(&self, haste: Haste, key: String, frame: Vec<u8>, pipe: &Shared) {
+    pub(super) fn publish(
+        &self,
+        haste: Haste,
+        (link, target): (LinkId, Arc<Target>),
+        frame: Vec<u8>,
+        pipe: &Shared,
+    ) {
         let pipe = pipe.clone();
         self.call(haste, move |session| {
-            let put = session.put(key, frame);
+            let put = session.put(target.declared(session), frame).attachment(link.encode());
             let put = put.congestion_control(CongestionControl::Block).priority(haste.priority());
             if let Err(error) = put.wait() {
                 pipe.lock().break_off(&format!("Zenoh does not send: {error}"));
             }
         });
     }
+}
+
+/// A thread that does what it is asked for with a session, until nobody can ask any more.
+fn speak(
+    name: &str,
+    session: impl FnOnce() -> Option<Session> + Send + 'static,
+) -> Result<flume::Sender<Call>, NetworkError> {
+    let (asks, calls) = flume::unbounded::<Call>();
+    let thread = std::thread::Builder::new().name(name.to_owned());
+    let speaking = thread.spawn(move || {
+        let session = session();
+        session.iter().for_each(|session| calls.iter().for_each(|call| call(session)));
+    });
+    speaking.map(|_| asks).map_err(NetworkError::Thread)
 }

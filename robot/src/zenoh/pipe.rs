@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io;
 use std::task::{Context, Poll, Waker};
 
-use super::frame::Frame;
+use super::frame::{Frame, Next};
 
 /// Bytes that one side may have written and the other not yet read.
 pub(super) const WINDOW: usize = 1024 * 1024;
@@ -54,6 +54,9 @@ impl Pipe {
         let Some(frame) = Frame::decode(bytes) else {
             return self.break_off("something came that is no frame");
         };
+        if frame.next == Next::Broken {
+            return self.break_off("the other side has lost a message, or its way here");
+        }
         if frame.number != self.next {
             let what = format!(
                 "a message was lost on the way: number {} came, expected {}",
@@ -70,7 +73,7 @@ impl Pipe {
         if !frame.content.is_empty() {
             self.waiting.push_back(frame.content.to_vec());
         }
-        if frame.ends {
+        if frame.next == Next::End {
             self.end = Some(End::Said);
         }
         self.wake();
@@ -82,6 +85,11 @@ impl Pipe {
             self.end = Some(End::Broken(why.to_owned()));
         }
         self.wake();
+    }
+
+    #[cfg(test)]
+    pub(super) const fn is_broken(&self) -> bool {
+        matches!(self.end, Some(End::Broken(_)))
     }
 
     fn wake(&mut self) {
@@ -144,23 +152,23 @@ impl Pipe {
             return Poll::Pending;
         }
         self.written = self.written.saturating_add(count(n));
-        Poll::Ready(Ok((n, self.frame(&bytes[..n], false))))
+        Poll::Ready(Ok((n, self.frame(&bytes[..n], Next::More))))
     }
 
     /// A frame that says how much was read, once the other side may wait for that.
     pub(super) fn acknowledgement(&mut self) -> Option<Vec<u8>> {
         let due = self.read.saturating_sub(self.told) >= count(WINDOW / 2);
-        (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], false))
+        (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], Next::More))
     }
 
-    /// The last frame; nothing where none is heard any more.
+    /// The last frame, once: a side whose connection broke tells the other, which may have noticed nothing.
     pub(super) fn ending(&mut self) -> Option<Vec<u8>> {
-        let silent = std::mem::replace(&mut self.has_ended, true) || matches!(self.end, Some(End::Broken(_)));
-        (!silent).then(|| self.frame(&[], true))
+        let next = if matches!(self.end, Some(End::Broken(_))) { Next::Broken } else { Next::End };
+        (!std::mem::replace(&mut self.has_ended, true)).then(|| self.frame(&[], next))
     }
 
-    fn frame(&mut self, content: &[u8], ends: bool) -> Vec<u8> {
-        let frame = Frame { number: self.number, read: self.read, ends, content };
+    fn frame(&mut self, content: &[u8], next: Next) -> Vec<u8> {
+        let frame = Frame { number: self.number, read: self.read, next, content };
         self.number += 1;
         self.told = self.read;
         frame.encode()
@@ -223,7 +231,10 @@ mod tests {
             let broken = read(&mut far, 9).unwrap().unwrap_err();
             assert!(broken.contains("a message was lost on the way"), "{broken}");
             assert!(matches!(write(&mut far, b"x"), Poll::Ready(Err(_))));
-            assert_eq!(far.ending(), None, "nobody can hear it");
+            near.receive(&far.ending().unwrap());
+            assert_eq!(far.ending(), None, "said once");
+            let told = read(&mut near, 9).unwrap().unwrap_err();
+            assert!(told.contains("the other side has lost a message"), "{told}");
         }
     }
 
@@ -249,10 +260,10 @@ mod tests {
     fn who_does_not_keep_to_the_window_or_speaks_otherwise_is_cut_off() {
         let mut far = Pipe::default();
         let content = vec![0; WINDOW + 1];
-        far.receive(&Frame { number: 0, read: 0, ends: false, content: &content }.encode());
+        far.receive(&Frame { number: 0, read: 0, next: Next::More, content: &content }.encode());
         assert!(read(&mut far, 1).unwrap().is_err(), "nothing of it is kept");
         let mut far = Pipe::default();
-        far.receive(&Frame { number: 0, read: 1, ends: false, content: b"" }.encode());
+        far.receive(&Frame { number: 0, read: 1, next: Next::More, content: b"" }.encode());
         assert!(read(&mut far, 1).unwrap().unwrap_err().contains("does not keep"));
         let mut far = Pipe::default();
         far.receive(b"GET / HTTP/1.1");

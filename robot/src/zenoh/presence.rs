@@ -1,66 +1,157 @@
-//! Which robots the network says are there, by their liveliness tokens.
+//! Which liveliness tokens the network shows, and the connections that live by them.
 
 use std::collections::HashMap;
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use ::zenoh::sample::{Sample, SampleKind};
 use tokio::sync::watch;
 
-use super::keys::session_of;
-use super::stream::Shared;
+use super::keys::{Key, robot_of};
+use super::stream::{Shared, WeakShared};
 
 /// How long a token may take to be seen.
 const SEEN_WITHIN: Duration = Duration::from_secs(2);
 
-/// What was told of the tokens at one robot's key, and which of them the connection lives by.
+/// One token.
 #[derive(Debug, Default)]
-struct Seen {
-    /// By the session that declared it; false once it has disappeared.
-    there: HashMap<String, bool>,
-    follows: Option<String>,
+struct Token {
+    is_there: watch::Sender<bool>,
+    pipes: Vec<WeakShared>,
 }
 
-/// The tokens at one robot's key, as one connection follows them.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Presence(Arc<watch::Sender<Seen>>);
+#[derive(Debug, Default)]
+struct Told {
+    /// By their keys.
+    tokens: HashMap<String, Token>,
+    /// How many tokens of robots are at a robot's key; 0 where all have disappeared.
+    robots: HashMap<String, usize>,
+}
 
-impl Presence {
+/// The tokens that a session is told of.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tokens(Arc<Mutex<Told>>);
+
+/// A connection that lives by a token. Dropping it lets go of the token.
+pub(super) struct Following {
+    tokens: Tokens,
+    token: String,
+}
+
+impl Tokens {
+    fn lock(&self) -> MutexGuard<'_, Told> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// A token has appeared or disappeared.
-    pub(super) fn hear(&self, sample: &Sample, pipe: &Shared) {
-        let Some(session) = session_of(sample.key_expr().as_str()) else { return };
-        let there = sample.kind() == SampleKind::Put;
-        let mut is_followed = false;
-        self.0.send_modify(|seen| {
-            seen.there.insert(session.to_owned(), there);
-            is_followed = seen.follows.as_deref() == Some(session);
-        });
-        if is_followed && !there {
-            pipe.lock().break_off("the robot's process has ended, or the way to it has");
+    pub(super) fn hear(&self, sample: &Sample) {
+        self.change(sample.key_expr().as_str(), sample.kind() == SampleKind::Put);
+    }
+
+    fn change(&self, token: &str, is_there: bool) {
+        let mut told = self.lock();
+        let (was_there, pipes) = if is_there {
+            (told.tokens.entry(token.to_owned()).or_default().is_there.send_replace(true), Vec::new())
+        } else {
+            let gone = told.tokens.remove(token).unwrap_or_default();
+            (*gone.is_there.borrow(), gone.pipes)
+        };
+        if was_there != is_there
+            && let Some(key) = robot_of(token)
+        {
+            let robots = told.robots.entry(key.to_owned()).or_default();
+            *robots = if is_there { *robots + 1 } else { robots.saturating_sub(1) };
+        }
+        drop(told);
+        for pipe in pipes.iter().filter_map(WeakShared::upgrade) {
+            pipe.lock().break_off("the other side's process has ended, or the way to it has");
         }
     }
 
-    /// From now on the connection lives as long as the token of this session.
-    pub(super) async fn follow(&self, session: &str) -> io::Result<()> {
-        let mut told = self.0.subscribe();
-        let named = told.wait_for(|seen| seen.there.contains_key(session));
-        let there = match tokio::time::timeout(SEEN_WITHIN, named).await {
-            Ok(Ok(seen)) => seen.there.get(session).copied().unwrap_or(false),
-            _ => {
+    /// Whether a robot was at this key and has disappeared. To look for it then takes the network's time from the others.
+    pub(super) fn have_left(&self, key: &Key) -> bool {
+        self.lock().robots.get(&key.to_string()) == Some(&0)
+    }
+
+    /// From now on a connection ends when this token disappears, whether it has been seen yet or not.
+    pub(super) fn follow(&self, token: &str, pipe: &Shared) -> Following {
+        let mut told = self.lock();
+        let pipes = &mut told.tokens.entry(token.to_owned()).or_default().pipes;
+        pipes.retain(WeakShared::is_alive);
+        pipes.push(pipe.downgrade());
+        Following { tokens: self.clone(), token: token.to_owned() }
+    }
+
+    /// The same once it has been seen.
+    pub(super) async fn follow_seen(&self, token: &str, pipe: &Shared) -> io::Result<Following> {
+        let following = self.follow(token, pipe);
+        let told = self.lock().tokens.get(token).map(|token| token.is_there.subscribe());
+        let seen = async move { told?.wait_for(|there| *there).await.ok().map(drop) };
+        match tokio::time::timeout(SEEN_WITHIN, seen).await {
+            Ok(Some(())) => Ok(following),
+            Ok(None) => Err(io::Error::new(io::ErrorKind::ConnectionReset, "it has just gone")),
+            Err(_) => {
                 let why = "its liveliness token is not seen: access control has to allow it";
-                return Err(io::Error::other(why));
+                Err(io::Error::other(why))
             }
-        };
-        let mut is_there = there;
-        self.0.send_modify(|seen| {
-            seen.follows = Some(session.to_owned());
-            is_there &= seen.there.get(session).copied().unwrap_or(false);
-        });
-        if is_there {
-            Ok(())
-        } else {
-            Err(io::Error::new(io::ErrorKind::ConnectionReset, "it has just gone"))
         }
+    }
+}
+
+impl Drop for Following {
+    fn drop(&mut self) {
+        let mut told = self.tokens.lock();
+        let Some(token) = told.tokens.get_mut(&self.token) else { return };
+        token.pipes.retain(WeakShared::is_alive);
+        if token.pipes.is_empty() && !*token.is_there.borrow() {
+            told.tokens.remove(&self.token);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_has_left_once_none_of_its_tokens_is_there() {
+        let (tokens, key) = (Tokens::default(), "hall/arm".parse::<Key>().unwrap());
+        assert!(!tokens.have_left(&key), "nothing is known of it");
+        tokens.change("hall/arm/robot/1", false);
+        assert!(!tokens.have_left(&key), "it was never seen");
+        tokens.change("hall/arm/robot/1", true);
+        tokens.change("hall/arm/robot/1", true);
+        // It has started again before the network noticed that it had ended.
+        tokens.change("hall/arm/robot/2", true);
+        tokens.change("hall/arm/robot/1", false);
+        assert!(!tokens.have_left(&key));
+        tokens.change("hall/arm/robot/2", false);
+        assert!(tokens.have_left(&key));
+        tokens.change("hall/arm/robot/2", true);
+        assert!(!tokens.have_left(&key));
+    }
+
+    #[test]
+    fn a_connection_ends_with_its_token_and_with_no_other() {
+        let (tokens, pipe) = (Tokens::default(), Shared::default());
+        let following = tokens.follow("hall/scheduler/1", &pipe);
+        tokens.change("hall/scheduler/1", true);
+        tokens.change("hall/scheduler/2", true);
+        tokens.change("hall/scheduler/2", false);
+        assert!(!pipe.lock().is_broken());
+        tokens.change("hall/scheduler/1", false);
+        assert!(pipe.lock().is_broken());
+        drop(following);
+        assert!(tokens.lock().tokens.is_empty(), "nothing is kept of what has gone");
+    }
+
+    #[test]
+    fn nothing_is_kept_of_a_token_that_was_never_seen() {
+        let (tokens, pipe) = (Tokens::default(), Shared::default());
+        let following = tokens.follow("hall/scheduler/1", &pipe);
+        drop(pipe);
+        drop(following);
+        assert!(tokens.lock().tokens.is_empty());
     }
 }

@@ -4,11 +4,15 @@ use std::any::Any;
 use std::fmt;
 use std::io;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
 use std::task::{Context, Poll};
 
+use ::zenoh::key_expr::KeyExpr;
+use ::zenoh::sample::Sample;
+use ::zenoh::{Session, Wait};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
+use super::keys::LinkId;
 use super::network::{Haste, Network};
 use super::pipe::Pipe;
 
@@ -21,8 +25,54 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn receive(&self, sample: &::zenoh::sample::Sample) {
+    pub(super) fn receive(&self, sample: &Sample) {
         self.lock().receive(&sample.payload().to_bytes());
+    }
+
+    pub(super) fn downgrade(&self) -> WeakShared {
+        WeakShared(Arc::downgrade(&self.0))
+    }
+}
+
+/// The same, which keeps nothing alive.
+#[derive(Debug)]
+pub(super) struct WeakShared(Weak<Mutex<Pipe>>);
+
+impl WeakShared {
+    pub(super) fn upgrade(&self) -> Option<Shared> {
+        self.0.upgrade().map(Shared)
+    }
+
+    pub(super) fn is_alive(&self) -> bool {
+        self.0.strong_count() > 0
+    }
+}
+
+/// The connection whose frame this is.
+pub(super) fn link_of(sample: &Sample) -> Option<LinkId> {
+    LinkId::decode(&sample.attachment()?.to_bytes())
+}
+
+/// Where one side of a connection publishes. The session declares the key with the first frame: Zenoh computes its route then, and
+/// compares the frames behind it with no other keys.
+pub(super) struct Target {
+    key: KeyExpr<'static>,
+    declared: OnceLock<KeyExpr<'static>>,
+}
+
+impl Target {
+    /// # Errors
+    /// It is no key.
+    pub(super) fn new(key: String) -> io::Result<Arc<Self>> {
+        let key = KeyExpr::try_from(key).map_err(io::Error::other)?;
+        Ok(Arc::new(Self { key, declared: OnceLock::new() }))
+    }
+
+    pub(super) fn declared(&self, session: &Session) -> &KeyExpr<'static> {
+        self.declared.get_or_init(|| {
+            let declared = session.declare_keyexpr(self.key.clone()).wait();
+            declared.unwrap_or_else(|_| self.key.clone())
+        })
     }
 }
 
@@ -30,8 +80,8 @@ impl Shared {
 pub struct Stream {
     network: Network,
     pipe: Shared,
-    /// Where this side publishes.
-    key: String,
+    link: LinkId,
+    target: Arc<Target>,
     haste: Haste,
     /// What the network has to be told when the connection ends, by being dropped.
     kept: Option<Box<dyn Any + Send>>,
@@ -39,13 +89,22 @@ pub struct Stream {
 
 impl fmt::Debug for Stream {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Stream").field("key", &self.key).field("haste", &self.haste).finish_non_exhaustive()
+        f.debug_struct("Stream")
+            .field("link", &self.link)
+            .field("key", &self.target.key)
+            .field("haste", &self.haste)
+            .finish_non_exhaustive()
     }
 }
 
 impl Stream {
-    pub(super) fn new(network: Network, pipe: Shared, key: String, haste: Haste) -> Self {
-        Self { network, pipe, key, haste, kept: None }
+    pub(super) fn new(
+        network: Network,
+        pipe: Shared,
+        (link, target): (LinkId, Arc<Target>),
+        haste: Haste,
+    ) -> Self {
+        Self { network, pipe, link, target, haste, kept: None }
     }
 
     pub(super) fn keeping(mut self, kept: Box<dyn Any + Send>) -> Self {
@@ -55,12 +114,12 @@ impl Stream {
 
     /// The name of the connection, which begins with the id of the session that has opened it.
     #[must_use]
-    pub fn name(&self) -> &str {
-        super::keys::link_of(&self.key).unwrap_or_default()
+    pub fn name(&self) -> String {
+        self.link.to_string()
     }
 
     fn publish(&self, frame: Vec<u8>) {
-        self.network.publish(self.haste, self.key.clone(), frame, &self.pipe);
+        self.network.publish(self.haste, (self.link, self.target.clone()), frame, &self.pipe);
     }
 }
 
@@ -109,8 +168,7 @@ impl Drop for Stream {
         }
         drop(pipe);
         if let Some(kept) = self.kept.take() {
-            // Behind the last frame.
-            self.network.call(self.haste, move |_| drop(kept));
+            self.network.declare(self.haste, move |_| drop(kept));
         }
     }
 }

@@ -103,3 +103,51 @@ async fn a_stop_does_not_wait_behind_much_that_is_not_read() {
     assert!(!writing.is_finished());
     writing.abort();
 }
+
+#[tokio::test]
+async fn connections_to_one_robot_hear_their_own_frames_and_no_others() {
+    let (robots, schedulers) = two();
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let mut pairs = Vec::new();
+    for _ in 0..3 {
+        let near = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+        let far = soon(listener.accept()).await.unwrap();
+        assert_eq!(near.name(), far.name());
+        pairs.push((near, far));
+    }
+    for (number, (near, far)) in (0..).zip(&mut pairs) {
+        near.write_u8(number).await.unwrap();
+        far.write_u8(10 + number).await.unwrap();
+    }
+    for (number, (near, far)) in (0..).zip(&mut pairs) {
+        assert_eq!(soon(far.read_u8()).await.unwrap(), number);
+        assert_eq!(soon(near.read_u8()).await.unwrap(), 10 + number);
+    }
+    // One of them ends, the others do not.
+    drop(pairs.remove(0));
+    let (near, far) = &mut pairs[0];
+    near.write_u8(7).await.unwrap();
+    assert_eq!(soon(far.read_u8()).await.unwrap(), 7);
+}
+
+#[tokio::test]
+async fn a_robot_that_has_left_and_come_back_is_reached_again() {
+    let (robots, schedulers) = two();
+    let listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+    drop(listener);
+    let refused = async {
+        while connect(&schedulers, &key("hall/arm"), Haste::None).await.is_ok() {
+            tokio::task::yield_now().await;
+        }
+        connect(&schedulers, &key("hall/arm"), Haste::None).await.unwrap_err()
+    };
+    assert_eq!(soon(refused).await.kind(), std::io::ErrorKind::NotFound);
+    let _again = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let reached = async {
+        while connect(&schedulers, &key("hall/arm"), Haste::None).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    };
+    soon(reached).await;
+}
