@@ -4,6 +4,7 @@
 //! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; with numbers behind it those fleets: `-- 100 1000`.
 #![expect(
     clippy::unwrap_used,
+    clippy::panic,
     clippy::print_stdout,
     reason = "a program that measures, and stops if it cannot"
 )]
@@ -263,8 +264,9 @@ fn decision(count: usize, router: Option<u16>) -> Duration {
             _ => {}
         })
         .await;
-        assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures.first());
-        (decided.unwrap() - sent.unwrap()).to_duration()
+        // What comes behind the decision is not measured: on a busy machine, a robot of so many in one process may wake up too late.
+        let decided = decided.unwrap_or_else(|| panic!("{}: {:?}", report.outcome, report.failures.first()));
+        (decided - sent.unwrap()).to_duration()
     })
 }
 

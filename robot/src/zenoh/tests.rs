@@ -47,6 +47,8 @@ async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
     let nobody = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap_err();
     assert_eq!(nobody.kind(), std::io::ErrorKind::NotFound);
     let _arm = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    // This session asks for tokens, so that Zenoh answers it by those that have come.
+    soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
     let taken = Listener::bind(&schedulers, key("hall/arm")).await.unwrap_err();
     assert_eq!(taken.kind(), std::io::ErrorKind::AddrInUse);
     Listener::bind(&schedulers, key("hall/other")).await.unwrap();
