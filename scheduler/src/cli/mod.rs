@@ -44,6 +44,7 @@ mod run;
 mod schema;
 mod sim;
 mod stop;
+mod traces;
 mod trials;
 mod withdraw;
 mod world;

@@ -11,6 +11,7 @@ use super::metrics::{Metrics, MetricsArgs};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
+use super::traces::{Traces, TracesArgs};
 use super::withdraw::{How, Programs, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
 use crate::fleet::{self, EndpointError, StartPrograms};
@@ -49,6 +50,8 @@ pub(super) struct ResumeArgs {
     realtime: RealtimeArgs,
     #[command(flatten)]
     metrics: MetricsArgs,
+    #[command(flatten)]
+    traces: TracesArgs,
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
@@ -99,6 +102,7 @@ struct Resumption<'a> {
     how: &'a HowArgs,
     realtime: RealtimeArgs,
     metrics: Metrics,
+    traces: Traces,
     format: Format,
 }
 
@@ -118,6 +122,7 @@ impl<'a> Resumption<'a> {
         may_start(&found.opened, &fleet::robots_in(&fleet, &choreography), args)
             .map_err(|why| failed(&why))?;
         let metrics = args.metrics.serve(format).map_err(|why| failed(&why))?;
+        let traces = args.traces.open().map_err(|why| failed(&why))?;
         let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
         Ok(Self {
             found,
@@ -128,6 +133,7 @@ impl<'a> Resumption<'a> {
             how: &args.how,
             realtime: args.realtime,
             metrics,
+            traces,
             format,
         })
     }
@@ -169,7 +175,16 @@ impl<'a> Resumption<'a> {
             }
         };
         let keep = Keep { journal: Some(self.journal), ..Keep::default() };
-        match go_on(&self.found, (keep, &self.metrics), mission, (host, endpoints), clock, format).await {
+        match go_on(
+            &self.found,
+            (keep, &self.metrics, self.traces),
+            mission,
+            (host, endpoints),
+            clock,
+            format,
+        )
+        .await
+        {
             Ok(report) => finish(&report, format),
             Err(exit) => exit,
         }
@@ -263,7 +278,7 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
 /// Plays what is left of it; returns the report.
 async fn go_on(
     found: &Found,
-    (mut keep, metrics): (Keep, &Metrics),
+    (mut keep, metrics, traces): (Keep, &Metrics, Traces),
     mission: Mission,
     (host, endpoints): (Option<Host>, Vec<Endpoint>),
     clock: ServerClock,
@@ -274,6 +289,7 @@ async fn go_on(
     let choreography = Arc::new(mission.choreography().clone());
     let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
     metrics.add_mission(clock, (ids.clone(), &endpoints), host.as_ref(), &mut keep.watches);
+    traces.add_mission(clock, &mission, &mut keep.watches);
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
     keep.stop_lane = Some(lane);
     let tell = |at, progress: &_| live.tell(at, progress);
@@ -283,5 +299,6 @@ async fn go_on(
     if let Some(control) = control {
         control.end(serde_json::to_string(&report).ok()).await;
     }
+    traces.end();
     Ok(report)
 }

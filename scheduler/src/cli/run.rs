@@ -20,6 +20,7 @@ use super::load;
 use super::metrics::{Metrics, MetricsArgs};
 use super::missions::unusable;
 use super::realtime::{self, RealtimeArgs};
+use super::traces::{Traces, TracesArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::fleet::{self, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
@@ -65,6 +66,8 @@ pub(super) struct RunArgs {
     realtime: RealtimeArgs,
     #[command(flatten)]
     metrics: MetricsArgs,
+    #[command(flatten)]
+    traces: TracesArgs,
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
@@ -177,6 +180,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         certified: &args.certified,
         realtime: args.realtime,
         metrics: args.metrics,
+        traces: args.traces.clone(),
         at: args.at,
         lead: args.lead,
         join: match args.join {
@@ -203,6 +207,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         certified: &args.certified,
         realtime: args.realtime,
         metrics: MetricsArgs::default(),
+        traces: TracesArgs::default(),
         at: None,
         lead: None,
         join: Join::Refuse,
@@ -249,6 +254,7 @@ struct Prepared<'a> {
     /// By which the operator speaks.
     with: (StopLane, mpsc::Receiver<Operator>, Option<Control>),
     metrics: Metrics,
+    traces: Traces,
 }
 
 /// One mission as it was asked for.
@@ -259,6 +265,7 @@ struct Work<'a> {
     certified: &'a CertifiedArgs,
     realtime: RealtimeArgs,
     metrics: MetricsArgs,
+    traces: TracesArgs,
     at: Option<StartAt>,
     lead: Option<Span>,
     join: Join,
@@ -330,6 +337,7 @@ impl Work<'_> {
         fleet_path: &Path,
     ) -> Result<Report, Stopped> {
         let metrics = self.metrics.serve(self.format).map_err(usage)?;
+        let traces = self.traces.open().map_err(usage)?;
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
         let session = match &self.place {
@@ -354,7 +362,8 @@ impl Work<'_> {
         }
         let choreography = Arc::new(choreography);
         let with = (lane, operator, control);
-        self.perform(Prepared { choreography, fleet, robots, clock, options, keep, with, metrics }).await
+        self.perform(Prepared { choreography, fleet, robots, clock, options, keep, with, metrics, traces })
+            .await
     }
 
     /// Where its journal is to be, if no other mission there has its robots. A mission without a journal need not know.
@@ -452,7 +461,8 @@ impl Work<'_> {
 
     /// Reaches the robots, plays, and lets all go that went with it.
     async fn perform(&self, prepared: Prepared<'_>) -> Result<Report, Stopped> {
-        let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics } = prepared;
+        let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics, traces } =
+            prepared;
         let (lane, operator, control) = with;
         let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
@@ -471,6 +481,7 @@ impl Work<'_> {
         let participants = fleet::participants(&robots);
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
+        traces.add_mission(clock, &mission, &mut keep.watches);
         let live = match self.preflight_only {
             // A preflight alone is told once, by its table.
             true => Live::lines(Format::Json),
@@ -490,6 +501,7 @@ impl Work<'_> {
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;
         }
+        traces.end();
         Ok(report)
     }
 }

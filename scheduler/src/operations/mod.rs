@@ -1,4 +1,5 @@
-//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`).
+//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`), traces of
+//! OpenTelemetry (feature `traces`).
 //! `docs/operations.md` describes them.
 //!
 //! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread
@@ -16,6 +17,8 @@ mod mission;
 mod names;
 #[cfg(feature = "metrics")]
 mod server;
+#[cfg(feature = "traces")]
+mod traces;
 
 #[cfg(feature = "metrics")]
 pub(crate) use self::host::HostMetrics;
@@ -23,3 +26,5 @@ pub(crate) use self::host::HostMetrics;
 pub(crate) use self::mission::MissionMetrics;
 #[cfg(feature = "metrics")]
 pub(crate) use self::server::{Board, serve};
+#[cfg(feature = "traces")]
+pub(crate) use self::traces::{About, Traces};

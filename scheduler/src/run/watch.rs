@@ -38,7 +38,7 @@ pub(crate) trait Watch: Debug + Send {
 pub(crate) struct Watches(Vec<Box<dyn Watch>>);
 
 impl Watches {
-    #[cfg(feature = "metrics")]
+    #[cfg(any(feature = "metrics", feature = "traces"))]
     pub(crate) fn add(&mut self, watch: impl Watch + 'static) {
         self.0.push(Box::new(watch));
     }

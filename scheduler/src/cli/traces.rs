@@ -1,0 +1,98 @@
+//! `--traces`: the mission as a trace of OpenTelemetry.
+
+use crate::mission::Mission;
+use crate::run::watch::Watches;
+use crate::server_clock::ServerClock;
+
+/// Where traces are sent.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(super) struct TracesArgs {
+    /// Send the mission as a trace of OpenTelemetry, by OTLP over HTTP, to the collector at URL, such as http://localhost:4318.
+    #[arg(long, value_name = "URL", value_parser = parse)]
+    traces: Option<String>,
+}
+
+fn parse(text: &str) -> Result<String, String> {
+    let rest = text.strip_prefix("http://").map(|rest| rest.trim_end_matches('/'));
+    let is_there = rest.is_some_and(|rest| !rest.is_empty() && !rest.contains(char::is_whitespace));
+    is_there.then(|| text.to_owned()).ok_or_else(|| {
+        "expected http://HOST:PORT of a collector, such as http://localhost:4318; one that is elsewhere is best reached through a \
+         collector on this machine"
+            .to_owned()
+    })
+}
+
+/// The way to a collector, where there is one.
+#[derive(Debug, Default)]
+pub(super) struct Traces {
+    #[cfg(feature = "traces")]
+    to: Option<crate::operations::Traces>,
+}
+
+impl TracesArgs {
+    /// # Errors
+    /// The URL is none, or this program has no traces.
+    #[cfg(feature = "traces")]
+    pub(super) fn open(&self) -> Result<Traces, String> {
+        let to = self.traces.as_ref().map(|url| {
+            crate::operations::Traces::to(url)
+                .map_err(|error| format!("cannot send traces to {url}: {error}"))
+        });
+        Ok(Traces { to: to.transpose()? })
+    }
+
+    /// The same in a program without traces.
+    #[cfg(not(feature = "traces"))]
+    pub(super) fn open(&self) -> Result<Traces, String> {
+        match self.traces {
+            None => Ok(Traces::default()),
+            Some(_) => Err("this program was built without traces: leave out --traces, or build it with \
+                            `cargo install downbeat --features traces`"
+                .to_owned()),
+        }
+    }
+}
+
+#[cfg_attr(
+    not(feature = "traces"),
+    expect(clippy::unused_self, reason = "there is nothing to tell of without the feature")
+)]
+impl Traces {
+    /// Tells of this mission from now on.
+    pub(super) fn add_mission(&self, clock: ServerClock, mission: &Mission, watches: &mut Watches) {
+        #[cfg(feature = "traces")]
+        if let Some(to) = &self.to {
+            let about = crate::operations::About {
+                scenario: mission.choreography().scenario.clone(),
+                session: mission.options().session_name().map(ToString::to_string),
+                robots: mission.robots().len(),
+            };
+            watches.add(to.watch(clock.now(), about));
+        }
+        #[cfg(not(feature = "traces"))]
+        let _nothing_to_tell = (clock, mission, watches);
+    }
+
+    /// Sends what has not been sent, for some seconds at most. The mission is over.
+    pub(super) fn end(self) {
+        #[cfg(feature = "traces")]
+        if let Some(Err(error)) = self.to.map(crate::operations::Traces::end) {
+            super::console::warn(&format!("the trace is not complete: {error}"));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_collector_is_reached_by_plain_http() {
+        for url in ["http://localhost:4318", "http://[::1]:4318/", "http://10.0.0.7:4318/otlp"] {
+            assert_eq!(parse(url), Ok(url.to_owned()));
+        }
+        for wrong in ["", "localhost:4318", "https://collector:4318", "http://", "http:///", "http://a b"] {
+            assert!(parse(wrong).is_err(), "{wrong}");
+        }
+    }
+}
