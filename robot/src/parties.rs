@@ -196,3 +196,129 @@ impl Parties {
         oldest.and_then(|claimant| self.of_session.remove(&claimant));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::role::Roles;
+
+    const ONE: LinkId = LinkId(1);
+    const TWO: LinkId = LinkId(2);
+    const THREE: LinkId = LinkId(3);
+
+    fn session(name: &str) -> SessionId {
+        name.parse().unwrap()
+    }
+
+    fn at(millis: i64) -> Timestamp<Robot> {
+        Timestamp::from_nanos(millis * 1_000_000)
+    }
+
+    fn proof(name: &str) -> Proof {
+        Proof { name: name.parse().unwrap(), roles: Roles::default() }
+    }
+
+    #[test]
+    fn a_party_is_reached_where_it_was_heard_last_and_otherwise_on_its_newest_link() {
+        let mut parties = Parties::default();
+        for link in [ONE, THREE, TWO] {
+            assert_eq!(parties.join(link, &session("s")), ONE, "it is named by its first link");
+            assert_eq!((parties.party(link), parties.route(ONE)), (ONE, link));
+        }
+        parties.link_down(ONE);
+        assert_eq!(parties.route(ONE), TWO, "that was another link");
+        parties.link_down(TWO);
+        assert_eq!((parties.party(TWO), parties.route(ONE)), (TWO, THREE));
+        parties.link_down(THREE);
+        assert_eq!(parties.route(ONE), ONE, "there is none");
+    }
+
+    #[test]
+    fn a_link_that_speaks_for_another_session_leaves_its_party_and_becomes_a_new_one() {
+        let mut parties = Parties::default();
+        parties.join(ONE, &session("a"));
+        parties.join(TWO, &session("a"));
+        parties.join(ONE, &session("a"));
+        let new = parties.join(ONE, &session("b"));
+        assert_ne!(new, ONE);
+        assert_eq!((parties.party(ONE), parties.route(new), parties.route(ONE)), (new, ONE, TWO));
+        let third = parties.join(ONE, &session("c"));
+        assert!(third != new && third != ONE, "a name that no other has or had");
+        assert_eq!(parties.join(THREE, &session("b")), new, "its session is remembered");
+    }
+
+    #[test]
+    fn a_session_of_one_who_has_proven_a_name_is_another_one_than_that_of_any_other() {
+        let mut parties = Parties::default();
+        parties.proven(ONE, proof("eve"));
+        parties.proven(TWO, proof("eve"));
+        let eves = parties.join(ONE, &session("s"));
+        assert_eq!(parties.join(TWO, &session("s")), eves);
+        assert_eq!(parties.join(THREE, &session("s")), THREE);
+        let claimant = parties.claimant(ONE, &session("s"));
+        let is = |link, name: &str| parties.is_claimant(link, &session(name), &claimant);
+        assert_eq!([is(TWO, "s"), is(THREE, "s"), is(TWO, "t")], [true, false, false]);
+        parties.link_down(ONE);
+        assert_eq!(parties.proof(ONE), None);
+    }
+
+    #[test]
+    fn an_idle_robot_belongs_to_whoever_was_heard_in_the_last_five_seconds_on_a_link_that_stands() {
+        let mut parties = Parties::default();
+        let party = parties.join(ONE, &session("s"));
+        parties.claim(parties.claimant(ONE, &session("s")), party);
+        let mut heard = LastHeard::default();
+        let owned = |parties: &Parties, heard: &LastHeard, millis, idle| {
+            parties.owner(at(millis), idle, heard).is_some()
+        };
+        assert_eq!([true, false].map(|idle| owned(&parties, &heard, 0, idle)), [false, true]);
+        let _room = heard.heard(party, at(1_000));
+        assert_eq!([5_999, 6_000].map(|now| owned(&parties, &heard, now, true)), [true, false]);
+        assert!(owned(&parties, &heard, 60_000, false), "it holds something of it");
+        parties.link_down(ONE);
+        assert_eq!([true, false].map(|idle| owned(&parties, &heard, 1_001, idle)), [false, true]);
+    }
+
+    #[test]
+    fn a_robot_that_changes_hands_is_known_by_a_number_and_to_the_one_that_had_it() {
+        let mut parties = Parties::default();
+        parties.proven(ONE, proof("eve"));
+        let eve = parties.claimant(ONE, &session("s"));
+        let adam = Claimant { session: session("t"), peer: Some("adam".parse().unwrap()) };
+        assert!(parties.owner_name().is_none());
+        parties.claim(eve.clone(), ONE);
+        parties.claim(eve, ONE);
+        assert_eq!((parties.changes, parties.last_owner()), (1, Some(ONE)));
+        assert_eq!(parties.seized_by(ONE, &session("s")), None);
+        parties.seize(adam, TWO, "adam".parse().unwrap());
+        assert_eq!((parties.changes, parties.last_owner()), (2, Some(TWO)));
+        assert_eq!(parties.owner_name().map(Label::as_str), Some("adam"));
+        assert_eq!(parties.seized_by(ONE, &session("s")).map(Label::as_str), Some("adam"));
+        assert_eq!(parties.seized_by(TWO, &session("s")), None, "that is another's session");
+        parties.release();
+        parties.release();
+        assert_eq!((parties.changes, parties.last_owner()), (3, None));
+    }
+
+    #[test]
+    fn of_too_many_sessions_the_oldest_is_forgotten_that_owns_nothing_and_has_no_link() {
+        let mut parties = Parties::default();
+        let name = |number: usize| session(&format!("s{number}"));
+        let link = |number: usize| LinkId(number as u64);
+        for number in 0..SESSIONS_MAX {
+            parties.join(link(number), &name(number));
+        }
+        parties.claim(parties.claimant(link(0), &name(0)), link(0));
+        [0, 2, 3].into_iter().for_each(|number| parties.link_down(link(number)));
+        let known = |parties: &Parties, number| {
+            parties.of_session.contains_key(&Claimant { session: name(number), peer: None })
+        };
+        parties.join(link(1_000), &name(1_000));
+        assert_eq!([0, 1, 2, 3, 1_000].map(|n| known(&parties, n)), [true, true, false, true, true]);
+        assert_eq!(parties.of_session.len(), SESSIONS_MAX);
+        parties.join(link(1), &name(1));
+        assert!(known(&parties, 3), "one that is known needs no room");
+        parties.join(link(1_001), &name(1_001));
+        assert!(!known(&parties, 3));
+    }
+}

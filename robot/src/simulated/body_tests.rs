@@ -252,3 +252,21 @@ fn a_body_is_moved_by_positions_alone() {
     robot.bodies[0].told(at(0), &set);
     shows(&mut robot, &[(39, 0.0), (65, 2.5)]);
 }
+
+#[test]
+fn a_body_remembers_sixteen_thousand_movements_that_it_has_not_begun() {
+    for (further, begun) in [(16_383, 1.0), (16_384, 0.0)] {
+        let moves =
+            Moves { latency: Span::from_millis(1_000), ..moving("hold", |_| {}).bodies[0].moves.clone() };
+        let mut body = body::MovedBody::new(moves, (-1.0, 20.0), 0.0, fastrand::Rng::with_seed(1));
+        let mut told = |millis: i64, value: f64| {
+            let motion = crate::device::Motion::Set(Setpoint::new(ControlType::Position, value));
+            let due = at(millis).assume_clock();
+            let set = crate::robot::SetValue { device: id("arm"), motion, due, request_id: None, step: None };
+            body.told(at(millis), &set);
+        };
+        told(0, 1.0);
+        (0..further).for_each(|_| told(500, 2.0));
+        assert_eq!([1_000, 1_500].map(|millis| body.shown(at(millis), 0.0)), [begun, 2.0]);
+    }
+}

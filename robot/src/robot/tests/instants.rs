@@ -584,3 +584,15 @@ fn a_speed_whose_acceleration_is_nothing_ends_at_once() {
         assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(after_a_second));
     }
 }
+
+#[test]
+fn a_robot_that_wakes_up_fifty_milliseconds_after_a_start_begins_and_a_nanosecond_later_it_does_not() {
+    for (late, status) in [(Span::from_millis(50), "Started"), (Span::from_nanos(50_000_001), "Failed late")]
+    {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+        bench.now = at(100) + late;
+        bench.robot.advance(bench.now, &mut bench.out);
+        assert_eq!(bench.statuses()[1], status, "{late}");
+    }
+}

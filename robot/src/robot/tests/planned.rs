@@ -675,3 +675,18 @@ fn on_a_clock_that_is_ahead_a_script_has_later_times() {
     assert_eq!(times(&there), [1_005.0, 1_055.0, 1_005.0, 2_005.0, 3_005.0]);
     assert_eq!((there.plan, there.device, there.is_last), (part.plan, part.device, part.is_last));
 }
+
+#[test]
+fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_500);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.stop_arm(false);
+    bench.hears(P1, 1_500, PlanEvent::Cancelled);
+    bench.stop_arm(false);
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+    assert_eq!(bench.cancels(), [(1, Then::Default)], "it is asked once");
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses()[..3], ["Accepted", "Started", "Failed cancelled"]);
+}
