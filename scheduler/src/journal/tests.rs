@@ -459,3 +459,45 @@ async fn the_thread_tells_that_the_journal_is_lost() {
     }
     while writer.next().await.lost.is_none() {}
 }
+
+#[test]
+fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let told = |bytes: &[u8]| records(bytes, &path).unwrap();
+    let whole = told(&bytes);
+    let kinds = |records: &Records| -> Vec<(i64, String)> {
+        let kind = |(at, line): &(Timestamp<Server>, serde_json::Value)| {
+            (at.as_nanos() / 1_000_000, line["record"].as_str().unwrap().to_owned())
+        };
+        records.all.iter().map(kind).collect()
+    };
+    let expected = [(2, "prepared"), (2, "decided"), (2, "prepared")].map(|(at, kind)| (at, kind.to_owned()));
+    assert_eq!((kinds(&whole), whole.torn, whole.opened), (expected.to_vec(), None, opened()));
+    let last = bytes.len() - 2;
+    bytes[last] ^= 1;
+    let damaged = told(&bytes);
+    assert_eq!(kinds(&damaged), expected[..2]);
+    assert_eq!(damaged.torn.map(|torn| (torn.line, torn.whole_after)), Some((4, 0)));
+    assert!(matches!(records(b"", &path), Err(Unreadable::NoBegin { .. })));
+}
+
+#[test]
+fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided() {
+    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let fate = |records: Vec<Record>| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(folder.path()).unwrap();
+        journal.begin(at(1), &opened()).unwrap();
+        records.iter().for_each(|record| journal.append(at(2), record).unwrap());
+        assert!(journal.sync().is_ok());
+        read(&folder.path().join("journal")).unwrap().fate()
+    };
+    assert_eq!(fate(vec![]), Fate::Withdraw("no act was under way"));
+    assert_eq!(fate(vec![prepared(0), decided(0)]), Fate::Resume);
+    let undecided = Fate::Withdraw("an act was sent and not decided");
+    assert_eq!(fate(vec![prepared(0), decided(0), prepared(1)]), undecided);
+    let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default, by: None };
+    assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
+}

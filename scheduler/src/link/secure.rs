@@ -274,3 +274,100 @@ pub(crate) struct Met {
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Denied(String);
+
+#[cfg(test)]
+mod tests {
+    use rustls::{AlertDescription, CertificateError, Error, InvalidMessage};
+
+    use super::*;
+
+    #[test]
+    fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
+        for (error, expected) in [
+            (Error::InvalidCertificate(CertificateError::UnknownIssuer), "of another authority than yours"),
+            (Error::InvalidCertificate(CertificateError::BadSignature), "of another authority than yours"),
+            (Error::InvalidCertificate(CertificateError::Expired), "the robot's certificate has expired"),
+            (Error::InvalidCertificate(CertificateError::Revoked), "the robot's certificate is revoked"),
+            (Error::InvalidMessage(InvalidMessage::InvalidContentType), "does not speak TLS"),
+            (Error::AlertReceived(AlertDescription::UnknownCA), "the robot trusts another authority"),
+            (Error::AlertReceived(AlertDescription::DecryptError), "the robot trusts another authority"),
+            (Error::AlertReceived(AlertDescription::CertificateExpired), "your certificate has expired"),
+            (Error::AlertReceived(AlertDescription::CertificateRevoked), "your certificate is revoked"),
+            (Error::AlertReceived(AlertDescription::InternalError), "no TLS with the robot"),
+        ] {
+            let told = denial(&io::Error::other(error.clone())).unwrap();
+            assert!(told.contains(expected), "{error:?}: {told}");
+        }
+    }
+
+    #[test]
+    fn a_connection_that_breaks_is_no_denial() {
+        assert_eq!(denial(&io::ErrorKind::ConnectionReset.into()), None);
+        assert_eq!(denial(&io::Error::other("no route")), None);
+    }
+
+    #[test]
+    fn without_an_identity_open_robots_alone_are_spoken_to() {
+        let site = Site::of_files(None, None).unwrap();
+        assert!(site.identity().is_none() && site.passes().held().is_empty());
+        assert!(matches!(site.with(Protection::Open, None), Security::Plain));
+        for protection in [Protection::Tls, Protection::Hmac] {
+            assert!(matches!(site.with(protection, None), Security::Nameless), "{protection:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_robot_that_needs_to_know_who_speaks_is_not_spoken_to_without_an_identity() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let error = secured(stream, &Security::Nameless).await.err().unwrap();
+        assert!(denial(&error).is_some_and(|why| why.contains("DOWNBEAT_IDENTITY")), "{error}");
+    }
+
+    #[test]
+    fn a_pass_is_that_of_the_robot_that_is_meant_or_the_first_one_if_any_is() {
+        let claim: sealed::Claim = "operator eve - 0 1".parse().unwrap();
+        let held = |robot: &str| {
+            let pass = sealed::Secret::generate().unwrap().pass(&claim);
+            Held { robot: robot.parse().unwrap(), claim: claim.clone(), pass }
+        };
+        let passes = Arc::new(Passes::new(vec![held("a"), held("b")]));
+        let any = Hmac { passes: Arc::clone(&passes), robot: None };
+        assert_eq!(any.pass().unwrap().robot.as_str(), "a");
+        assert_eq!(any.for_robot("b".parse().unwrap()).pass().unwrap().robot.as_str(), "b");
+        let of_other = any.for_robot("c".parse().unwrap());
+        let why = of_other.pass().map(|_| ()).unwrap_err().to_string();
+        assert!(why.contains("no pass for robot c"), "{why}");
+        let none = Hmac { passes: Arc::default(), robot: None };
+        let why = none.pass().map(|_| ()).unwrap_err().to_string();
+        assert!(why.contains("no pass for any robot"), "{why}");
+    }
+
+    #[test]
+    fn a_site_speaks_by_its_identity_file_and_to_robots_as_they_are_protected() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let now = crate::keys::calendar();
+        let authority = crate::keys::Authority::create(&folder.path().join("keys"), now).unwrap();
+        let file = |name: Name| {
+            let roles = downbeat_robot::Roles::default();
+            authority.issue(&[name].into(), &roles, now, 10).unwrap().remove(0)
+        };
+        let eve = Name::Operator("eve".to_owned());
+        let site = Site::of_files(Some(&file(eve.clone())), None).unwrap().with_zenoh(None);
+        assert_eq!(site.identity().map(|identity| &identity.name), Some(&eve));
+        assert!(matches!(site.with(Protection::Open, None), Security::Plain));
+        let robot: RobotId = "arm".parse().unwrap();
+        let Security::Tls(tls) = site.with(Protection::Tls, Some(&robot)) else { panic!("no TLS") };
+        assert_eq!(tls.robot.as_ref(), Some(&robot));
+        let Security::Hmac(hmac) = site.with(Protection::Hmac, Some(&robot)) else { panic!("no codes") };
+        assert_eq!(hmac.robot.as_ref(), Some(&robot));
+        let refused = Site::of_files(Some(&file(Name::Robot(robot))), None).unwrap_err();
+        assert!(refused.contains("the identity of robot `arm`"), "{refused}");
+    }
+
+    #[test]
+    fn without_a_configuration_there_is_no_zenoh_network_and_it_is_told_why() {
+        let why = Site::default().with_zenoh(None).network().err();
+        assert!(why.as_deref().is_some_and(|why| why.contains("`zenoh:` addresses")), "{why:?}");
+    }
+}
