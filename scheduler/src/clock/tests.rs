@@ -218,3 +218,26 @@ fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
         assert!(estimate.reading().is_some());
     }
 }
+
+#[test]
+fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
+    for seed in 0..20 {
+        // The rate turns round after a quarter of an hour, so that bounds are kept for many rates in turn.
+        let offset = |t: f64| if t < 900.0 { 20e-6 * t } else { 20e-6 * (1_800.0 - t) };
+        let mut path = Path::new(seed, (20_000_000, 60_000_000), offset);
+        let mut estimate = ClockEstimate::default();
+        for k in 0..900 {
+            let sample = path.exchange(at(f64::from(k) * 2.0));
+            estimate.add(sample);
+            let all = estimate.bounds.unwrap().interval(sample.at, Rates::ANY);
+            let kept = estimate.history.narrow(all, sample.at);
+            let whole = History { narrowest: None, ..estimate.history.clone() }.narrow(all, sample.at);
+            // Products are rounded to nanoseconds.
+            let grain = Span::from_nanos(2);
+            assert!(
+                kept.lower + grain >= whole.lower && kept.upper - grain <= whole.upper,
+                "after {k} exchanges {kept:?}, by all bins {whole:?}"
+            );
+        }
+    }
+}

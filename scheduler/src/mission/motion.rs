@@ -351,4 +351,16 @@ mod tests {
         assert_eq!((report.error, report.readings), (None, 0));
         assert!(report.unclear.is_some());
     }
+
+    #[test]
+    fn a_sensor_shows_what_lies_within_its_range_and_other_devices_show_nothing() {
+        let device = |controls: &str| -> Device {
+            serde_json::from_str(&format!(r#"{{"id": "d", "available_control_types": {{{controls}}}}}"#))
+                .unwrap()
+        };
+        let sensor = device(r#""sensor": {"min_value": -20, "max_value": 60}"#);
+        assert_eq!(range_of(&sensor), Some((-20.0, 60.0)));
+        let arm = device(r#""position": {"min_value": 0, "max_value": 90, "granularity": 1}"#);
+        assert_eq!(range_of(&arm), None);
+    }
 }

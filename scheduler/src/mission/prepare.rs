@@ -327,8 +327,12 @@ fn request_bytes(act: &Act, now: Timestamp<Server>) -> usize {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::clock::ClockSample;
     use crate::mission::bench::{Tells, at, played, robot};
+    use crate::mission::{Event, MissionOptions, Participant};
 
     #[test]
     fn what_has_to_travel_is_estimated_from_its_steps_and_requests() {
@@ -340,5 +344,78 @@ mod tests {
         // Two steps of about a hundred bytes, and the rest of a request.
         assert!((300..1_000).contains(&one), "{one}");
         assert_eq!(bytes(&[("a", 0, 400), ("b", 0, 400)]), 2 * one);
+    }
+
+    /// A mission that has begun so many acts of a robot that was last sent times which are 7 ms ahead.
+    fn plays(acts: u32, clock: ClockMode, ahead: Span) -> Mission {
+        let choreography = played(&[&[("a", 0, 400)]]);
+        let participants = vec![Participant::new(RobotId::new("r0").unwrap(), None)];
+        let options = MissionOptions::default();
+        let mut mission = Mission::new(Arc::clone(&choreography), participants, options, at(0)).unwrap();
+        mission.robots[0].settings.clock = clock;
+        mission.robots[0].shift = Span::from_millis(7);
+        let there = at(0).assume_clock::<urrcp::Robot>() + ahead;
+        mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+        for number in 0..acts {
+            mission.acts.push(Act::new(Arc::clone(&choreography), 0, number, &mission.robots, at(0), None));
+        }
+        mission
+    }
+
+    #[test]
+    fn an_act_that_follows_comes_later_by_as_much_as_a_measured_clock_has_gone_back() {
+        let millis = Span::from_millis;
+        for (acts, clock, ahead, slip) in [
+            (2, ClockMode::Measured, 3, 4),
+            (2, ClockMode::Measured, 9, 0),
+            (2, ClockMode::Ntp, 3, 0),
+            (1, ClockMode::Measured, 3, 0),
+        ] {
+            let mission = plays(acts, clock, millis(ahead));
+            let told = mission.slip(mission.acts.last().unwrap(), at(0));
+            let off = (told - millis(slip)).abs();
+            assert!(off < Span::from_micros(2), "{acts} acts, {clock:?}, {ahead} ms ahead: {told}");
+        }
+    }
+
+    #[test]
+    fn a_link_whose_usual_round_trip_is_not_known_is_waited_for_until_its_answer_is_due() {
+        let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
+        let known_at = |mission: &Mission| mission.links_known_at(&mission.acts[0]);
+        mission.robots[0].questions.asked(at(10));
+        assert_eq!(known_at(&mission), None, "there is no link");
+        mission.robots[0].connected(at(0));
+        mission.robots[0].named();
+        assert_eq!(known_at(&mission), None, "nothing was asked on it");
+        mission.robots[0].questions.asked(at(10));
+        let there = at(5).assume_clock();
+        mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(8)));
+        assert_eq!(known_at(&mission), Some(at(10) + Span::from_millis(8)));
+        mission.robots[0].questions.answer(at(10));
+        assert_eq!(known_at(&mission), None);
+    }
+
+    #[test]
+    fn a_robot_plays_before_an_act_if_it_has_something_of_one_ahead_of_it() {
+        let mut mission = plays(0, ClockMode::Ntp, Span::ZERO);
+        mission.robots[0].block = robot("r0", Tells::Everything, 2).block;
+        mission.options.greeting = Greeting::Skip;
+        let _asked = mission.handle(at(0), Event::LinkUp { robot: 0 });
+        let _waits = mission.advance(at(0));
+        for count in 1..=2 {
+            let _stored = mission.handle(at(0), Event::Recorded { count });
+            let _sent = mission.advance(at(0));
+        }
+        let act = Act::new(mission.choreography.clone(), 0, 1, &mission.robots, at(0), None);
+        mission.acts.push(act);
+        assert_eq!([0, 1].map(|index| mission.plays_before(index, 0)), [false, true]);
+        mission.refuse_or_look_again(at(1), 1, vec![(0, broken())]);
+        assert!(!mission.robots[0].has_failed(), "that it fits, whatever comes next");
+        mission.refuse_or_look_again(at(1), 0, vec![(0, broken())]);
+        assert!(mission.robots[0].has_failed());
+    }
+
+    fn broken() -> FailureKind {
+        FailureKind::Garbled { reason: "x".to_owned() }
     }
 }

@@ -559,3 +559,139 @@ fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
     mission.lead_elsewhere(0);
     assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
 }
+
+/// What a robot that was last sent something at that time has left of the script of [`sent_act`].
+fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
+    act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
+}
+
+#[test]
+fn a_script_whose_pending_lease_reaches_its_start_goes_on_to_its_running_one() {
+    let (mut mission, act, _) = sent_act();
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    let timing = act.timing().unwrap();
+    for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
+        let last_sent = timing.start - timing.lead.lease - before;
+        mission.robots[0].last_sent = Some(last_sent);
+        assert_eq!(left_at(&mission, &act, at(1)), Some(Some(last_sent + ends_by)), "{before} before it");
+    }
+}
+
+#[test]
+fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_something() {
+    let (mut mission, mut act, _) = sent_act();
+    let script = ScriptRef { act: 0, member: 0, script: 0 };
+    let started = act.timing().unwrap().start;
+    let says = super::bench::response(&"a".parse().unwrap(), None, Status::Started, started);
+    let _noted = act.answered(script, &says, started, &mission.robots);
+    mission.robots[0].last_sent = Some(at(10));
+    let ends = at(10) + super::bench::RUNNING;
+    assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends)));
+    let there = by_robot(at(3));
+    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
+    assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it is over by now");
+}
+
+#[test]
+fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
+    let (mut mission, mut act, _) = sent_act();
+    let end = act.timing().unwrap().end;
+    assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
+    assert_eq!(left_at(&mission, &act, end), None, "its time is over");
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    assert!(left_at(&mission, &act, end).is_some(), "nobody knows when it began");
+    let failed = urrcp::ControlResponse {
+        error: super::bench::refusal(ErrorCode::Cancelled),
+        ..super::bench::response(&"a".parse().unwrap(), None, Status::Failed, at(1))
+    };
+    let _noted = act.answered(ScriptRef { act: 0, member: 0, script: 0 }, &failed, at(1), &mission.robots);
+    assert_eq!(left_at(&mission, &act, at(1)), None);
+
+    let mut mission = begins_with(Everything, &[("a", 0, 400), ("a", 400, 400)]);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    let act = &mission.acts[0];
+    assert_eq!(act.left_behind(&act.members()[0], 1, &mission.robots[0], at(1)), None, "it waits to be sent");
+}
+
+#[test]
+fn a_robot_that_only_answers_says_nothing_of_what_it_has_accepted_and_one_that_reports_does() {
+    for (tells, says, found) in [
+        (Tells::Nothing, requests::Says::Answers, [Some(0), None, Some(0), Some(0), None]),
+        (Tells::Reports, requests::Says::ByItself, [Some(0), None, Some(0), Some(0), Some(0)]),
+    ] {
+        let sent = |accepted: bool| {
+            let mut mission = begins_at_once(tells);
+            let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+            let script = ScriptRef { act: 0, member: 0, script: 0 };
+            let said = super::bench::response(&"a".parse().unwrap(), None, Status::Accepted, at(1));
+            if accepted {
+                let _noted = mission.acts[0].answered(script, &said, at(1), &mission.robots);
+            }
+            mission
+        };
+        let asked = [
+            (false, Status::Accepted),
+            (true, Status::Accepted),
+            (true, Status::Ok),
+            (false, Status::Failed),
+            (true, Status::Failed),
+        ];
+        for ((accepted, status), expected) in asked.into_iter().zip(found) {
+            let mission = sent(accepted);
+            let device = "a".parse().unwrap();
+            let response = urrcp::ControlResponse {
+                error: super::bench::refusal(ErrorCode::Cancelled).filter(|_| status == Status::Failed),
+                ..super::bench::response(&device, None, status.clone(), at(2))
+            };
+            let found = requests::open_without_name(&mission.acts, (0, says), &device, &response);
+            assert_eq!(found.map(|found| found.script), expected, "{tells:?}, {accepted}, {status:?}");
+            let named = urrcp::ControlResponse { request_id: RequestId::new("n").ok(), ..response.clone() };
+            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &device, &named), None);
+            let other = "b".parse().unwrap();
+            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &other, &response), None);
+        }
+    }
+}
+
+#[test]
+fn a_mission_ends_after_so_many_acts_as_the_operator_wants_or_the_process_allows() {
+    let mut mission = begins_at_once(Everything);
+    mission.bound_acts(3);
+    mission.bound_acts(5);
+    assert_eq!((mission.options.acts_max, mission.bound_reached()), (Some(3), None));
+    mission.bounded = true;
+    assert_eq!(mission.bound_reached(), Some(3));
+}
+
+#[test]
+fn a_mission_needs_a_participant_for_every_robot_of_its_acts() {
+    let participants = vec![Participant::new(RobotId::new("r1").unwrap(), None)];
+    let missing = |scripts: &[&[Planned]]| {
+        Mission::new(Arc::new(choreography(scripts)), participants.clone(), MissionOptions::default(), at(0))
+            .err()
+            .map(|missing| missing.robot.to_string())
+    };
+    assert_eq!(missing(&[&[("a", 0, 400)], &[("a", 0, 400)]]), Some("r0".to_owned()));
+    let mut second_alone = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    second_alone.acts[0].plan.robots.remove(0);
+    let options = MissionOptions::default();
+    assert!(Mission::new(Arc::new(second_alone), participants, options, at(0)).is_ok());
+}
+
+#[test]
+fn a_greeting_wakes_up_for_its_next_sample_and_at_its_deadline_at_the_latest() {
+    let mut mission = begins_at_once(Everything);
+    let deadline = at(0) + mission.options.patience;
+    assert_eq!(mission.next_wakeup(), Some(deadline));
+    for (next, wakes) in [(at(20), at(20)), (deadline + ms(1), deadline)] {
+        mission.sampling = Some((at(4_000), next));
+        assert_eq!(mission.next_wakeup(), Some(wakes));
+    }
+    mission.next_name = Some(at(5));
+    assert_eq!(mission.next_wakeup(), Some(at(5)));
+    mission.phase = Phase::Ended;
+    assert_eq!(mission.next_wakeup(), None);
+}

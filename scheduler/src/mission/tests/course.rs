@@ -359,3 +359,82 @@ fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
         assert_eq!(mission.recording_time().as_nanos() / 1_000_000, allowed, "{took}");
     }
 }
+
+#[test]
+fn of_robots_that_fail_together_the_strictest_policy_counts() {
+    use downbeat_scripts::OnFailure::{Abort, Hold, Without};
+    for (of_first, of_second, rest) in [
+        (Without, Hold, Some(Rest::Hold)),
+        (Hold, Without, Some(Rest::Hold)),
+        (Hold, Abort, Some(Rest::Default)),
+        (Abort, Without, Some(Rest::Default)),
+        (Without, Without, None),
+    ] {
+        let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)], &[("a", 0, 400)]]);
+        let policy = &mut choreography.acts[0].on_failure;
+        policy.robots = vec![("r0".parse().unwrap(), of_first), ("r1".parse().unwrap(), of_second)];
+        let robots = ["r0", "r1", "r2"];
+        let participants =
+            robots.map(|id| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block));
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let mission = Mission::new(Arc::new(choreography), participants.to_vec(), options, at(0)).unwrap();
+        let mut played = Played::begun(mission);
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
+        let rest_of_third = match &played.mission.robots[2].stop {
+            Stop::Sent(sent) => Some(sent.rest),
+            _ => None,
+        };
+        assert_eq!(rest_of_third, rest, "{of_first:?} and {of_second:?}");
+    }
+}
+
+#[test]
+fn an_act_that_is_sent_while_another_plays_leaves_its_robots_alone_for_no_longer_than_their_lease() {
+    let mut mission = waits_in(2);
+    mission.acts.clear();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let end = played.mission.acts[0].timing().unwrap().end;
+    played.run_until(end - ms(1));
+    let leases = played.mission.acts.iter().map(|act| act.timing().and_then(|timing| timing.played));
+    assert_eq!(leases.collect::<Vec<_>>(), [None, Some(super::super::bench::RUNNING)]);
+}
+
+/// What the journal of a mission keeps of it so far.
+fn kept(played: &Played) -> crate::journal::Kept {
+    let opened = serde_json::json!({
+        "session": "s", "pid": 1, "scenario": "s.yaml", "fleet": "f.yaml", "robots": [], "clock_offset_ms": 0,
+        "greeting": Greeting::Skip, "asked": {"act": null, "from": null, "only": [], "speed": null},
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = crate::journal::Journal::open(folder.path()).unwrap();
+    journal.begin(at(0), &serde_json::from_value(opened).unwrap()).unwrap();
+    played.recorded.iter().for_each(|record| journal.append(at(1), record).unwrap());
+    assert!(journal.sync().is_ok());
+    crate::journal::read(&folder.path().join("journal")).unwrap()
+}
+
+#[test]
+fn a_mission_that_is_resumed_asks_what_was_sent_and_sends_nothing_again_of_its_acts() {
+    let mut played = Played::begun(waits_in(2));
+    let first_ends = played.mission.acts[0].timing().unwrap().end;
+    played.run_until(first_ends + ms(10));
+    assert_eq!(played.mission.acts.len(), 1, "the second act plays alone");
+    let now = played.now;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let choreography = Arc::clone(&played.mission.choreography);
+    let mut resumed = Mission::resume(choreography, participants, options, &kept(&played), now).unwrap();
+    assert_eq!((resumed.phase, resumed.acts_begun), (Phase::Performing, 2));
+    assert_eq!((resumed.acts.len(), resumed.acts[0].number()), (1, 1));
+    assert!(resumed.acts[0].script(ScriptRef { act: 1, member: 0, script: 0 }).is_out());
+    assert!(resumed.robots[0].touched.contains(&"a".parse::<DeviceId>().unwrap()));
+    assert_eq!(resumed.next_round, Some(now), "leases have been running out");
+    assert_eq!(resumed.fates[0].fate, ActFate::Played);
+    let actions = happens(&mut resumed, now, Event::LinkUp { robot: 0 });
+    assert_eq!(scripts_in(&actions), []);
+    let asks = |action: &Action| matches!(action, Action::Send { message: Message::Inquiry(_), .. });
+    assert!(actions.iter().any(asks));
+}

@@ -396,3 +396,68 @@ fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
     let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
     assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
 }
+
+/// The same with another smallest step and largest error of the device, in the words of its description.
+fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
+    let mut mission = tells_where_it_stands();
+    let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
+    change(&mut block["devices"][0]);
+    mission.robots[0].block = Some(serde_json::from_value(block).unwrap());
+    mission
+}
+
+#[test]
+fn a_device_may_stand_two_of_its_steps_or_two_of_its_errors_away_from_its_first_value() {
+    for (granularity, max_error, within) in [(1.0, None, 2.0), (0.5, Some(3.0), 6.0), (2.0, Some(0.5), 4.0)] {
+        let mut mission = with_limits(|device| {
+            let limits = &mut device["available_control_types"]["position"];
+            limits["granularity"] = granularity.into();
+            max_error.into_iter().for_each(|error: f64| limits["max_error"] = error.into());
+        });
+        for (off, misplaced) in [(within, 0), (-within, 0), (within + 0.25, 1), (-within - 0.25, 1)] {
+            mission.robots[0].positions = vec![("a".parse().unwrap(), 45.0 + off)];
+            assert_eq!(mission.misplaced(0).len(), misplaced, "{off} of {within}");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
+    let first = |mission: &mut Mission, after: i64, control_type| {
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        let step = urrcp::Step {
+            offset: urrcp::Millis::from_span(ms(after)),
+            setpoint: urrcp::Setpoint::new(control_type, 45.0),
+            stop_condition: None,
+        };
+        choreography.acts[0].plan.robots[0].scripts[0].script = urrcp::Script::new(vec![step]).unwrap();
+    };
+    let position = urrcp::ControlType::Position;
+    for (linear, after, control_type, expected) in [
+        (true, 0, position, Some((45.0, 2.0))),
+        (false, 0, position, None),
+        (true, 1, position, None),
+        (true, 0, urrcp::ControlType::Speed, None),
+    ] {
+        let mut mission = tells_where_it_stands();
+        if !linear {
+            mission.robots[0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Hold;
+        }
+        first(&mut mission, after, control_type);
+        let told = mission.expected_position(0, &"a".parse().unwrap());
+        assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}");
+    }
+}
+
+#[test]
+fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mission.robots[1].link = super::super::robot_state::Link::Connecting;
+    let now = played.now;
+    let down = Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() };
+    let actions = played.mission.handle(now, down);
+    assert!(actions.iter().any(|action| matches!(action, Action::Reconnect { robot: 1, .. })));
+    let told = |action: &Action| matches!(action, Action::Tell(Progress::LinkLost { .. }));
+    assert!(!actions.iter().any(told), "{actions:?}");
+    assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.give_up.is_none()));
+}

@@ -7,7 +7,7 @@ use crate::mission::bench::{ms, robot};
 use crate::mission::lead::{LEASE_MAX, ROUND_TRIP_LONGEST};
 
 /// One act of two robots; the others go on without one that fails.
-fn of_two(tolerance: Span) -> Mission {
+pub(super) fn of_two(tolerance: Span) -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].on_failure.default = OnFailure::Without;
     choreography.acts[0].plan.start_tolerance = tolerance;

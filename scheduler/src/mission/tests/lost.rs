@@ -137,3 +137,42 @@ fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
     // Nine rounds, of which every second one is later than 900 ms after the one that was told of.
     assert!((4..=5).contains(&(heard(&played) - before)), "{before}, {}", heard(&played));
 }
+
+#[test]
+fn lost_robots_are_given_up_each_at_its_own_time() {
+    let mut mission = super::hostile::of_two(TOLERANCE);
+    mission.phase = Phase::Performing;
+    for (robot, give_up) in [(0, at(20)), (1, at(10))] {
+        let reason = format!("the link of {robot}");
+        let lost = crate::mission::robot_state::Lost {
+            reason,
+            loss: Loss::Closed,
+            since: at(0),
+            connecting: true,
+            give_up: Some(give_up),
+        };
+        mission.robots[robot].link = crate::mission::robot_state::Link::Lost(lost);
+    }
+    mission.give_up = Some(at(10));
+    mission.give_up_lost(at(10) - Span::from_nanos(1));
+    assert!(!mission.robots[1].has_failed());
+    mission.give_up_lost(at(10));
+    let failed = [0, 1].map(|robot| mission.robots[robot].has_failed());
+    assert_eq!((failed, mission.give_up), ([false, true], Some(at(20))));
+}
+
+#[test]
+fn a_round_that_a_short_lease_needs_is_not_put_off_by_the_quiet_around_a_start() {
+    for (lease, waits) in [(20, true), (10, false)] {
+        let mut mission = begins_at_once(Everything);
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        let running = Some(urrcp::Millis::from_span(ms(lease)));
+        choreography.acts[0].plan.robots[0].scripts[0].stop_condition.running = running;
+        let mut played = Played::begun(mission);
+        let now = played.mission.acts[0].timing().unwrap().start - Span::from_micros(100);
+        played.run_until(now);
+        played.mission.next_round = Some(now);
+        played.mission.renew_if_due(now);
+        assert_eq!(played.mission.actions.is_empty(), waits, "a lease of {lease} ms");
+    }
+}

@@ -267,3 +267,32 @@ fn the_script_that_begins_next_begins_later_than_now() {
     assert_eq!(bench.act.next_begin(0, start + ms(199)), Some(start + ms(200)));
     assert_eq!(bench.act.next_begin(0, start + ms(200)), None, "no other is out");
 }
+
+#[test]
+fn what_a_robot_that_tells_nothing_has_lapses_once_it_has_ended_by_a_clock_that_is_behind() {
+    let mut bench = Bench::new(&[Tells::Nothing], &[&[("a", 0, 400)]]);
+    bench.play(Leases::Fixed);
+    bench.robots[0].shift = ms(40);
+    let lapses = bench.timing().end + ms(40) + super::super::LAPSE;
+    bench.run_until(lapses - ms(1));
+    assert!(bench.act.script(bench.scripts_of(0)[0]).is_out(), "{:?}", bench.state(0, 0));
+    bench.run_until(lapses + ms(2));
+    assert_eq!(bench.state(0, 0), &ScriptState::Unknown);
+}
+
+#[test]
+fn a_robot_that_takes_back_a_step_is_not_believed() {
+    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    let script = bench.scripts_of(1)[0];
+    let id = bench.act.script(script).request_id().cloned().unwrap();
+    for (after, steps_done, failures) in [(100, Some(1), 0), (110, Some(0), 1)] {
+        bench.run_until(bench.start() + ms(after));
+        let report = urrcp::RequestReport { steps_done, ..bench::report(&id, RequestState::Running, None) };
+        let (asked, said) = (bench.now - ROUND_TRIP, by_robot(bench.now - ROUND_TRIP / 2));
+        let noted = bench.act.reported(script, &report, (asked, said, bench.now), &bench.robots);
+        bench.carry_out(noted.actions);
+        assert_eq!(bench.failed.len(), failures, "{steps_done:?}");
+    }
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Claim { .. })]));
+}

@@ -197,3 +197,102 @@ fn requests_are_named_after_the_time_at_which_they_are_sent() {
     });
     assert_eq!(names, [format!("{micros}/0/0/0"), format!("{micros}/0/1/0")]);
 }
+
+/// A robot with so many scripts on device `a`, which holds two, and further ones that begin later.
+fn promised_to_one(scripts: &[Planned], leases: Leases) -> Bench {
+    let tells = if leases == Leases::Shortened { Tells::Everything } else { Tells::Reports };
+    let mut bench = Bench { silent: vec![0], ..Bench::new(&[tells], &[scripts]) };
+    bench.promise(leases);
+    bench.run_until(at(10));
+    bench
+}
+
+#[test]
+fn a_script_waits_under_the_lease_that_it_was_given_last() {
+    let scripts: [Planned; 5] = [("a", 0, 60), ("a", 60, 60), ("b", 60, 60), ("c", 239, 60), ("d", 240, 60)];
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let bench = promised_to_one(&scripts, leases);
+        let timing = bench.timing();
+        assert_eq!(timing.lead.lease, LEASE);
+        let first =
+            |offset| if leases == Leases::Shortened { timing.final_lease() + ms(offset) } else { LEASE };
+        let running = bench::RUNNING;
+        for (script, expected) in [(0, first(0)), (1, running), (2, first(60)), (3, first(239)), (4, LEASE)] {
+            let lease = bench.act.members()[0].pending_lease_now(script, timing);
+            assert_eq!(lease, Some(expected), "script {script}, {leases:?}");
+        }
+    }
+}
+
+#[test]
+fn scripts_wait_behind_the_first_one_of_their_device_until_all_of_them_were_sent() {
+    let scripts: [Planned; 4] = [("a", 0, 60), ("a", 60, 60), ("a", 120, 60), ("b", 60, 60)];
+    let mut bench = promised_to_one(&scripts, Leases::Shortened);
+    let waits = |bench: &Bench| [0, 1, 2, 3].map(|script| bench.act.members()[0].waits_for(script));
+    assert_eq!(waits(&bench), [true, false, false, false]);
+    for script in [1, 2] {
+        assert!(waits(&bench)[0], "before script {script} is sent");
+        let script = bench.scripts_of(0)[script];
+        bench.act.sent(at(11), script);
+    }
+    assert_eq!(waits(&bench), [false; 4]);
+}
+
+#[test]
+fn a_round_asks_a_robot_once_for_each_instant_at_which_its_devices_begin() {
+    for (scripts, questions) in [
+        (&[("a", 0, 60), ("a", 60, 60), ("b", 0, 60)][..], 1),
+        (&[("a", 0, 60), ("b", 60, 60), ("c", 60, 60)], 2),
+        (&[("a", 0, 60), ("b", 60, 60), ("c", 61, 60)], 3),
+    ] {
+        let bench = promised_to_one(scripts, Leases::Shortened);
+        assert_eq!(bench.act.members()[0].questions(), questions, "{scripts:?}");
+    }
+}
+
+#[test]
+fn a_robot_holds_its_scripts_since_the_question_that_it_has_answered_with_all_of_them() {
+    let mut bench = promised_to_one(&[("a", 0, 60), ("a", 60, 60), ("b", 0, 60)], Leases::Shortened);
+    let holds = |bench: &Bench, since| bench.act.members()[0].holds_since(&bench.robots[0], at(since));
+    let scripts = bench.scripts_of(0);
+    bench.robots[0].questions.asked(at(20));
+    bench.robots[0].questions.answer(at(20));
+    bench.report(scripts[0], at(20), RequestState::Held);
+    assert!(!holds(&bench, 20), "it has not accepted the other device's first one");
+    bench.say(scripts[2], Status::Accepted);
+    assert!(!holds(&bench, 20), "it was not asked for it then");
+    bench.report(scripts[2], at(20), RequestState::Held);
+    assert_eq!([20, 21].map(|since| holds(&bench, since)), [true, false]);
+    bench.report(scripts[0], at(30), RequestState::Held);
+    bench.report(scripts[2], at(30), RequestState::Held);
+    assert!(!holds(&bench, 21), "nothing came in answer to a later question");
+    bench.robots[0].questions.asked(at(30));
+    bench.robots[0].questions.answer(at(30));
+    assert!(holds(&bench, 30));
+    bench.break_link(0);
+    assert!(!holds(&bench, 30));
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_holds_what_it_has_accepted_unless_it_answers_no_questions_any_more() {
+    let mut bench = promised_to_one(&[("a", 0, 60)], Leases::Fixed);
+    let holds = |bench: &Bench, since| bench.act.members()[0].holds_since(&bench.robots[0], at(since));
+    assert!(!holds(&bench, 0));
+    bench.say(bench.scripts_of(0)[0], Status::Accepted);
+    assert!(holds(&bench, 1_000), "it has never answered any");
+    bench.robots[0].questions.asked(at(20));
+    bench.robots[0].questions.answer(at(20));
+    assert_eq!([20, 21].map(|since| holds(&bench, since)), [true, false]);
+}
+
+#[test]
+fn a_process_that_is_a_little_late_for_the_decision_has_read_what_has_come_and_blames_who_is_missing() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(bench.timing().decision - ms(1));
+    // Too late for the leases to run out, and not so late as if it had stood still.
+    bench.now = bench.timing().brink() - LEASE + ms(1);
+    assert!(bench.now > bench.timing().decision && bench.now < bench.timing().decision + ms(100));
+    bench.pump();
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Silent { .. })]), "{:?}", bench.failed);
+}
