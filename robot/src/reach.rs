@@ -56,3 +56,60 @@ impl Reach<'_> {
         conditions.flat_map(|lease| [lease.pending, lease.running]).flatten()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRAIN: Span = Span::from_nanos(1);
+
+    fn at(after: Span) -> Timestamp<Robot> {
+        Timestamp::from_nanos(0) + after
+    }
+
+    /// What is said of a single value that is to be set so much later, under these limits.
+    fn says(ahead: Span, ends: Span, limits: [Option<Span>; 2], is_first: bool) -> Option<String> {
+        let [pending, running] = limits.map(|limit| limit.map(Millis::from_span));
+        let steps = Steps::One(urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0));
+        let stop_condition = Some(StopCondition { pending, running });
+        let reach = Reach { start: at(ahead), end: at(ends), stop_condition, steps: &steps, is_first };
+        reach.check(at(Span::ZERO)).err().map(|error| error.message.to_string())
+    }
+
+    #[track_caller]
+    fn check(told: Option<String>, expected: Option<&str>) {
+        let fits =
+            expected.map_or(told.is_none(), |part| told.as_ref().is_some_and(|told| told.contains(part)));
+        assert!(fits, "{told:?}, expected {expected:?}");
+    }
+
+    #[test]
+    fn limits_are_as_long_as_silence_may_be_and_no_longer() {
+        for limit in [[Some(SILENCE_MAX), None], [None, Some(SILENCE_MAX)]] {
+            check(says(GRAIN, GRAIN, limit, true), None);
+        }
+        let beyond = Some(SILENCE_MAX + Span::from_millis(1));
+        for limit in [[beyond, Some(GRAIN)], [Some(GRAIN), beyond]] {
+            check(says(GRAIN, GRAIN, limit, true), Some("a limit of its stop_condition"));
+        }
+    }
+
+    #[test]
+    fn a_start_far_ahead_needs_a_pending_limit_unless_it_follows_something() {
+        let lease = [Some(Span::from_millis(300)), None];
+        let without = START_WITHOUT_LEASE_MAX;
+        check(says(without, without, [None; 2], true), None);
+        check(says(without + GRAIN, without + GRAIN, [None; 2], true), Some("needs a `pending`"));
+        check(says(without + GRAIN, without + GRAIN, [None; 2], false), None);
+        check(says(without + GRAIN, without + GRAIN, lease, true), None);
+        check(says(REACH_MAX, REACH_MAX, lease, true), None);
+        check(says(REACH_MAX + GRAIN, REACH_MAX + GRAIN, lease, true), Some("the start lies"));
+    }
+
+    #[test]
+    fn an_end_far_ahead_needs_a_running_limit() {
+        check(says(GRAIN, REACH_MAX, [None; 2], true), None);
+        check(says(GRAIN, REACH_MAX + GRAIN, [None; 2], true), Some("needs a `running`"));
+        check(says(GRAIN, REACH_MAX + GRAIN, [None, Some(Span::from_millis(300))], true), None);
+    }
+}

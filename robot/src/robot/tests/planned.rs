@@ -690,3 +690,15 @@ fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses()[..3], ["Accepted", "Started", "Failed cancelled"]);
 }
+
+#[test]
+fn a_robot_is_not_idle_before_its_driver_has_said_that_what_it_has_is_over() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_010);
+    assert!(!bench.robot.is_idle(), "by its time it is over");
+    bench.hears(P1, 3_005, PlanEvent::Done);
+    assert!(bench.robot.is_idle());
+}
