@@ -432,4 +432,23 @@ mod tests {
         assert!(error <= reading.uncertainty + Span::from_micros(5), "{reading:?}");
         assert_eq!(reading.stratum, 1);
     }
+
+    #[tokio::test]
+    async fn the_bounds_of_an_answer_allow_for_the_way_and_for_the_rounding_of_its_timestamps() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let server = responder.start().await.parse().unwrap();
+        let clock = ServerClock::anchored(Span::from_millis(250));
+        let (sample, stratum) = exchange(server, &clock, Duration::from_secs(5)).await.unwrap();
+        assert_eq!(stratum, 1);
+        let took = sample.at - sample.sent;
+        assert!(sample.delay > Span::ZERO && sample.delay <= took + NTP_ROUNDING * 2, "{sample:?}");
+        assert_eq!(sample.upper - sample.lower, sample.delay + NTP_ROUNDING * 2);
+        let middle = sample.lower + (sample.upper - sample.lower) / 2;
+        assert!((sample.offset - middle).abs() <= Span::from_nanos(1), "{sample:?}");
+        assert!(
+            sample.offset.abs() <= took + NTP_ROUNDING * 2,
+            "both clocks are ahead by as much: {sample:?}"
+        );
+    }
 }

@@ -241,3 +241,16 @@ fn the_bounds_that_are_kept_say_no_less_than_those_of_the_whole_window() {
         }
     }
 }
+
+#[test]
+fn a_drift_is_told_once_it_is_known_to_half_its_bound() {
+    // Known to so many millionths by the means; how far it wanders comes on top.
+    let told = |half: f64| {
+        let means = Rates { least: 10e-6 - half, most: 10e-6 + half };
+        History { means, ..History::default() }.drift()
+    };
+    let known = told(34e-6).unwrap();
+    assert!((known.ppm - 10.0).abs() < 1e-6 && (known.uncertainty_ppm - 49.0).abs() < 1e-6, "{known:?}");
+    assert_eq!(told(36e-6), None);
+    assert_eq!(told(f64::INFINITY), None);
+}

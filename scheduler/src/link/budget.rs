@@ -395,4 +395,17 @@ mod tests {
             .for_each(|_| asked.note(&Message::InitializationRequest(InitializationRequest::default()), 30));
         assert_eq!(passed(5), 2);
     }
+
+    #[test]
+    fn a_request_allows_three_answers_which_may_repeat_it_and_a_reading_is_not_repeated() {
+        let sensor = ControlRequest::immediate("s".parse().unwrap(), Command::ReadSensor);
+        for (message, repeated) in [(request(), 8 * 100), (Message::ControlRequest(sensor), 0)] {
+            let longest = usize::try_from(RESERVE_BYTES + 3 * ANSWER_BYTES + repeated).unwrap();
+            for (bytes, taken) in [(longest, true), (longest + 1, false)] {
+                let asked = Asked::default();
+                asked.note(&message, 100);
+                assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken, "{message:?}");
+            }
+        }
+    }
 }

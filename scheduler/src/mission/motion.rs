@@ -363,4 +363,23 @@ mod tests {
         let arm = device(r#""position": {"min_value": 0, "max_value": 90, "granularity": 1}"#);
         assert_eq!(range_of(&arm), None);
     }
+
+    #[test]
+    fn what_a_sensor_shows_later_by_its_delay_began_earlier_by_that() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let robot = crate::mission::bench::robot("r0", crate::mission::bench::Tells::Everything, 2);
+        let error = |delay: i64| {
+            let mut watched = watched();
+            watched.sensor_delay = Span::from_millis(delay);
+            let due = start + watched.movement.due;
+            // It begins to follow after 60 ms: 40 a second, as it is told to.
+            let shown = |millis: i64| 5.0 + 0.04 * (millis - 60).max(0) as f64;
+            watched.readings = (-20..100)
+                .map(|k| (due + Span::from_millis(4 * k), due + Span::from_millis(4 * k), shown(4 * k)))
+                .collect();
+            watched.report(start, &robot).error.unwrap()
+        };
+        let off = (error(0) - error(10) - Span::from_millis(10)).abs();
+        assert!(off < Span::from_micros(100), "{} and {}", error(0), error(10));
+    }
 }

@@ -437,4 +437,19 @@ mod tests {
         let sent = SkewBudget::of_sent(members.iter(), &robots, ms(60), at(11));
         assert_eq!(offsets(sent), [30, 30], "nothing was translated");
     }
+
+    #[test]
+    fn of_three_robots_the_one_whose_clock_is_unlike_those_of_the_others_is_named_whoever_is_right() {
+        let scripts: [&[bench::Planned]; 3] = [&[("a", 0, 400)]; 3];
+        let choreography = bench::played(&scripts);
+        let mut robots = ["r0", "r1", "r2"].map(|name| bench::robot(name, Tells::Everything, 2));
+        for (robot, ahead) in robots.iter_mut().zip([1_800, 1, 1_800]) {
+            let instant = at(10 + ahead).assume_clock();
+            robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+        }
+        let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
+        let budget = SkewBudget::of(members.iter(), &robots, ms(60), at(11)).unwrap();
+        let offenders: Vec<_> = budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect();
+        assert_eq!(offenders, ["r1"]);
+    }
 }

@@ -461,3 +461,28 @@ fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
     assert!(!actions.iter().any(told), "{actions:?}");
     assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.give_up.is_none()));
 }
+
+#[test]
+fn a_robot_that_has_failed_does_not_join_when_it_comes() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
+    played.happens(Event::LinkUp { robot: 1 });
+    played.run_until(at(5_000));
+    assert!(played.mission.robots[1].introduced && played.mission.robots[1].clock.samples() >= 8);
+    assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+}
+
+#[test]
+fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
+    use super::super::robot_state::Reading;
+    let mut mission = may_seize();
+    let sensor: DeviceId = "a".parse().unwrap();
+    mission.read(at(0), 0, sensor.clone(), Reading::Requirement(0));
+    for millis in 1..1_024 {
+        mission.read(at(millis), 0, sensor.clone(), Reading::Wait(0));
+    }
+    assert_eq!(mission.robots[0].reads.len(), 1_024);
+    mission.read(at(2_000), 0, sensor, Reading::Wait(1));
+    let left: Vec<_> = mission.robots[0].reads.values().collect();
+    assert!(left.len() == 2 && left.contains(&&Reading::Requirement(0)) && left.contains(&&Reading::Wait(1)));
+}

@@ -119,3 +119,21 @@ fn no_robot_makes_the_others_wait_for_a_lease_without_bound() {
         assert!(!mission.robots[0].has_failed(), "{ahead}");
     }
 }
+
+#[test]
+fn of_robots_that_flood_one_that_was_not_there_yet_is_left_out_and_one_that_is_stopped_is_not() {
+    let mut mission = of_two(TOLERANCE);
+    mission.phase = Phase::Performing;
+    mission.robots[1].standing = Standing::Absent;
+    let _told = mission.handle(at(2), flooding());
+    assert!(mission.robots[1].has_failed());
+    assert_eq!(mission.robots[1].standing, Standing::Out);
+
+    let mut mission = of_two(TOLERANCE);
+    let _up = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    let _stops = happens(&mut mission, at(2), Event::StopRequested { rest: Rest::Default, by: None });
+    let _told = mission.handle(at(3), flooding());
+    assert!(mission.robots[1].has_failed());
+    assert_eq!(mission.robots[1].standing, Standing::In);
+}

@@ -176,3 +176,33 @@ fn a_round_that_a_short_lease_needs_is_not_put_off_by_the_quiet_around_a_start()
         assert_eq!(played.mission.actions.is_empty(), waits, "a lease of {lease} ms");
     }
 }
+
+#[test]
+fn silence_is_noticed_by_a_machine_that_looks_for_it_a_little_late() {
+    for (looks, noticed) in [(-1, false), (0, true), (1, true)] {
+        let mut played = Played::begun(one_act(Everything, 10_000));
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.robots[0].heard(now - ms(60_000));
+        played.mission.robots[0].questions.asked(now - ms(60_000));
+        played.mission.next_silence = Some(now - ms(looks));
+        played.mission.notice_silence(now);
+        assert_eq!(played.mission.robots[0].has_failed(), noticed, "{looks} ms after it was due");
+    }
+}
+
+#[test]
+fn a_robot_that_an_act_asks_on_the_way_to_its_start_is_not_asked_once_more_by_a_round() {
+    for (asked, more) in [(1, 0), (10_000, 1)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        let now = played.now;
+        assert!(played.mission.acts[0].approaches(0) && !played.mission.acts[0].hushes(0, now));
+        played.mission.robots[0].questions.forgive();
+        let mut questions = crate::mission::robot_state::Questions::default();
+        questions.asked(now - ms(asked));
+        played.mission.robots[0].questions = questions;
+        played.mission.next_round = Some(now);
+        played.mission.renew_if_due(now);
+        assert_eq!(played.mission.actions.len(), more, "asked {asked} ms ago");
+    }
+}

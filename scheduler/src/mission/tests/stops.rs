@@ -261,3 +261,20 @@ fn a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operat
         assert_eq!(mission.outcome().is_some(), !by_operator, "it is not waited for");
     }
 }
+
+#[test]
+fn a_failure_without_a_name_after_a_stop_is_that_of_the_script_that_it_has_ended() {
+    let mut played = Played::begun(begins_at_once(Tells::Reports));
+    played.run_to_the_start();
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    let failed = urrcp::ControlResponse {
+        error: super::super::bench::refusal(ErrorCode::Cancelled),
+        steps_done: Some(1),
+        ..super::super::bench::response(&"a".parse().unwrap(), None, Status::Failed, played.now)
+    };
+    played.happens(Event::Received { robot: 0, message: Message::ControlResponse(failed) });
+    let script = played.mission.acts[0].script(ScriptRef { act: 0, member: 0, script: 0 });
+    assert!(script.is_final() && script.steps_done() == 1, "{:?}", script.state());
+    assert!(played.mission.robots[0].awaits_stop(), "it confirms no stop");
+}

@@ -150,3 +150,11 @@ fn readings_are_those_required_then_where_devices_stand_then_what_is_only_shown(
         assert_eq!((of("c").unwrap().reading, of("c").unwrap().why.as_deref()), (Some(3.0), None));
     }
 }
+
+#[test]
+fn where_no_sensor_is_required_none_is_checked() {
+    let mut mission = asked();
+    assert!(mission.robots[0].settings.require.is_empty());
+    mission.robots[0].readings.clear();
+    assert_eq!(verdict(&mission, Check::Sensors, 0), Verdict::NotChecked);
+}

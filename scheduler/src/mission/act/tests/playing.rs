@@ -296,3 +296,42 @@ fn a_robot_that_takes_back_a_step_is_not_believed() {
     }
     assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Claim { .. })]));
 }
+
+#[test]
+fn whether_a_start_can_be_is_judged_by_the_time_that_its_robot_was_sent() {
+    let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]) };
+    let there = by_robot(at(0)) + ms(500);
+    bench.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+    bench.pump();
+    let timing = timing(&bench.act, bench.now, Leases::Shortened, ms(1));
+    let (_, actions) = bench.act.promise(timing, &bench.robots, None, |_| ms(500));
+    bench.carry_out(actions);
+    bench.run_until(at(10));
+    bench.say(bench.scripts_of(0)[0], Status::Started);
+    assert!(bench.start() > at(200));
+    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
+}
+
+#[test]
+fn a_script_that_begins_later_cannot_have_begun_with_the_act() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("b", 300, 400)]];
+    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
+    bench.play(Leases::Shortened);
+    let [first, later] = bench.scripts_of(0)[..] else { panic!("two") };
+    bench.say(first, Status::Started);
+    assert!(bench.failed.is_empty(), "{:?}", bench.failed);
+    bench.say(later, Status::Started);
+    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Claim { .. })]), "{:?}", bench.failed);
+}
+
+#[test]
+fn a_script_can_have_ended_once_its_end_has_come_by_the_clock_of_its_robot() {
+    let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 400)]]);
+    bench.pump();
+    let timing = timing(&bench.act, bench.now, Leases::Shortened, ms(1));
+    let _sent = bench.act.promise(timing, &bench.robots, None, |_| ms(500));
+    let script = bench.scripts_of(0)[0];
+    let end = by_robot(bench.start() + ms(400 + 500));
+    let ended = [-100, 0].map(|after| bench.act.can_have_ended(script, end + ms(after)));
+    assert_eq!(ended, [false, true]);
+}

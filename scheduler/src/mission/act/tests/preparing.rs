@@ -296,3 +296,15 @@ fn a_process_that_is_a_little_late_for_the_decision_has_read_what_has_come_and_b
     bench.pump();
     assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Silent { .. })]), "{:?}", bench.failed);
 }
+
+#[test]
+fn an_act_that_does_not_fit_is_looked_at_again_in_time_or_when_something_has_changed() {
+    let mut bench = Bench::pair();
+    bench.pump();
+    assert_eq!(bench.act.progress(), Progressed::Ready);
+    bench.act.look_again_at(Some(at(100)));
+    assert_eq!([99, 100].map(|now| bench.act.is_looked_at(at(now))), [false, true]);
+    assert_eq!(bench.act.wakeup(), Some(at(100)));
+    bench.act.look_again();
+    assert!(bench.act.is_looked_at(at(50)));
+}
