@@ -254,3 +254,10 @@ fn a_drift_is_told_once_it_is_known_to_half_its_bound() {
     assert_eq!(told(36e-6), None);
     assert_eq!(told(f64::INFINITY), None);
 }
+
+#[test]
+fn a_clock_that_may_just_be_right_is_not_blamed() {
+    let micros = Span::from_micros;
+    assert_eq!(ClockDoubt::of(micros(5), micros(5)), ClockDoubt::Path);
+    assert_eq!(ClockDoubt::of(micros(-6), micros(5)), ClockDoubt::Clock);
+}

@@ -498,6 +498,13 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     assert_eq!(fate(vec![prepared(0), decided(0)]), Fate::Resume);
     let undecided = Fate::Withdraw("an act was sent and not decided");
     assert_eq!(fate(vec![prepared(0), decided(0), prepared(1)]), undecided);
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    // Cut off within the second promise, which was not sent before it was on the disk.
+    bytes.truncate(bytes.len() - 5);
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().fate(), Fate::Resume);
     let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default, by: None };
     assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
 }

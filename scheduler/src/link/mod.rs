@@ -273,3 +273,23 @@ impl EventSink {
         self.put_long(Event::Received { robot: self.robot, message }, bytes).await;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn what_came_in_many_bytes_takes_a_place_for_each_sixty_four_thousand_that_it_began() {
+        for (bytes, taken) in [(0, 1), (PLACE_BYTES - 1, 1), (PLACE_BYTES, 2), (3 * PLACE_BYTES, 4)] {
+            let places = Arc::new(Semaphore::new(PLACES));
+            let (events, mut happened) = mpsc::channel(1);
+            let events = Events::Placed(events, Some(Arc::clone(&places)));
+            let clock = ServerClock::anchored(urrcp::Span::ZERO);
+            let sink = EventSink { robot: 0, link: None, clock, events };
+            sink.put_long(Event::LinkUp { robot: 0 }, bytes).await;
+            assert_eq!(PLACES - places.available_permits(), taken, "{bytes} bytes");
+            drop(happened.recv().await);
+            assert_eq!(places.available_permits(), PLACES, "it was heard");
+        }
+    }
+}

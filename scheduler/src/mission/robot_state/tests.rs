@@ -256,3 +256,14 @@ fn the_totals_of_a_robot_add_up_over_its_scripts() {
     assert_eq!((totals.steps_done, totals.steps_planned, totals.late_steps), (4, 14, 3));
     assert_eq!(totals.start_error, Some(ms(-5)), "the largest, early or late");
 }
+
+#[test]
+fn a_robot_is_garbled_once_it_said_what_could_not_be_read() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let mut fails = |kind| {
+        robot.failures.note(crate::mission::Failure { robot: robot.id.clone(), kind });
+        robot.is_garbled()
+    };
+    assert!(!fails(crate::mission::FailureKind::LinkDown { reason: "off".to_owned() }));
+    assert!(fails(crate::mission::FailureKind::Garbled { reason: "x".to_owned() }));
+}

@@ -349,3 +349,15 @@ fn a_robot_that_knows_nothing_of_a_script_may_have_played_what_another_process_s
     take(&mut script, Said::Accepted, 2);
     assert!(!script.may_have_been_played(&late(&script)), "it is known that the robot had it");
 }
+
+#[test]
+fn that_a_robot_knew_nothing_of_a_script_before_it_accepted_it_takes_nothing_back() {
+    let id = RequestId::new("id").unwrap();
+    for (said, lost) in [(10, false), (11, true)] {
+        let mut script = sent();
+        assert_eq!(take(&mut script, Said::Accepted, 10), News::Accepted);
+        let unknown = report(&id, RequestState::Unknown, None);
+        let news = script.reported(&unknown, at(9), by_robot(at(said)));
+        assert_eq!((is_end(&news), *script.state() == ScriptState::Held), (lost, !lost), "{news:?}");
+    }
+}

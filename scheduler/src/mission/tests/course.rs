@@ -438,3 +438,24 @@ fn a_mission_that_is_resumed_asks_what_was_sent_and_sends_nothing_again_of_its_a
     let asks = |action: &Action| matches!(action, Action::Send { message: Message::Inquiry(_), .. });
     assert!(actions.iter().any(asks));
 }
+
+#[test]
+fn a_round_of_acts_that_nobody_is_left_to_play_ends_the_mission() {
+    let mut mission = one_after_the_other();
+    let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+    choreography.acts[1].plan = choreography.acts[0].plan.clone();
+    choreography.acts[1].next = Way::Act(0);
+    mission.robots[0].standing = Standing::Out;
+    let _ended = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    assert_eq!(mission.outcome(), Some(&Outcome::DoneWithout));
+    assert!((2..=3).contains(&mission.acts_begun), "{} acts", mission.acts_begun);
+}
+
+#[test]
+fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_sent() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    assert!(mission.acts[0].is_unaccounted());
+    mission.leave(at(1));
+    assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
+}

@@ -486,3 +486,28 @@ fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
     let left: Vec<_> = mission.robots[0].reads.values().collect();
     assert!(left.len() == 2 && left.contains(&&Reading::Requirement(0)) && left.contains(&&Reading::Wait(1)));
 }
+
+#[test]
+fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_depends_on() {
+    use super::super::robot_state::Reading;
+    for (preflight_only, shown) in [(true, vec!["b"]), (false, Vec::new())] {
+        let mut mission = tells_where_it_stands();
+        mission.options.preflight_only = preflight_only;
+        let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
+        for device in [1, 2] {
+            let sensor = serde_json::json!({"min_value": 0, "max_value": 90});
+            block["devices"][device]["available_control_types"]["sensor"] = sensor;
+        }
+        mission.robots[0].block = Some(serde_json::from_value(block).unwrap());
+        let range = SensorRange::Above(50.0);
+        mission.robots[0].settings.require = vec![Requirement { sensor: "c".parse().unwrap(), range }];
+        mission.read_positions(at(0), 0);
+        let reads: Vec<_> = mission.robots[0].reads.values().cloned().collect();
+        assert!(reads.contains(&Reading::Position("a".parse().unwrap())), "{reads:?}");
+        let told = reads.iter().filter_map(|read| match read {
+            Reading::Shown(device) => Some(device.as_str()),
+            _ => None,
+        });
+        assert_eq!(told.collect::<Vec<_>>(), shown);
+    }
+}

@@ -335,3 +335,25 @@ fn a_script_can_have_ended_once_its_end_has_come_by_the_clock_of_its_robot() {
     let ended = [-100, 0].map(|after| bench.act.can_have_ended(script, end + ms(after)));
     assert_eq!(ended, [false, true]);
 }
+
+#[test]
+fn a_reading_of_the_scenario_is_kept_with_its_sensor_and_its_time() {
+    let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
+    let reading = |at| PlannedReading { robot: "r0".parse().unwrap(), sensor: "b".parse().unwrap(), at };
+    choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(250))];
+    let mut bench = Bench::of(&[Tells::Everything], 2, choreography.into());
+    bench.act.read(1, &bench.robots[0], Some(3.5));
+    bench.act.read(2, &bench.robots[0], Some(4.0));
+    let [taken] = bench.act.readings() else { panic!("{:?}", bench.act.readings()) };
+    assert_eq!((taken.sensor.as_str(), taken.at, taken.value), ("b", ms(250), Some(3.5)));
+}
+
+#[test]
+fn an_act_is_unaccounted_while_a_robot_may_have_something_of_it_that_it_has_not_spoken_of() {
+    let mut bench = Bench::pair();
+    assert!(!bench.act.is_unaccounted(), "nothing was sent");
+    bench.decide(Leases::Shortened);
+    assert!(bench.act.is_unaccounted());
+    bench.run_to_the_end();
+    assert!(!bench.act.is_unaccounted());
+}
