@@ -601,3 +601,17 @@ fn what_an_operator_may_ask_without_and_with_a_session() {
         }
     }
 }
+
+#[test]
+fn a_request_whose_hash_was_computed_elsewhere_takes_the_same_roles_as_any_other() {
+    for (role, status) in [(Role::Observe, "Failed forbidden"), (Role::Drive, "Accepted")] {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("operator anna", &[role]), &mut bench.out);
+        let request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+        let hash = request.command.content_hash();
+        let request =
+            ControlRequest { content_hash: Some(hash), session: SessionId::new("s").ok(), ..request };
+        bench.robot.handle(bench.now, LINK, Input::Hashed(request, hash), &mut bench.out);
+        assert_eq!(bench.statuses(), [status], "{role}");
+    }
+}
