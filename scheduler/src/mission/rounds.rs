@@ -24,6 +24,10 @@ pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
 const TOLD_INTERVAL: Span = Span::from_millis(900);
 /// A round that comes so late was held up on this machine, and says nothing about the robots.
 pub(super) const HELD_UP: Span = Span::from_millis(100);
+/// From one look for silent robots to the next, at least.
+const LOOK_AGAIN: Span = Span::from_millis(1);
+/// The same for each robot of the fleet: 10 ms for 10,000.
+const LOOK_A_ROBOT: Span = Span::from_micros(1);
 
 impl Mission {
     /// Asks all robots when the next round is due; a little later where that would disturb robots that start.
@@ -297,7 +301,10 @@ impl Mission {
         if !silent.is_empty() {
             self.fail_all(now, silent);
         }
-        self.next_silence = self.silence_due(now).map(|due| due.max(now + Span::from_millis(1)));
+        // Each look asks for every robot: a large fleet whose scripts begin one after another is looked at more rarely.
+        let robots = i64::try_from(self.robots.len()).unwrap_or(i64::MAX);
+        let pause = LOOK_AGAIN.max(LOOK_A_ROBOT * robots);
+        self.next_silence = self.silence_due(now).map(|due| due.max(now + pause));
     }
 }
 

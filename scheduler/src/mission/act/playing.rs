@@ -30,6 +30,10 @@ pub(super) struct Playing {
     watch: Option<Timestamp<Server>>,
     /// When the robots were last asked for overdue reports.
     asked: Option<Timestamp<Server>>,
+    /// How long after its instant a report may still arrive, as it was when reports were last looked for.
+    grace: Span,
+    /// Members before it are done, or take part no longer.
+    done: usize,
 }
 
 impl Playing {
@@ -52,7 +56,8 @@ pub(crate) struct Noted {
 
 impl Act {
     pub(super) fn begin(&mut self, now: Timestamp<Server>) {
-        self.stage = Stage::Playing(Playing { watch: Some(now), asked: None });
+        let playing = Playing { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 };
+        self.stage = Stage::Playing(playing);
     }
 
     /// Takes an answer to a request of this act.
@@ -180,7 +185,7 @@ impl Act {
                     actions.push(ActAction::Tell(Progress::Finished { robot: id, number: self.number }));
                 }
                 actions.push(ActAction::Refill(vec![robot]));
-                self.look_again();
+                self.watch_for(script.member, robots);
             }
             News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
@@ -225,24 +230,46 @@ impl Act {
     /// Ends the act when all is done, and finds reports that are overdue.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
+        if self.is_played(robots) {
+            self.stage = Stage::Over;
+            return actions;
+        }
         let Stage::Playing(playing) = &self.stage else { return actions };
         if playing.watch.is_some_and(|at| now < at) {
             return actions;
         }
         actions.extend(self.refill_lapsed(now, robots));
-        let over = |member: &Member| {
-            member.is_done() || (self.may_lapse(member, &robots[member.robot]) && member.is_over())
-        };
-        if self.present().all(over) {
+        if self.is_played(robots) {
             self.stage = Stage::Over;
             return actions;
         }
         actions.extend(self.ask_for_overdue(now, robots));
         let next = self.next_watch(now, robots);
+        let grace = self.report_grace(robots);
+        if let Stage::Playing(playing) = &mut self.stage {
+            playing.watch = Some(next);
+            playing.grace = grace;
+        }
+        actions
+    }
+
+    /// Whether nothing of it can still run. Each event looks at the first that can.
+    fn is_played(&mut self, robots: &[RobotState]) -> bool {
+        let Stage::Playing(playing) = &mut self.stage else { return false };
+        let done = |member: &&Member| !member.takes_part() || member.is_done();
+        playing.done += self.members[playing.done..].iter().take_while(done).count();
+        let mut rest = self.members[playing.done..].iter().filter(|member| member.takes_part());
+        rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
+    }
+
+    /// Another script of a member is what is awaited now. What is awaited of the others is the same.
+    fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
+        let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
+        let next = self.watched(&self.members[member], robots, *grace).flatten().min();
+        let next = next.map_or(*watch, |next| next.min(*watch));
         if let Stage::Playing(playing) = &mut self.stage {
             playing.watch = Some(next);
         }
-        actions
     }
 
     /// What is due by the clocks of single robots, before the act plays on all of them.
@@ -286,15 +313,10 @@ impl Act {
         lapsed
     }
 
-    /// What became of a script of it may be left unknown when its time has passed.
-    fn may_lapse(&self, member: &Member, robot: &RobotState) -> bool {
-        lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
-    }
-
     /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
     fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let grace = self.report_grace(robots);
-        let again = ASK_AGAIN.max(longest_round_trip(self, robots));
+        let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
         let mut ask = Vec::new();
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
@@ -367,19 +389,27 @@ impl Act {
         }
     }
 
+    /// When something is next looked for on a robot, for each of its scripts that are under way.
+    fn watched<'a>(
+        &'a self,
+        member: &'a Member,
+        robots: &'a [RobotState],
+        grace: Span,
+    ) -> impl Iterator<Item = [Timestamp<Server>; 2]> + 'a {
+        let robot = &robots[member.robot];
+        member.under_way().filter_map(move |(_, script)| {
+            if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
+                return Some([at; 2]);
+            }
+            let asked = self.report_due(member, script, robot, grace)?;
+            // A report that stays out is a failure after as long again.
+            Some([asked, asked + grace])
+        })
+    }
+
     pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
         let grace = self.report_grace(robots);
-        let due = self.present().flat_map(|member| {
-            let robot = &robots[member.robot];
-            member.under_way().filter_map(move |(_, script)| {
-                if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
-                    return Some([at; 2]);
-                }
-                let asked = self.report_due(member, script, robot, grace)?;
-                // A report that stays out is a failure after as long again.
-                Some([asked, asked + grace])
-            })
-        });
+        let due = self.present().flat_map(|member| self.watched(member, robots, grace));
         let next = due.flatten().filter(|at| *at > now).min().unwrap_or(now + grace);
         next.min(now + self.patience_with_silent_ones(robots))
     }
@@ -521,6 +551,11 @@ fn may_be_asked(
     let Some(asked) = asked else { return true };
     let owed = robot.questions.unanswered().is_some_and(|open| open <= asked);
     due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
+}
+
+/// What became of a script of a member may be left unknown when its time has passed.
+fn may_lapse(member: &Member, robot: &RobotState) -> bool {
+    lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
 }
 
 /// What became of its scripts cannot be learned from it.
