@@ -185,7 +185,11 @@ impl Act {
                     actions.push(ActAction::Tell(Progress::Finished { robot: id, number: self.number }));
                 }
                 actions.push(ActAction::Refill(vec![robot]));
-                self.watch_for(script.member, robots);
+                match robots[robot].reports() {
+                    true => self.watch_for(script.member, robots),
+                    // It is asked at the end of what is sent to it now.
+                    false => self.look_again(),
+                }
             }
             News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
@@ -262,7 +266,7 @@ impl Act {
         rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
     }
 
-    /// Another script of a member is what is awaited now. What is awaited of the others is the same.
+    /// Another script of a member that reports by itself is what is awaited now. What is awaited of the others is the same.
     fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
         let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
         let next = self.watched(&self.members[member], robots, *grace).flatten().min();

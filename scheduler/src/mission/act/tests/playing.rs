@@ -69,6 +69,16 @@ fn a_robot_that_only_answers_is_asked_when_a_script_should_have_ended() {
 }
 
 #[test]
+fn a_robot_that_only_answers_is_asked_at_the_end_of_what_it_was_sent_when_another_script_had_ended() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 10), ("a", 200, 10), ("a", 300, 10)], &[("a", 0, 2_000)]];
+    let mut bench = Bench::of(&[Tells::Answers, Tells::Everything], 1, bench::played(&scripts));
+    bench.play(Leases::Fixed);
+    bench.run_to_the_end();
+    let sent = sent_at(&bench);
+    assert!(sent[1] < ms(100) && sent[2] > ms(210) && sent[2] < ms(290), "{sent:?}");
+}
+
+#[test]
 fn scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown() {
     let mut bench = chain(Tells::Nothing, 2);
     bench.play(Leases::Fixed);
