@@ -1,5 +1,5 @@
-//! What whoever operates a fleet watches: metrics for Prometheus and health over HTTP (feature `metrics`), traces of
-//! OpenTelemetry (feature `traces`).
+//! For operators of a fleet: metrics for Prometheus and health over HTTP (feature `metrics`), traces of OpenTelemetry
+//! (feature `traces`).
 //! `docs/operations.md` describes them.
 //!
 //! A mission and a host only write numbers (`mission.rs`, and [`downbeat_robot::figures`]). The thread
