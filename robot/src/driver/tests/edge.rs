@@ -1,0 +1,366 @@
+//! What reaches the hardware, in which order, and what becomes of scripts and devices when it fails.
+
+use super::*;
+
+#[tokio::test]
+async fn values_reach_the_hardware_in_order_and_in_the_end_the_default_state() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (300.0, -4.0), (600.0, 2.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert_eq!(done, ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
+    assert_eq!(not_at_rest, None);
+}
+
+#[tokio::test]
+async fn what_is_set_on_hardware_is_in_the_log() {
+    let log = LogFile::new("edge");
+    let options = HostOptions::default().with_log(log.0.clone());
+    let mut rig = Rig::on(options, BLOCK, Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (20.0, -4.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let _done = rig.stop();
+    let steps: Vec<_> =
+        log.lines().iter().filter(|line| line["step"].is_u64()).map(|line| line["value"].clone()).collect();
+    assert_eq!(steps, [4.0, -4.0]);
+}
+
+#[tokio::test]
+async fn hardware_that_was_only_looked_at_is_not_moved() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.link.send(Message::ControlRequest(ControlRequest::immediate(
+        DeviceId::new("eye").unwrap(),
+        Command::ReadSensor,
+    )));
+    assert_eq!(rig.response().await.status_value, StatusValue::Number(7.0));
+    // Nor does anybody wonder where it is once it has gone.
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert_eq!((done, not_at_rest), (vec!["connect".to_owned(), "read eye".to_owned()], None));
+}
+
+#[tokio::test]
+async fn an_edge_of_its_own_brings_its_devices_to_rest_when_it_finds_them() {
+    let options = DriverOptions { at_start: AtStart::Default, ..DriverOptions::default() };
+    let rig = Rig::new(Bench::default(), options);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
+    let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
+    let mut rig = Rig::new(Bench::default(), options);
+    rig.script("arm", "a", &[(600.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    let end = done.iter().rposition(|what| what == "arm 30").unwrap();
+    let values: Vec<f64> =
+        done[1..=end].iter().map(|what| what.strip_prefix("arm ").unwrap().parse().unwrap()).collect();
+    assert!(values.len() > 3, "no samples: {values:?}");
+    assert!(values.is_sorted(), "{values:?}");
+    assert!(values.iter().all(|value| (value * 2.0).fract() == 0.0), "off the grid: {values:?}");
+    assert_eq!(&done[end + 1..], ["arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
+    let options = DriverOptions { samples_per_second: Some(2.0), ..DriverOptions::default() };
+    let mut rig = Rig::new(Bench::default(), options);
+    rig.script("arm", "a", &[(1_000.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    let values = done.iter().filter_map(|what| what.strip_prefix("arm ")?.parse::<f64>().ok());
+    let on_the_way: Vec<f64> = values.filter(|value| (10.0..29.0).contains(value)).collect();
+    assert_eq!(on_the_way.len(), 1, "{done:?}");
+}
+
+#[tokio::test]
+async fn an_edge_that_ends_lets_its_devices_slow_down_to_their_default_state() {
+    // It would take ramps, but this way is none.
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::of(LIFT, bench, DriverOptions::default());
+    rig.script("lift", "a", &[(1_000.0, 90.0), (60_000.0, 90.0)], ControlType::Position);
+    rig.responses(&PLAYED[..2]).await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let values: Vec<f64> =
+        rig.stop().iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
+    // On for a little, then down, the acceleration (always 0) among them.
+    let top = values.iter().copied().fold(0.0, f64::max);
+    let down: Vec<f64> =
+        values.iter().copied().skip_while(|value| *value < top).filter(|v| *v > 0.0).collect();
+    assert!(top > 5.0 && down.len() > 3, "no way down: {values:?}");
+    assert!(down.is_sorted_by(|a, b| a >= b), "{values:?}");
+    assert_eq!(values.last(), Some(&0.0), "{values:?}");
+}
+
+#[tokio::test]
+async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::new(bench, DriverOptions::default());
+    rig.script("arm", "a", &[(0.0, 3.0), (400.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    assert_eq!(done, ["connect", "arm 3", "arm ramp to 30", "arm 30", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn an_edge_that_ends_stays_until_a_way_that_the_driver_goes_by_itself_is_over() {
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::of(HEAVY, bench, DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 10.0), (60_000.0, 10.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 10"]);
+    let begin = HostClock::anchored().now();
+    let mut done = rig.stop();
+    let took = HostClock::anchored().now() - begin;
+    done.retain(|what| what.starts_with("wheel"));
+    // The acceleration goes to 0 at once, the speed in the end.
+    assert_eq!(done, ["wheel ramp to 0", "wheel 0", "wheel 0"]);
+    assert!(took >= Span::from_millis(450), "ended {took} after it had begun to slow down for 500 ms");
+}
+
+#[tokio::test]
+async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_jump() {
+    let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
+    rig.script("lift", "a", &[(4_000.0, 20.0), (60_000.0, 20.0)], ControlType::Position);
+    rig.responses(&PLAYED[..2]).await;
+    tokio::time::sleep(Duration::from_millis(600)).await;
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert!(not_at_rest.unwrap().contains("`lift` was still on its way"));
+    let values: Vec<f64> = done.iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
+    assert!(values.iter().any(|value| *value > 2.0), "{values:?}");
+    assert_ne!(values.last(), Some(&0.0), "{values:?}");
+}
+
+#[tokio::test]
+async fn the_hardware_is_asked_for_a_sign_of_life_however_close_the_steps_are() {
+    let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
+    let steps: Vec<_> = (0..700_u32).map(|i| (f64::from(i) * 5.0, f64::from(i % 2 + 1))).collect();
+    rig.script("wheel", "a", &steps, ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let done: Vec<String> = rig.done.try_iter().collect();
+    let mut played = done.iter().skip_while(|what| !what.starts_with("wheel"));
+    assert!(played.any(|what| what == "ping"), "no ping in {} values", done.len());
+}
+
+#[tokio::test]
+async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 10.0, f64::from(i))).collect();
+    rig.script("wheel", "a", &steps, ControlType::Speed);
+    // The machine goes on while the first value still hangs in the driver, but does not tell that all is done.
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 0"]);
+    let early = tokio::time::timeout(Duration::from_millis(150), rig.response()).await;
+    assert!(early.is_err(), "told before the hardware has it: {early:?}");
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    rig.next_done(&["wheel 7"]);
+    rig.responses(&PLAYED[2..]).await;
+}
+
+#[tokio::test]
+async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script_fails_as_late() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    rig.script("wheel", "a", &[(0.0, 4.0), (50.0, 6.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    tokio::time::sleep(2 * STALE).await;
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Late);
+    rig.next_done(&["wheel 0"]);
+}
+
+#[tokio::test]
+async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_ping() {
+    let (hangs_up, line) = std::os::unix::net::UnixStream::pair().unwrap();
+    let bench = Bench { line: Some(line), ..Bench::default() };
+    let mut rig = Rig::new(bench, DriverOptions::default());
+    rig.script_in("wheel", "a", 60_000.0, &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..1]).await;
+    drop(hangs_up);
+    let error = rig.response().await.error.unwrap();
+    assert_eq!(error.message, "the hardware is away: the line was cut");
+}
+
+#[tokio::test]
+async fn hardware_that_fails_under_a_script_fails_it_and_starts_again_from_its_default_state() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    // Found out by a ping, since nothing more is due.
+    let failed = rig.response().await;
+    assert_eq!(failed.status, Status::Failed);
+    let error = failed.error.unwrap();
+    assert_eq!(error.code, ErrorCode::Internal);
+    assert!(error.message.contains("pulled out"), "{error}");
+    rig.script("wheel", "b", &[(0.0, 5.0)], ControlType::Speed);
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Internal);
+    rig.bench.broken.store(false, Ordering::SeqCst);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
+    rig.script("wheel", "c", &[(0.0, 5.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+}
+
+#[tokio::test]
+async fn hardware_that_fails_in_the_last_value_of_a_script_leaves_its_end_unknown() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    rig.script("wheel", "a", &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    let error = rig.response().await.error.unwrap();
+    let expected = "it is unknown whether the hardware took the last value: the hardware is away: pulled out";
+    assert_eq!((error.code, error.message.as_str()), (ErrorCode::Internal, expected));
+}
+
+#[tokio::test]
+async fn a_stop_is_confirmed_once_the_hardware_has_taken_it() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    let wheel = DeviceId::new("wheel").unwrap();
+    let stop = Command::Script(Script::new(Vec::new()).unwrap());
+    rig.link.send(Message::ControlRequest(ControlRequest::immediate(wheel, stop)));
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Cancelled);
+    rig.next_done(&["wheel 0"]);
+    let early = tokio::time::timeout(Duration::from_millis(150), rig.response()).await;
+    assert!(early.is_err(), "told before the hardware has it: {early:?}");
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    rig.responses(&PLAYED[2..]).await;
+}
+
+#[tokio::test]
+async fn a_value_that_the_hardware_refuses_reads_as_refused_and_not_as_away() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (300.0, 8.0), (60_000.0, 0.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.refuses.store(true, Ordering::SeqCst);
+    let error = rig.response().await.error.unwrap();
+    assert_eq!(error.message, "the hardware refused speed 8 of `wheel`: too hot");
+}
+
+#[tokio::test]
+async fn hardware_that_cannot_be_brought_to_rest_is_named_when_its_host_ends() {
+    for noticed in [false, true] {
+        let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+        rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+        rig.responses(&PLAYED[..2]).await;
+        rig.next_done(&["connect", "wheel 4"]);
+        rig.bench.broken.store(true, Ordering::SeqCst);
+        if noticed {
+            assert_eq!(rig.response().await.status, Status::Failed);
+        }
+        let (_, not_at_rest) = rig.stop_and_tell();
+        assert_eq!(not_at_rest.as_deref(), Some("the hardware is away: pulled out"));
+    }
+}
+
+#[tokio::test]
+async fn the_last_values_are_followed_by_a_question_so_that_they_are_known_to_be_taken() {
+    let options = DriverOptions { at_start: AtStart::Default, ..DriverOptions::default() };
+    let rig = Rig::new(Bench::default(), options);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
+    let Rig { host, done, link, .. } = rig;
+    drop(link);
+    assert_eq!(host.stop(), []);
+    assert_eq!(done.iter().last().as_deref(), Some("ping"));
+}
+
+#[tokio::test]
+async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.panics.store(true, Ordering::SeqCst);
+    let failed = rig.response().await;
+    assert!(failed.error.unwrap().message.contains("its driver panicked"));
+    let told = (vec![], Some("its driver panicked".to_owned()));
+    assert_eq!(rig.stop_and_tell(), told);
+}
+
+#[tokio::test]
+async fn a_sensor_is_read_no_more_often_than_its_rate() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default().with_readings_per_second(0.01));
+    for _ in 0..3 {
+        rig.link.send(Message::ControlRequest(ControlRequest::immediate(
+            DeviceId::new("eye").unwrap(),
+            Command::ReadSensor,
+        )));
+        assert_eq!(rig.response().await.status_value, StatusValue::Number(7.0));
+    }
+    assert_eq!(rig.stop(), ["connect", "read eye"]);
+}
+
+#[tokio::test]
+async fn a_host_tells_whether_the_hardware_of_its_robots_answers() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let figures = rig.host.figures();
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    assert!(figures.robots()[0].hardware_answers());
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    assert_eq!(rig.response().await.status, Status::Failed);
+    assert!(!figures.robots()[0].hardware_answers());
+    rig.bench.broken.store(false, Ordering::SeqCst);
+    rig.next_done(&["connect", "wheel 4", "connect", "arm 3", "wheel 0"]);
+    rig.script("wheel", "b", &[(0.0, 5.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    assert!(figures.robots()[0].hardware_answers());
+}
+
+#[tokio::test]
+async fn hardware_that_is_to_be_held_stays_where_it_is_and_turns_no_more() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("arm", "a", &[(0.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    rig.script("wheel", "b", &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let Rig { host, done, link, .. } = rig;
+    drop(link);
+    assert_eq!(host.stop_but(&["r".parse().unwrap()]), []);
+    let done: Vec<_> = done.try_iter().filter(|what| what != "ping").collect();
+    assert_eq!(done.last().map(String::as_str), Some("wheel 0"));
+    assert!(!done.contains(&"arm 3".to_owned()), "{done:?}");
+}
+
+#[tokio::test]
+async fn an_edge_whose_session_is_over_is_free_once_it_is_asked() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let handle = rig.host.handle();
+    let session = urrcp::SessionId::new("show").ok();
+    let claim = urrcp::AvailabilityRequest { session, ..Default::default() };
+    rig.link.send(Message::AvailabilityRequest(claim));
+    rig.link.recv().await.unwrap();
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_some(), "its link stands");
+    drop(rig.link);
+    handle.look(0).await;
+    assert!(handle.owner(0).unwrap().borrow().is_none());
+}
+
+#[tokio::test]
+async fn who_watches_the_hardware_of_a_robot_is_told_of_each_event() {
+    let (tell, events) = channel();
+    let (done, _seen) = channel();
+    let bench = Arc::new(Bench::default());
+    let fake = Fake { bench: Arc::clone(&bench), done, pushes: None };
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let hosted = Hosted::driven(block, Box::new(fake), DriverOptions::default())
+        .watched(move |event| tell.send(event.to_string()).unwrap());
+    let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
+    let next = || events.recv_timeout(Duration::from_secs(60)).unwrap();
+    assert_eq!(next(), "the hardware answers");
+    bench.broken.store(true, Ordering::SeqCst);
+    assert_eq!(next(), "the hardware is away: pulled out");
+    host.stop();
+}

@@ -1,0 +1,119 @@
+//! What waits between the robot and the thread of its driver.
+
+use super::*;
+
+#[test]
+fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
+    let mailbox = Mailbox::default();
+    mailbox.connected(1, mailbox::Manners { acknowledges: true, ..MANNERS });
+    let arm = DeviceId::new("arm").unwrap();
+    let part = PlanPart {
+        plan: crate::PlanId(1),
+        device: arm.clone(),
+        start: Timestamp::from_nanos(0),
+        begin_by: Timestamp::from_nanos(0),
+        interpolation: urrcp::Interpolation::Hold,
+        first: 0,
+        steps: Vec::new(),
+        is_last: true,
+    };
+    let cancel =
+        PlanCancel { plan: part.plan, device: arm.clone(), then: crate::Then::Keep, why: String::new() };
+    let take = mailbox::PlanOrder::Take(part, HostClock::anchored());
+    let orders = [
+        mailbox::Order::Plan(take),
+        mailbox::Order::Plan(mailbox::PlanOrder::Cancel(cancel)),
+        mailbox::Order::Confirm(Ticket(1), arm),
+    ];
+    mailbox.post(1, orders.into_iter(), Demand::default());
+    mailbox.close();
+    let soon = || HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    assert!(matches!(mailbox.next(soon()), mailbox::Work::Plan(mailbox::PlanOrder::Cancel(_))));
+    assert!(matches!(mailbox.next(soon()), mailbox::Work::Confirm(tickets) if tickets == [Ticket(1)]));
+}
+
+#[test]
+fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_older_ones() {
+    let mailbox = Mailbox::default();
+    let key = |device: &str| (DeviceId::new(device).unwrap(), ControlType::Speed);
+    let set = |device, value| {
+        let setpoint = Setpoint::new(ControlType::Speed, value);
+        mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
+    };
+    mailbox.post(0, [set("before", 1.0)].into_iter(), Demand::default());
+    mailbox.connected(1, MANNERS);
+    mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
+    mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
+    mailbox.close();
+    let values: Vec<_> = std::iter::from_fn(|| {
+        match mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))) {
+            mailbox::Work::Drive(drives) => {
+                let [(key, Some(value), None)] = drives.as_slice() else { panic!("{drives:?}") };
+                Some((key.0.to_string(), value.setpoint.value))
+            }
+            _ => None,
+        }
+    })
+    .collect();
+    assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
+    mailbox.connected(1, MANNERS);
+    mailbox.post(1, [set("a", 6.0)].into_iter(), Demand::default());
+    mailbox.disconnected();
+    mailbox.connected(2, MANNERS);
+    mailbox.post(1, [set("a", 7.0)].into_iter(), Demand::default());
+    assert!(matches!(
+        mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
+        mailbox::Work::Closed
+    ));
+}
+
+#[test]
+fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
+    let mailbox = Mailbox::default();
+    mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true, ..MANNERS });
+    let set = |device: &str, value| {
+        let setpoint = Setpoint::new(ControlType::Speed, value);
+        let key = (DeviceId::new(device).unwrap(), ControlType::Speed);
+        mailbox::Order::Set(key, mailbox::Value { setpoint, due: None })
+    };
+    mailbox.post(1, [set("a", 1.0), set("b", 2.0)].into_iter(), Demand::default());
+    let soon = || HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    let mailbox::Work::Drive(frame) = mailbox.next(soon()) else { panic!("nothing to drive") };
+    let frame: Vec<_> = frame.iter().map(|(key, ..)| key.0.as_str()).collect();
+    assert_eq!(frame, ["a", "b"]);
+    mailbox.close();
+    assert!(matches!(mailbox.next(soon()), mailbox::Work::Closed));
+}
+
+#[tokio::test]
+async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
+    let mailbox = Arc::new(Mailbox::default());
+    let pushes = Pushes::into(Arc::clone(&mailbox));
+    let eye = DeviceId::new("eye").unwrap();
+    pushes.reading(&eye, 1.0);
+    assert_eq!(mailbox.pushed(&eye, Duration::MAX), None, "nothing is connected");
+    mailbox.connected(1, MANNERS);
+    pushes.reading(&eye, 2.0);
+    assert_eq!(mailbox.pushed(&eye, Duration::from_secs(600)), Some(2.0));
+    tokio::time::sleep(Duration::from_millis(2)).await;
+    assert_eq!(mailbox.pushed(&eye, Duration::from_millis(1)), None, "too old");
+    pushes.fault("stuck");
+    let soon = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    assert!(matches!(mailbox.next(soon), mailbox::Work::Fault(reason) if reason == "stuck"));
+    mailbox.disconnected();
+    assert_eq!(mailbox.pushed(&eye, Duration::MAX), None);
+}
+
+#[test]
+fn what_a_driver_says_of_a_script_is_passed_on_as_it_says_it() {
+    let mailbox = Arc::new(Mailbox::default());
+    let pushes = Pushes::into(Arc::clone(&mailbox));
+    mailbox.connected(1, MANNERS);
+    let soon = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    pushes.plan(crate::PlanId(1), Timestamp::from_nanos(5), PlanEvent::Began);
+    let mailbox::Work::Words(words) = mailbox.next(soon) else { panic!("nothing was said") };
+    assert_eq!(
+        (words[0].plan, words[0].at, &words[0].event),
+        (crate::PlanId(1), Timestamp::from_nanos(5), &PlanEvent::Began)
+    );
+}

@@ -1,0 +1,177 @@
+//! Scripts that the hardware times by itself: handed over ahead of their steps, and told as the hardware says.
+
+use super::*;
+
+#[tokio::test]
+async fn a_script_that_the_driver_times_is_handed_over_and_told_as_the_driver_says() {
+    let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
+    rig.script_in("arm", "a", 400.0, &[(0.0, 5.0), (300.0, 6.5)], ControlType::Position);
+    let accepted = rig.response().await;
+    rig.next_done(&["connect", "arm plan 5 6.5"]);
+    let (started, ended) = (rig.response().await, rig.response().await);
+    assert_eq!([&accepted, &started, &ended].map(|r| r.status.clone()), PLAYED);
+    let took = ended.event_timestamp.unwrap() - started.event_timestamp.unwrap();
+    assert_eq!(took, Span::from_millis(300), "exactly as the driver says");
+    assert_eq!((ended.steps_done, ended.late_steps), (Some(2), Some(0)));
+    assert_eq!(rig.stop(), ["arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_driver_that_times_scripts_ends_them_before_the_device_goes_to_rest() {
+    let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
+    rig.script_in("arm", "a", 60_000.0, &[(0.0, 5.0)], ControlType::Position);
+    rig.responses(&PLAYED[..1]).await;
+    rig.next_done(&["connect", "arm plan 5"]);
+    assert_eq!(rig.stop(), ["arm cancel default", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_script_that_the_driver_does_not_take_fails_and_the_hardware_stays() {
+    let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
+    rig.bench.refuses.store(true, Ordering::SeqCst);
+    rig.script_in("arm", "a", 60_000.0, &[(0.0, 5.0)], ControlType::Position);
+    rig.responses(&PLAYED[..1]).await;
+    let failed = rig.response().await;
+    assert_eq!(failed.error.unwrap().message, "the hardware refused a script of `arm`: too hot");
+}
+
+/// Times scripts by itself, and logs each value with the nanoseconds at which it is set. 66 fails, 77 ends it.
+const AHEAD: &str = r#"
+import os, sys, time
+from downbeat_driver import Driver
+
+class Ahead(Driver):
+    lookahead = 100 if sys.argv[2] == "horizon" else "script"
+
+    def set(self, device, control_type, value, *more):
+        if value == 66:
+            raise RuntimeError("torque")
+        with open(sys.argv[1], "a") as driven:
+            driven.write(f"{time.time_ns()} {device} {value:g}\n")
+        if value == 77:
+            os._exit(3)
+
+Ahead().run()
+"#;
+
+/// A host with the program `AHEAD`, and the log of that. `None` where there is no Python.
+fn ahead(mode: &str) -> Option<(Host, RobotLink, std::path::PathBuf)> {
+    use std::sync::atomic::AtomicU32;
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    std::process::Command::new(&python).arg("--version").output().ok()?;
+    let name = format!("downbeat-ahead-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::SeqCst));
+    let folder = std::env::temp_dir().join(name);
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("ahead.py"), AHEAD).unwrap();
+    let package = concat!(env!("CARGO_MANIFEST_DIR"), "/drivers/python");
+    let shown = folder.display();
+    let command = format!(
+        "PYTHONDONTWRITEBYTECODE=1 PYTHONPATH='{package}' {python} '{shown}/ahead.py' '{shown}/log' {mode}"
+    );
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let driver = Program::new(&command, &block).unwrap();
+    let options = DriverOptions::default();
+    let host = Host::start(vec![Hosted::driven(block, Box::new(driver), options)], HostOptions::default());
+    let host = host.unwrap();
+    host.await_hardware(Duration::from_secs(60));
+    let link = host.handle().connect(0).unwrap();
+    Some((host, link, folder))
+}
+
+/// What a program has logged, and when.
+fn logged(folder: &std::path::Path) -> Vec<(i64, String)> {
+    let text = std::fs::read_to_string(folder.join("log")).unwrap_or_default();
+    let line = |line: &str| {
+        let (at, what) = line.split_once(' ').unwrap();
+        (at.parse().unwrap(), what.to_owned())
+    };
+    text.lines().map(line).collect()
+}
+
+async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
+    let mut all = Vec::new();
+    while all.len() < count {
+        match link.recv().await {
+            Some(LinkEvent::Message(Message::ControlResponse(response))) => all.push(response),
+            other => panic!("{other:?}"),
+        }
+    }
+    all
+}
+
+fn request(device: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) -> Message {
+    let step = |(millis, value): &(f64, f64)| Step {
+        offset: Millis::new(*millis).unwrap(),
+        setpoint: Setpoint::new(control_type, *value),
+        stop_condition: None,
+    };
+    let script = Script::new(steps.iter().map(step).collect()).unwrap();
+    let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
+    Message::ControlRequest(ControlRequest {
+        timestamp: Some(now),
+        time_offset_to_start: Some(Millis::new(lead).unwrap()),
+        request_id: Some(RequestId::new(device).unwrap()),
+        ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
+    })
+}
+
+#[tokio::test]
+async fn a_program_that_times_scripts_reports_what_it_logs() {
+    for mode in ["script", "horizon"] {
+        let Some((host, mut link, folder)) = ahead(mode) else { return };
+        link.send(request("wheel", 2_000.0, &[(0.0, 4.0), (300.0, 5.0), (600.0, 6.0)], ControlType::Speed));
+        let all = responses(&mut link, 3).await;
+        let statuses: Vec<_> = all.iter().map(|response| response.status.clone()).collect();
+        assert_eq!(statuses, PLAYED, "{mode}: {:?}", all[all.len() - 1].error);
+        let log = logged(&folder);
+        let values: Vec<_> = log.iter().map(|(_, what)| what.as_str()).collect();
+        assert_eq!(values, ["wheel 4", "wheel 5", "wheel 6"]);
+        let at = |index: usize| all[index].event_timestamp.unwrap().as_nanos();
+        // It says that it begins right before the first value, and that it is done right behind the last one.
+        assert!(at(1) <= log[0].0 && log[2].0 <= at(2), "{mode}: {all:?} {log:?}");
+        assert!(host.stop().is_empty());
+        let _left = std::fs::remove_dir_all(folder);
+    }
+}
+
+#[tokio::test]
+async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
+    for (value, why) in [(66.0, "the hardware failed in step 2: RuntimeError: torque"), (77.0, "has ended")] {
+        let Some((host, mut link, folder)) = ahead("script") else { return };
+        link.send(request(
+            "arm",
+            2_000.0,
+            &[(300.0, 4.0), (600.0, value), (900.0, 6.0)],
+            ControlType::Position,
+        ));
+        let all = responses(&mut link, 3).await;
+        let failed = all[2].error.as_ref().unwrap().message.to_string();
+        assert!(all[1].status == Status::Started && failed.contains(why), "{all:?}");
+        drop(host);
+        assert!(!logged(&folder).iter().any(|(_, what)| what == "arm 6"));
+        let _left = std::fs::remove_dir_all(folder);
+    }
+}
+
+#[tokio::test]
+async fn a_stop_ends_the_script_of_a_program_before_it_is_confirmed() {
+    let Some((host, mut link, folder)) = ahead("script") else { return };
+    let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();
+    link.send(request("wheel", 2_000.0, &steps, ControlType::Speed));
+    responses(&mut link, 2).await;
+    link.send(Message::ControlRequest(ControlRequest {
+        request_id: Some(RequestId::new("stop").unwrap()),
+        ..ControlRequest::immediate(DeviceId::new("wheel").unwrap(), Command::Script(Script::default()))
+    }));
+    let all = responses(&mut link, 2).await;
+    assert_eq!([&all[0].status, &all[1].status], [&Status::Failed, &Status::Ok], "{all:?}");
+    let log = logged(&folder);
+    assert_eq!(log.last().unwrap().1, "wheel 0", "{log:?}");
+    let steps_done = all[0].steps_done.unwrap() as usize;
+    assert_eq!(log.len(), steps_done + 1, "{log:?} {all:?}");
+    tokio::time::sleep(Duration::from_millis(700)).await;
+    assert_eq!(logged(&folder).len(), log.len(), "it goes on");
+    drop(host);
+    let _left = std::fs::remove_dir_all(folder);
+}
