@@ -2,8 +2,8 @@
 //! timer, and the best that this machine can do, in turn within one run, idle and with all cores busy.
 //!
 //! Six robot processes on TCP, each with a clock of its own up to 300 ms off. True starts are read from the robots' own
-//! logs, by the one clock of the host. Every second row leaves out the missions in which a witness saw that a core was taken
-//! away around the start, so that the tail of Downbeat can be told from that of the machine.
+//! logs, by the one clock of the host. Every second row leaves out the missions in which a witness saw that the host or
+//! another program took a core away around the start, so that the tail of Downbeat can be told from that of the machine.
 //!
 //! `cargo bench --bench start_spread -- [one-host] [idle | busy] [missions N] [auto] [off] [receipt] [tokio] [ideal]`
 #![expect(
@@ -25,7 +25,7 @@ use starting::figures::{Measured, raw, rows};
 use starting::fleet::{Fleet, Settings};
 use starting::missions::{REPEATED, deferred, on_receipt};
 use starting::waiters::{Kind, Waiters, be_a_waiter};
-use starting::witness::Witness;
+use starting::witness::{Group, Witness};
 
 const MISSIONS: usize = 100;
 /// A robot that has nothing else to write has written its log by then.
@@ -98,7 +98,7 @@ struct OneHost {
 }
 
 impl OneHost {
-    fn start(arguments: &Arguments) -> Self {
+    fn start(arguments: &Arguments, group: Option<&Group>) -> Self {
         let fleet = |realtime| Fleet::start(Settings { delay: "1ms", ntp_error: "0s", realtime });
         let fleets = [("auto", "deferred start, --realtime auto"), ("off", "deferred start, --realtime off")];
         let waiters = [
@@ -111,7 +111,7 @@ impl OneHost {
             fleets: fleets.map(|(way, name)| (name, fleet(way))).collect(),
             receiving: arguments.measures("receipt").then(|| fleet("auto")),
             waiters: waiters.map(|(_, name, kind)| (name, Waiters::start(kind))).collect(),
-            witness: Witness::start(),
+            witness: group.and_then(Witness::start),
         }
     }
 
@@ -127,7 +127,9 @@ impl OneHost {
     fn tell(&self) -> String {
         let witness = self.witness.as_ref();
         if witness.is_none() {
-            println!("  no witness: it needs permission for SCHED_FIFO, and cpuacct of cgroup v1");
+            println!(
+                "  no witness: it needs permission for SCHED_FIFO and for a group of cpuacct (cgroup v1)"
+            );
         }
         let fleets = self.fleets.iter().map(|(name, fleet)| (*name, fleet.rounds()));
         let waiters = self.waiters.iter().map(|(name, waiters)| (*name, waiters.rounds.clone()));
@@ -154,11 +156,12 @@ fn main() {
         println!("clocks known to 40 us, answers up to 80 ms late");
         over_a_network(missions);
     }
+    let group = Group::of_this_program();
     let loads = [(false, "idle", "busy"), (true, "busy", "idle")];
     for (loaded, name, _) in loads.into_iter().filter(|(_, _, other)| !arguments.has(other)) {
         println!("one clock, {}", if loaded { "all cores busy" } else { name });
         let _load = loaded.then(Load::start);
-        let mut one_host = OneHost::start(&arguments);
+        let mut one_host = OneHost::start(&arguments, group.as_ref());
         let runtime = runtime();
         for _ in 0..missions {
             one_host.round(&runtime);

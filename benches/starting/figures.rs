@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::witness::{TAKEN, Witness};
+use super::witness::Witness;
 
 /// When a robot began.
 #[derive(Clone, Copy)]
@@ -49,7 +49,7 @@ impl Measured {
 pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
     Measured::of(rounds.iter()).row(name);
     if let Some(witness) = witness {
-        let is_undisturbed = |round: &&Round| witness.taken_at(round[0].true_ns) <= TAKEN;
+        let is_undisturbed = |round: &&Round| !witness.taken_at(round[0].true_ns).disturbs();
         let undisturbed = rounds.iter().filter(is_undisturbed);
         let taken = rounds.len() - undisturbed.clone().count();
         Measured::of(undisturbed).row(&format!("  without {taken} with a core taken away"));
@@ -60,8 +60,8 @@ pub fn rows(name: &str, rounds: &[Round], witness: Option<&Witness>) {
 pub fn raw(name: &str, rounds: &[Round], witness: Option<&Witness>) -> String {
     let mut lines = String::new();
     for round in rounds {
-        let taken = witness.map_or(0, |witness| witness.taken_at(round[0].true_ns).as_micros());
-        write!(lines, "{name}\t{taken}").unwrap();
+        let taken = witness.map(|witness| witness.taken_at(round[0].true_ns)).unwrap_or_default();
+        write!(lines, "{name}\t{}\t{}", taken.by_host.as_micros(), taken.by_others.as_micros()).unwrap();
         round.iter().for_each(|start| write!(lines, "\t{}:{}", start.true_ns, start.late_ns).unwrap());
         lines.push('\n');
     }

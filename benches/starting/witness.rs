@@ -1,6 +1,7 @@
-//! Sees whether the host of a virtual machine took a core away around a start: a thread on each core, which runs before all
-//! others, compares how much time has passed with how much time the kernel gave to its threads and to being idle. What is
-//! missing was the host's.
+//! Sees whether the host of a virtual machine, or another program on it, took a core away around a start. A thread on each
+//! core, which runs before all others, compares how much time has passed with how much time the kernel gave to threads and to
+//! being idle: what is missing was the host's. What threads used that are not of this program and its children was another
+//! program's, or the kernel's own.
 //!
 //! It wakes once before and once after the start, so that robots do not notice it. A single wake-up takes 10 to 30 us of a
 //! core on such a machine.
@@ -8,6 +9,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -15,29 +17,73 @@ use std::time::Duration;
 use super::epoch_nanos;
 
 /// Less than that may be the kernel's own.
-pub const TAKEN: Duration = Duration::from_micros(50);
+const TAKEN_BY_HOST: Duration = Duration::from_micros(50);
+/// Threads of the kernel use less than that around a start.
+const TAKEN_BY_OTHERS: Duration = Duration::from_micros(200);
 /// When it looks: so long before the start, and so long after it.
 const BEFORE_NS: i64 = 3_000_000;
 const AFTER_NS: i64 = 1_500_000;
 /// Robots that start within this time of an instant were meant for it.
 const NEAR_NS: i64 = 20_000_000;
 
-/// What was taken around each start, in nanoseconds.
-type Taken = Arc<Mutex<BTreeMap<i64, i64>>>;
+/// Where the kernel tells what threads used. Where it is one with the share of the cores, a group of one's own would change that.
+const GROUPS: &str = "/sys/fs/cgroup/cpuacct";
+
+/// For how long cores were taken away around a start; of several cores, the most.
+#[derive(Clone, Copy, Default)]
+pub struct Taken {
+    pub by_host: Duration,
+    pub by_others: Duration,
+}
+
+impl Taken {
+    /// Long enough to matter.
+    pub fn disturbs(self) -> bool {
+        self.by_host > TAKEN_BY_HOST || self.by_others > TAKEN_BY_OTHERS
+    }
+
+    fn or_more(self, other: Self) -> Self {
+        Self { by_host: self.by_host.max(other.by_host), by_others: self.by_others.max(other.by_others) }
+    }
+}
+
+/// By the instant of the start, in nanoseconds.
+type All = Arc<Mutex<BTreeMap<i64, Taken>>>;
+
+/// A control group of this program and its children, so that what others use can be told. Gone when it is dropped.
+pub struct Group(PathBuf);
+
+impl Group {
+    /// `None` where that is not permitted. Children join only if they are started later.
+    pub fn of_this_program() -> Option<Self> {
+        let group = Path::new(GROUPS).join(format!("downbeat-{}", std::process::id()));
+        std::fs::create_dir(&group).ok()?;
+        let group = Self(group);
+        std::fs::write(group.0.join("cgroup.procs"), std::process::id().to_string()).ok()?;
+        Some(group)
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        let _left = std::fs::write(Path::new(GROUPS).join("cgroup.procs"), std::process::id().to_string());
+        let _removed = std::fs::remove_dir(&self.0);
+    }
+}
 
 /// Threads that end when it is dropped.
 pub struct Witness {
     threads: Vec<Sender<i64>>,
-    taken: Taken,
+    taken: All,
 }
 
 impl Witness {
     /// `None` where nothing may run before all others, or the kernel does not tell what it did with each core.
-    pub fn start() -> Option<Self> {
+    pub fn start(group: &Group) -> Option<Self> {
         let cores = std::thread::available_parallelism().map_or(1, Into::into);
-        let taken = Taken::default();
+        let taken = All::default();
         let threads = (0..cores).map(|core| {
-            let account = Account::of(core)?;
+            let account = Account::of(core, group)?;
             let (starts, told) = channel();
             let (ready, granted) = channel();
             let taken = Arc::clone(&taken);
@@ -57,24 +103,34 @@ impl Witness {
         self.threads.iter().for_each(|thread| thread.send(start).unwrap());
     }
 
-    /// For how long a core was taken away around a start.
-    pub fn taken_at(&self, start: i64) -> Duration {
+    /// What was taken away around a start.
+    pub fn taken_at(&self, start: i64) -> Taken {
         let taken = self.taken.lock().unwrap();
-        let near = taken.range(start - NEAR_NS..start + NEAR_NS).map(|(_, taken)| *taken).max();
-        Duration::from_nanos(u64::try_from(near.unwrap_or(0)).unwrap_or(0))
+        taken
+            .range(start - NEAR_NS..start + NEAR_NS)
+            .fold(Taken::default(), |most, (_, taken)| most.or_more(*taken))
     }
 }
 
-fn watch(account: &Account, told: &Receiver<i64>, all: &Taken) {
+fn watch(account: &Account, told: &Receiver<i64>, all: &All) {
     while let Ok(start) = told.recv() {
         sleep_until(start - BEFORE_NS);
-        let before = account.missing();
+        let before = account.look();
         sleep_until(start + AFTER_NS);
-        let taken = account.missing() - before;
+        let after = account.look();
+        let taken = Taken {
+            by_host: positive(after.missing - before.missing),
+            by_others: positive(after.others - before.others),
+        };
         let mut all = all.lock().unwrap();
         let known = all.entry(start).or_default();
-        *known = taken.max(*known);
+        *known = known.or_more(taken);
     }
+}
+
+/// Counters that are read one after another may seem to have run back.
+fn positive(nanos: i64) -> Duration {
+    Duration::from_nanos(u64::try_from(nanos).unwrap_or(0))
 }
 
 fn sleep_until(instant: i64) {
@@ -84,31 +140,39 @@ fn sleep_until(instant: i64) {
 /// What the kernel did with a core.
 struct Account {
     core: usize,
-    /// The time that threads had, in nanoseconds for each core.
+    /// The time that threads had, in nanoseconds for each core: all of them, and those of this program and its children.
     used: File,
+    own: File,
     /// The time in each idle state, in microseconds.
     idle: Vec<File>,
 }
 
+/// In nanoseconds since some instant.
+struct Look {
+    /// The time that is accounted for nowhere.
+    missing: i64,
+    /// The time that threads had which are not ours.
+    others: i64,
+}
+
 impl Account {
     /// For the core on which the calling thread stays: what another core does at this moment is not yet accounted for.
-    fn of(core: usize) -> Option<Self> {
-        let groups = ["cpuacct", "cpu,cpuacct"];
-        let used = groups
-            .iter()
-            .find_map(|group| File::open(format!("/sys/fs/cgroup/{group}/cpuacct.usage_percpu")).ok())?;
+    fn of(core: usize, group: &Group) -> Option<Self> {
+        let used = |group: &Path| File::open(group.join("cpuacct.usage_percpu")).ok();
         let state =
             |state| File::open(format!("/sys/devices/system/cpu/cpu{core}/cpuidle/state{state}/time"));
         let idle: Vec<_> = (0..).map_while(|number: usize| state(number).ok()).collect();
-        (!idle.is_empty()).then_some(Self { core, used, idle })
+        let (used, own) = (used(Path::new(GROUPS))?, used(&group.0)?);
+        (!idle.is_empty()).then_some(Self { core, used, own, idle })
     }
 
-    /// The time that is accounted for nowhere, from some instant on.
-    fn missing(&self) -> i64 {
+    fn look(&self) -> Look {
         let now = epoch_nanos();
-        let used: i64 = read(&self.used).split(' ').nth(self.core).unwrap().trim().parse().unwrap();
+        let of_this_core =
+            |file| read(file).split(' ').nth(self.core).unwrap().trim().parse::<i64>().unwrap();
+        let (used, own) = (of_this_core(&self.used), of_this_core(&self.own));
         let idle = self.idle.iter().map(|file| read(file).trim().parse::<i64>().unwrap() * 1_000);
-        now - used - idle.sum::<i64>()
+        Look { missing: now - used - idle.sum::<i64>(), others: used - own }
     }
 }
 
