@@ -1,6 +1,6 @@
 //! From the first request to the decision for thousands of robots on loopback, next to a raw exchange of messages of the
-//! same size over tokio's TCP, and next to MQTT through mosquitto where that is installed. Robots are simulated in a process
-//! of their own.
+//! same size over tokio's TCP, the same with the messages written and read as URRCP asks and nothing else done (the floor),
+//! and MQTT through mosquitto where that is installed. Robots are simulated in a process of their own.
 //!
 //! `cargo bench --bench fan_out`; with numbers behind it those fleets: `cargo bench --bench fan_out -- 1000 4000`.
 #![expect(
@@ -20,11 +20,12 @@ use downbeat::link::{Endpoint, LinkEncoding, Security};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
-use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader as AsyncBufReader};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader as AsyncBufReader};
 use tokio::net::{TcpListener, TcpStream};
 use urrcp::{
-    Command as Control, ControlRequest, ControlType, DeviceId, InitializationBlock, Message, Millis, RobotId,
-    Script, Setpoint, Span, Step, StopCondition, encode,
+    Command as Control, ControlRequest, ControlResponse, ControlType, Decoder, DeviceId, InitializationBlock,
+    Message, Millis, RequestId, RobotId, Script, Setpoint, Span, Status, StatusValue, Step, StopCondition,
+    Timestamp, encode,
 };
 
 const STEPS: u32 = 20;
@@ -114,8 +115,17 @@ async fn be_robots(count: usize) {
     std::future::pending::<()>().await;
 }
 
+/// What the raw exchange carries.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Carries {
+    /// The same bytes each time.
+    Bytes,
+    /// Messages that are written and read.
+    Messages,
+}
+
 /// Answers every line with one of the size of an acceptance.
-async fn be_echoes(count: usize) {
+async fn be_echoes(count: usize, carries: Carries) {
     for _ in 0..count {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         println!("{}", listener.local_addr().unwrap().port());
@@ -125,8 +135,13 @@ async fn be_echoes(count: usize) {
                     let (reader, mut writer) = stream.into_split();
                     let mut lines = AsyncBufReader::new(reader).lines();
                     while let Ok(Some(line)) = lines.next_line().await {
-                        let mut answer = line.into_bytes();
-                        answer.push(b'\n');
+                        let mut answer = match carries {
+                            Carries::Bytes => line.into_bytes(),
+                            Carries::Messages => acceptance(&line),
+                        };
+                        if carries == Carries::Bytes {
+                            answer.push(b'\n');
+                        }
                         if writer.write_all(&answer).await.is_err() {
                             return;
                         }
@@ -137,6 +152,24 @@ async fn be_echoes(count: usize) {
     }
     std::io::stdout().flush().unwrap();
     std::future::pending::<()>().await;
+}
+
+/// What a robot answers to a request.
+fn acceptance(line: &str) -> Vec<u8> {
+    let Message::ControlRequest(request) = serde_json::from_str(line).unwrap() else { panic!("{line}") };
+    let content_hash = Some(request.command.content_hash());
+    assert_eq!(request.content_hash, content_hash);
+    let Control::Script(script) = request.command else { panic!("{line}") };
+    let (now, status_value) = (Timestamp::from_nanos(1_700_000_000_000_000_000), StatusValue::Script(script));
+    let response = ControlResponse {
+        status_value,
+        request_id: request.request_id,
+        content_hash,
+        ..ControlResponse::new(now, request.device_id, Status::Accepted)
+    };
+    let mut line = Vec::new();
+    encode(&Message::ControlResponse(response), &mut line);
+    line
 }
 
 /// Sending timestamp to the last acceptance, and to the decision; resident memory of this process a robot.
@@ -186,41 +219,67 @@ fn resident() -> f64 {
 }
 
 fn request_line() -> Vec<u8> {
-    let clock = ServerClock::anchored(Span::ZERO);
-    let command = Control::Script(script());
-    let mut request = ControlRequest::immediate(DeviceId::new("d").unwrap(), command.clone());
-    request.timestamp = Some(clock.now());
-    request.time_offset_to_start = Some(Millis::new(1_000.0).unwrap());
-    request.content_hash = Some(command.content_hash());
     let mut line = Vec::new();
-    encode(&Message::ControlRequest(request), &mut line);
+    encode(&Message::ControlRequest(request(0, script())), &mut line);
     line
 }
 
-/// One message of the same size to every echo and back, all at once, on connections that stand.
-fn raw(count: usize) -> Duration {
-    let peers = peers("echoes", count);
+fn request(id: usize, script: Script) -> ControlRequest {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let command = Control::Script(script);
+    let mut request = ControlRequest::immediate(DeviceId::new("d").unwrap(), command.clone());
+    request.timestamp = Some(clock.now());
+    request.time_offset_to_start = Some(Millis::new(1_000.0).unwrap());
+    request.request_id = Some(RequestId::new(format!("crowd-0123456789abcdef-r{id}")).unwrap());
+    request.content_hash = Some(command.content_hash());
+    request
+}
+
+/// One message of the same size to every peer and back, all at once, on connections that stand.
+fn raw(count: usize, carries: Carries) -> Duration {
+    let peers = peers(if carries == Carries::Bytes { "echoes" } else { "readers" }, count);
     runtime().block_on(async {
         let line = request_line();
         let mut streams = Vec::with_capacity(count);
         for port in &peers.ports {
             let stream = TcpStream::connect(("127.0.0.1", *port)).await.unwrap();
             stream.set_nodelay(true).unwrap();
-            streams.push(stream);
+            // Scripts are compiled and hashed before a mission begins.
+            streams.push((stream, request(streams.len(), script())));
         }
         let began = Instant::now();
         let mut exchanges = tokio::task::JoinSet::new();
-        for stream in streams {
+        for (stream, request) in streams {
             let line = line.clone();
             exchanges.spawn(async move {
                 let (reader, mut writer) = stream.into_split();
-                writer.write_all(&line).await.unwrap();
-                AsyncBufReader::new(reader).lines().next_line().await.unwrap().unwrap();
+                if carries == Carries::Bytes {
+                    writer.write_all(&line).await.unwrap();
+                    AsyncBufReader::new(reader).lines().next_line().await.unwrap().unwrap();
+                } else {
+                    let mut line = Vec::new();
+                    encode(&Message::ControlRequest(request), &mut line);
+                    writer.write_all(&line).await.unwrap();
+                    assert_eq!(read_one(reader).await, Status::Accepted);
+                }
             });
         }
         while exchanges.join_next().await.is_some() {}
         began.elapsed()
     })
+}
+
+async fn read_one(mut reader: tokio::net::tcp::OwnedReadHalf) -> Status {
+    let (mut decoder, mut bytes) = (Decoder::default(), vec![0; 8 * 1024]);
+    loop {
+        let came = reader.read(&mut bytes).await.unwrap();
+        assert!(came > 0);
+        decoder.push(&bytes[..came]);
+        if let Some(message) = decoder.next_message() {
+            let Message::ControlResponse(response) = message.unwrap() else { panic!() };
+            return response.status;
+        }
+    }
 }
 
 /// MQTT 3.1.1, as much of it as this needs: every robot a client that listens to a topic of its own and answers on one.
@@ -378,7 +437,8 @@ fn main() {
         return runtime().block_on(async {
             match role.as_str() {
                 "robots" => be_robots(count).await,
-                "echoes" => be_echoes(count).await,
+                "echoes" => be_echoes(count, Carries::Bytes).await,
+                "readers" => be_echoes(count, Carries::Messages).await,
                 "mqtt" => mqtt::be_clients(count).await,
                 other => panic!("role {other}"),
             }
@@ -388,25 +448,38 @@ fn main() {
     let fleets = if asked.is_empty() { vec![1_000, 4_000, 8_000] } else { asked };
     println!("medians of {ROUNDS} rounds; requests of {} bytes, {STEPS} steps", request_line().len());
     println!(
-        "{:>7} {:>14} {:>14} {:>10} {:>7} {:>12} {:>14}",
-        "robots", "last accepted", "decision", "raw tokio", "ratio", "mosquitto", "KB a robot"
+        "{:>7} {:>14} {:>14} {:>10} {:>7} {:>12} {:>7} {:>12} {:>14}",
+        "robots",
+        "last accepted",
+        "decision",
+        "raw tokio",
+        "ratio",
+        "read, written",
+        "ratio",
+        "mosquitto",
+        "KB a robot"
     );
     let millis = |duration: Duration| duration.as_secs_f64() * 1e3;
     let mut times: Vec<(f64, f64)> = Vec::new();
     for count in fleets {
         let mut rows = Vec::new();
         for _ in 0..ROUNDS {
-            // Both in turn, so that both meet the same machine.
-            rows.push((downbeat(count), millis(raw(count))));
+            // All in turn, so that all meet the same machine.
+            let (bytes, messages) = (raw(count, Carries::Bytes), raw(count, Carries::Messages));
+            rows.push((downbeat(count), millis(bytes), millis(messages)));
         }
-        let accepted = median(rows.iter().map(|(ours, _)| millis(ours.0)).collect());
-        let decision = median(rows.iter().map(|(ours, _)| millis(ours.1)).collect());
-        let raw = median(rows.iter().map(|(_, raw)| *raw).collect());
-        let memory = median(rows.iter().map(|(ours, _)| ours.2).collect());
+        let of = |figure: fn(&((Duration, Duration, f64), f64, f64)) -> f64| {
+            median(rows.iter().map(figure).collect())
+        };
+        let accepted = of(|(ours, ..)| ours.0.as_secs_f64() * 1e3);
+        let decision = of(|(ours, ..)| ours.1.as_secs_f64() * 1e3);
+        let (raw, floor, memory) =
+            (of(|(_, raw, _)| *raw), of(|(.., floor)| *floor), of(|(ours, ..)| ours.2));
         let mqtt = mqtt::exchange(count).map_or_else(|| "-".to_owned(), |t| format!("{:.1} ms", millis(t)));
         println!(
-            "{count:>7} {accepted:>11.1} ms {decision:>11.1} ms {raw:>7.1} ms {:>7.2} {mqtt:>12} {memory:>14.1}",
-            accepted / raw
+            "{count:>7} {accepted:>11.1} ms {decision:>11.1} ms {raw:>7.1} ms {:>7.2} {floor:>10.1} ms {:>7.2} {mqtt:>12} {memory:>14.1}",
+            accepted / raw,
+            accepted / floor
         );
         times.push(((count as f64).ln(), accepted.ln()));
     }
