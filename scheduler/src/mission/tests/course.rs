@@ -509,3 +509,21 @@ fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_pl
         assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played], "it had started: {starts}");
     }
 }
+
+#[test]
+fn an_act_may_have_moved_a_robot_that_has_not_spoken_as_early_as_its_clock_may_have_it() {
+    use crate::mission::course::may_have_moved;
+    let (_, act, _) = sent_act();
+    let timing = act.timing().unwrap();
+    let earliest = timing.earliest_start();
+    assert!(earliest < timing.start && !act.is_committed());
+    let moved = [earliest - Span::from_nanos(1), earliest].map(|now| may_have_moved(now, &act));
+    assert_eq!(moved, [false, true]);
+
+    let mut played = Played::begun(begins_at_once(Tells::Nothing));
+    played.run_to_the_start();
+    let act = &played.mission.acts[0];
+    let start = act.timing().unwrap().start;
+    assert!(act.is_committed() && !act.has_begun());
+    assert_eq!([at(0), start].map(|now| may_have_moved(now, act)), [false, true]);
+}

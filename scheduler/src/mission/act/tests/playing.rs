@@ -401,3 +401,16 @@ fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
     let again: Vec<_> = bench.sent_to(0).into_iter().skip(3).collect();
     assert!(matches!(again.as_slice(), [(at, 2)] if *at > refused), "{again:?}");
 }
+
+#[test]
+fn a_robot_that_only_answers_is_asked_for_each_script_when_it_should_have_ended() {
+    let mut bench = Bench::new(&[Tells::Answers], &[&[("a", 0, 200), ("b", 0, 230)]]);
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    let from = bench.start() + ms(100);
+    let asked: Vec<_> = bench.asked_of(0).map(|question| question.at).filter(|at| *at >= from).collect();
+    let due = [200, 230].map(|end| bench.start() + ms(end) + super::super::LAPSE);
+    let is_due = |(at, due): (&Timestamp<Server>, Timestamp<Server>)| *at >= due && *at < due + ms(1);
+    assert!(asked.len() == 2 && asked.iter().zip(due).all(is_due), "{asked:?}, due at {due:?}");
+    assert!(bench.act.is_over());
+}
