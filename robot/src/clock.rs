@@ -48,6 +48,12 @@ impl HostClock {
         Self::anchored().timestamp_at(self.instant) - self.timestamp
     }
 
+    /// One that shows this much more.
+    #[cfg(test)]
+    pub(crate) fn ahead_by(self, ahead: Span) -> Self {
+        Self { timestamp: self.timestamp + ahead, ..self }
+    }
+
     /// What it shows at an instant, also at one before its anchor.
     fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
         match instant.checked_duration_since(self.instant) {
@@ -104,7 +110,7 @@ mod tests {
     fn a_system_clock_that_was_set_since_the_anchor_is_ahead_by_that() {
         let hour = Span::from_millis(3_600_000);
         let clock = HostClock::anchored();
-        let before = HostClock { timestamp: clock.timestamp - hour, ..clock };
+        let before = clock.ahead_by(Span::ZERO - hour);
         assert!((before.system_ahead() - hour).abs() < Span::from_millis(60_000));
         assert!(clock.system_ahead().abs() < Span::from_millis(60_000));
     }

@@ -285,7 +285,7 @@ async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: 
 #[expect(clippy::disallowed_methods, reason = "an NTP server tells the real time")]
 mod tests {
     use std::sync::Arc;
-    use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+    use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering};
     use std::time::SystemTime;
 
     use tokio::net::UdpSocket;
@@ -297,6 +297,9 @@ mod tests {
     struct Responder {
         offset_nanos: Arc<AtomicI64>,
         is_silent: Arc<AtomicBool>,
+        /// Questions that it refuses, counted from none.
+        refuses: Vec<usize>,
+        questions: Arc<AtomicUsize>,
     }
 
     impl Responder {
@@ -314,6 +317,11 @@ mod tests {
                     answer[24..32].copy_from_slice(&question[40..48]);
                     answer[32..40].copy_from_slice(&responder.now());
                     answer[40..48].copy_from_slice(&responder.now());
+                    if responder.refuses.contains(&responder.questions.fetch_add(1, Ordering::Relaxed)) {
+                        // As of a server that is asked too often (RFC 5905, section 7.4).
+                        answer[1] = 0;
+                        answer[12..16].copy_from_slice(b"RATE");
+                    }
                     if !responder.is_silent.load(Ordering::Relaxed) {
                         socket.send_to(&answer, peer).await.unwrap();
                     }
@@ -431,6 +439,17 @@ mod tests {
         let error = (reading.offset - Span::from_millis(250)).abs();
         assert!(error <= reading.uncertainty + Span::from_micros(5), "{reading:?}");
         assert_eq!(reading.stratum, 1);
+    }
+
+    #[tokio::test]
+    async fn a_server_that_answers_some_questions_is_believed_unless_it_refuses_the_first() {
+        for (refuses, asked, believed) in [(vec![1, 4], 5, true), (vec![0], 1, false)] {
+            let responder = Responder { refuses: refuses.clone(), ..Responder::default() };
+            responder.set_offset(Span::from_millis(250));
+            let reading = ask_ntp(&responder.start().await).await;
+            assert_eq!(reading.is_ok(), believed, "{refuses:?}: {reading:?}");
+            assert_eq!(responder.questions.load(Ordering::Relaxed), asked, "{refuses:?}");
+        }
     }
 
     #[tokio::test]

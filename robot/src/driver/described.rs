@@ -82,4 +82,11 @@ mod tests {
         let narrow = says(SCHEMA, "left", -150.0, 100.0);
         assert_eq!(narrow, Err("its device `left` takes -100 to 100, expected -150 to 100".into()));
     }
+
+    #[test]
+    fn a_plain_driver_sets_what_a_number_alone_says() {
+        use ControlType::{Acceleration, Custom, Position, Script, Sensor, Speed};
+        assert_eq!([Position, Speed, Acceleration, Custom(3)].map(is_driven), [true; 4]);
+        assert_eq!([Script, Sensor].map(is_driven), [false; 2]);
+    }
 }

@@ -319,3 +319,85 @@ fn is_busy(message: &Message) -> bool {
     };
     error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy)
 }
+
+#[cfg(test)]
+mod tests {
+    use rustix::thread::{CapabilitySet, CapabilitySets};
+
+    use super::*;
+    use crate::host::outbox::outbox;
+    use crate::host::tests::{arms, paper};
+    use crate::host::{Host, HostOptions};
+    use crate::peer::Peer;
+    use crate::simulated::Settings;
+
+    fn executor(robots: usize) -> Executor {
+        let told = Told {
+            log: None,
+            owners: (0..robots).map(|_| watch::channel(None).0).collect(),
+            refusals: Arc::default(),
+            figures: Arc::new(Figures::of(robots)),
+        };
+        let bodies =
+            arms(robots, &Settings::default()).into_iter().map(|robot| Body::Simulated(Box::new(robot)));
+        Executor::new(bodies.collect(), told, PreciseWait::new(&Scheduling::of_this_thread(Realtime::Off)))
+    }
+
+    fn is_connected(executor: &mut Executor, link: u64) {
+        let (outbox, _) = outbox(Peer::in_process());
+        executor.obey(Order::Open { robot: 0, link: LinkId(link), outbox });
+    }
+
+    #[test]
+    fn the_clock_of_few_idle_robots_is_the_systems_again_when_somebody_connects() {
+        let hour = Span::from_millis(3_600_000);
+        for (robots, is_busy, follows) in
+            [(1, false, true), (64, false, true), (65, false, false), (2, true, false)]
+        {
+            let mut executor = executor(robots);
+            is_connected(&mut executor, 0);
+            if is_busy {
+                let input = Input::read(paper(600_000.0));
+                executor.obey(Order::Input { robot: 0, link: LinkId(0), input, permit: None });
+            }
+            executor.clock = executor.clock.ahead_by(hour);
+            is_connected(&mut executor, 1);
+            let ahead = Span::ZERO - executor.clock.system_ahead();
+            assert_eq!(ahead < hour / 2, follows, "{robots} robots, busy: {is_busy}, {ahead} ahead");
+        }
+    }
+
+    /// What hosts that this thread starts were granted, and whether they run.
+    fn granted() -> Vec<(Realtime, Scheduling, bool)> {
+        let start = |realtime| {
+            let options = HostOptions::default().with_realtime(realtime);
+            match Host::start(arms(1, &Settings::default()), options) {
+                Ok(host) => (realtime, host.scheduling().clone(), true),
+                Err(HostError::Realtime(scheduling)) => (realtime, scheduling, false),
+                Err(other) => panic!("{other}"),
+            }
+        };
+        [Realtime::Off, Realtime::Auto, Realtime::Required].map(start).to_vec()
+    }
+
+    /// Without the permission to ask for real-time scheduling, unless a limit gives it.
+    fn granted_less() -> Vec<(Realtime, Scheduling, bool)> {
+        let thread = std::thread::spawn(|| {
+            let found = rustix::thread::capabilities(None).unwrap();
+            let without = |set: CapabilitySet| set - CapabilitySet::SYS_NICE;
+            let (effective, permitted) = (without(found.effective), without(found.permitted));
+            let sets = CapabilitySets { effective, permitted, ..found };
+            rustix::thread::set_capabilities(None, sets).unwrap();
+            granted()
+        });
+        thread.join().unwrap()
+    }
+
+    #[test]
+    fn a_host_starts_without_what_it_was_not_granted_unless_that_is_required() {
+        for (realtime, scheduling, runs) in granted().into_iter().chain(granted_less()) {
+            let may_run = realtime != Realtime::Required || !scheduling.lacks_something();
+            assert_eq!(runs, may_run, "{realtime:?}: {scheduling}");
+        }
+    }
+}

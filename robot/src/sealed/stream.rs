@@ -123,12 +123,13 @@ async fn line<S: AsyncRead + Unpin>(stream: &mut S, came: &mut Vec<u8>, begin: &
         if came[..known] != begin[..known] {
             return Err(not_sealed(NotSealed::NotSpoken));
         }
-        if let Some(end) = came.iter().position(|byte| *byte == b'\n') {
+        let within = came.len().min(LINE_BYTES_MAX);
+        if let Some(end) = came[..within].iter().position(|byte| *byte == b'\n') {
             let rest = came.split_off(end + 1);
             let line = String::from_utf8(std::mem::replace(came, rest));
             return line.map_err(|_| not_sealed(NotSealed::NotSpoken));
         }
-        if came.len() > LINE_BYTES_MAX {
+        if came.len() >= LINE_BYTES_MAX {
             return Err(not_sealed(NotSealed::NotSpoken));
         }
         if stream.read_buf(came).await? == 0 {

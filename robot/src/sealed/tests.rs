@@ -182,6 +182,39 @@ fn what_speaks_something_else_is_not_waited_for() {
 }
 
 #[test]
+fn a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes() {
+    let guard = guard(&Secret::generate().unwrap());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    for (bytes, is_read) in [(8_192, true), (8_193, false), (10_000, false)] {
+        let line = [b"URRCP-HMAC 1 ".as_slice(), &vec![b'a'; bytes - 14], b"\n"].concat();
+        for piece in [64, 1_000, bytes] {
+            let refused = runtime.block_on(async {
+                let (mut near, far) = duplex(piece);
+                let said = async {
+                    // The rest of a line that is too long is not heard.
+                    let _hung_up = near.write_all(&line).await;
+                    let mut answer = String::new();
+                    near.read_to_string(&mut answer).await.unwrap();
+                    answer
+                };
+                let (accepted, answer) = tokio::join!(guard.accept(far), said);
+                (accepted.err().unwrap().to_string(), answer)
+            });
+            let why = if is_read { NotSealed::Refused(Refused::Unreadable) } else { NotSealed::NotSpoken };
+            let answer = if is_read { Refused::Unreadable.line() } else { String::new() };
+            assert_eq!(refused, (why.to_string(), answer), "{bytes} bytes, {piece} at a time");
+        }
+    }
+    let endless = [b"URRCP-HMAC 1 ".as_slice(), &[b'a'; 8_192 - 13]].concat();
+    let refused = runtime.block_on(async {
+        let (mut near, far) = duplex(64 * 1024);
+        near.write_all(&endless).await.unwrap();
+        tokio::time::timeout(std::time::Duration::from_secs(20), guard.accept(far)).await
+    });
+    assert!(matches!(refused, Ok(Err(_))), "its end is not waited for");
+}
+
+#[test]
 fn a_long_message_comes_whole_through_a_narrow_way() {
     let secret = Secret::generate().unwrap();
     let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));

@@ -261,3 +261,47 @@ fn a_clock_that_may_just_be_right_is_not_blamed() {
     assert_eq!(ClockDoubt::of(micros(5), micros(5)), ClockDoubt::Path);
     assert_eq!(ClockDoubt::of(micros(-6), micros(5)), ClockDoubt::Clock);
 }
+
+/// What is remembered for the drift: so many bins, which were doubled so often.
+fn remembered(estimate: &ClockEstimate) -> (usize, u32) {
+    (estimate.history.bins.len(), estimate.history.doublings)
+}
+
+#[test]
+fn what_is_remembered_for_the_drift_grows_coarser_only_when_it_has_no_room_left() {
+    let mut path = Path::new(13, (1_000_000, 1_000_000), |_| 0.2);
+    let mut estimate = ClockEstimate::default();
+    for bin in 0..64 {
+        estimate.add(path.exchange(Timestamp::from_nanos(bin * FIRST_BIN_NANOS)));
+        assert_eq!(remembered(&estimate), (usize::try_from(bin).unwrap() + 1, 0));
+    }
+    estimate.add(path.exchange(Timestamp::from_nanos(64 * FIRST_BIN_NANOS)));
+    assert_eq!(remembered(&estimate), (33, 1));
+    let indices: Vec<_> = estimate.history.bins.iter().map(|bin| bin.index).collect();
+    assert_eq!(indices, (0..=32).collect::<Vec<_>>());
+}
+
+#[test]
+fn what_is_remembered_for_the_drift_grows_no_coarser_than_it_has_to_be_for_an_hour() {
+    let mut path = Path::new(17, (1_000_000, 1_000_000), |_| 0.2);
+    let mut estimate = ClockEstimate::default();
+    let mut most = 0;
+    for k in 0..1_440 {
+        estimate.add(path.exchange(at(f64::from(k) * 10.0)));
+        most = most.max(remembered(&estimate).0);
+    }
+    assert_eq!((most, remembered(&estimate)), (BINS, (BINS, DOUBLINGS_MAX)));
+}
+
+#[test]
+fn nothing_is_remembered_for_longer_than_an_hour_however_seldom_a_clock_is_asked_for() {
+    let mut path = Path::new(19, (1_000_000, 1_000_000), |_| 0.2);
+    let mut estimate = ClockEstimate::default();
+    for k in 0..30 {
+        let sample = path.exchange(at(f64::from(k) * 390.0));
+        estimate.add(sample);
+        let oldest = estimate.history.bins.front().unwrap().bounds.lower.at;
+        assert!(sample.at - oldest <= WINDOW, "{oldest} at {}", sample.at);
+    }
+    assert_eq!(estimate.history.bins.len(), 10);
+}

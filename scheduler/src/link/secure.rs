@@ -277,6 +277,10 @@ struct Denied(String);
 
 #[cfg(test)]
 mod tests {
+    use std::net::SocketAddr;
+
+    use downbeat_robot::simulated::{Settings, SimulatedRobot};
+    use downbeat_robot::{Door, Host, HostOptions, serve_behind};
     use rustls::{AlertDescription, CertificateError, Error, InvalidMessage};
 
     use super::*;
@@ -324,13 +328,58 @@ mod tests {
         assert!(denial(&error).is_some_and(|why| why.contains("DOWNBEAT_IDENTITY")), "{error}");
     }
 
+    /// A pass by a secret of its own.
+    fn held(robot: &str) -> Held {
+        held_by(&sealed::Secret::generate().unwrap(), robot)
+    }
+
+    fn held_by(secret: &sealed::Secret, robot: &str) -> Held {
+        let claim: sealed::Claim = format!("operator eve - {} 1", i64::MAX).parse().unwrap();
+        Held { robot: robot.parse().unwrap(), pass: secret.pass(&claim), claim }
+    }
+
+    /// The robot `b` behind a secret, until its host is dropped.
+    async fn robot_b(secret: sealed::Secret) -> (Host, SocketAddr) {
+        let block = r#"{"id": "b", "api_version": "1", "devices": [{"id": "eye", "name": "eye",
+            "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+        let block = serde_json::from_str(block).unwrap();
+        let robots = vec![SimulatedRobot::new(block, Settings::default())];
+        let host = Host::start(robots, HostOptions::default()).unwrap();
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let door = Door::Sealed(Arc::new(sealed::Guard::new("b".parse().unwrap(), secret, None)));
+        tokio::spawn(serve_behind(listener, host.handle(), 0, door));
+        (host, address)
+    }
+
+    #[tokio::test]
+    async fn whichever_robot_it_is_it_is_asked_again_with_its_own_pass_and_another_than_is_meant_is_not() {
+        let secret = sealed::Secret::generate().unwrap();
+        let (host, address) = robot_b(secret.clone()).await;
+        let other = "it is robot b, another than your pass is for";
+        for (meant, passes, expected) in [
+            (None, vec![held("a"), held_by(&secret, "b")], None),
+            (None, vec![held_by(&secret, "b")], None),
+            (None, vec![held("a")], Some(other)),
+            (None, vec![held("a"), held("b")], Some("the robot does not know the secret")),
+            (None, vec![held("b"), held_by(&secret, "b")], Some("the robot does not know the secret")),
+            (Some("a"), vec![held("a"), held_by(&secret, "b")], Some(other)),
+            (Some("b"), vec![held("a"), held_by(&secret, "b")], None),
+        ] {
+            let robot = meant.map(|robot| robot.parse().unwrap());
+            let named: Vec<_> = passes.iter().map(|held| held.robot.to_string()).collect();
+            let hmac = Hmac { passes: Arc::new(Passes::new(passes)), robot };
+            let stream = TcpStream::connect(address).await.unwrap();
+            let refused = secured(stream, &Security::Hmac(Arc::new(hmac))).await.err();
+            let why = refused.as_ref().and_then(denial);
+            let told = why.as_deref().zip(expected).is_some_and(|(why, part)| why.starts_with(part));
+            assert!(told || refused.is_none() && expected.is_none(), "{meant:?}, {named:?}: {refused:?}");
+        }
+        drop(host);
+    }
+
     #[test]
     fn a_pass_is_that_of_the_robot_that_is_meant_or_the_first_one_if_any_is() {
-        let claim: sealed::Claim = "operator eve - 0 1".parse().unwrap();
-        let held = |robot: &str| {
-            let pass = sealed::Secret::generate().unwrap().pass(&claim);
-            Held { robot: robot.parse().unwrap(), claim: claim.clone(), pass }
-        };
         let passes = Arc::new(Passes::new(vec![held("a"), held("b")]));
         let any = Hmac { passes: Arc::clone(&passes), robot: None };
         assert_eq!(any.pass().unwrap().robot.as_str(), "a");

@@ -1,5 +1,7 @@
 //! A driver's thread by itself: what it tells of hardware that fails, comes back and speaks unasked.
 
+use std::time::Instant;
+
 use super::*;
 use crate::hardware::ReadingId;
 
@@ -347,4 +349,39 @@ fn a_driver_that_was_told_a_script_has_moved_its_hardware() {
         },
     );
     assert_eq!(ended, Err("the hardware reports a fault: stuck".to_owned()));
+}
+
+#[test]
+#[expect(clippy::disallowed_methods, reason = "real pauses may be longer, and not shorter")]
+fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
+    for is_there in [false, true] {
+        let answer = move |what: &str, _: &Pushes| {
+            if what == "connect" && is_there { Ok(()) } else { away("cut") }
+        };
+        let (told, times) = channel();
+        let left = std::sync::atomic::AtomicUsize::new(4);
+        let (_, news) = driven(BLOCK, false, answer, move |news, mailbox| {
+            told.send((news.to_owned(), Instant::now())).unwrap();
+            match news.strip_prefix("there ") {
+                Some(connection) => {
+                    post(mailbox, connection.parse().unwrap(), vec![set_order("wheel", 4.0)]);
+                }
+                None if left.fetch_sub(1, Ordering::SeqCst) == 1 => mailbox.close(),
+                None => {}
+            }
+        });
+        let rounds = if is_there { 8 } else { 4 };
+        assert_eq!(news.len(), rounds, "{news:?}");
+        let times: Vec<_> = times.try_iter().collect();
+        let between = |pair: &[(String, Instant)]| (pair[0].0.starts_with("there"), pair[1].1 - pair[0].1);
+        let (connected, pauses): (Vec<_>, Vec<_>) =
+            times.windows(2).map(between).partition(|(is_there, _)| *is_there);
+        // What was there for long is tried again at once.
+        if connected.iter().any(|(_, lasted)| *lasted > Duration::from_secs(5)) {
+            return;
+        }
+        for (pause, least) in pauses.iter().zip([100, 200, 400]) {
+            assert!(pause.1 >= Duration::from_millis(least), "{pauses:?}");
+        }
+    }
 }

@@ -459,3 +459,71 @@ fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_s
     mission.leave(at(1));
     assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
 }
+
+/// Robots of one act; the first one has played all of it, and the others play on.
+fn the_first_is_done(tells: &[Tells]) -> Played {
+    let scripts: Vec<Planned> =
+        (0..tells.len()).map(|robot| ("a", 0, if robot == 0 { 100 } else { 10_000 })).collect();
+    let scripts: Vec<&[Planned]> = scripts.iter().map(std::slice::from_ref).collect();
+    let participant = |(robot, tells): (usize, &Tells)| {
+        let id = format!("r{robot}");
+        Participant::new(RobotId::new(&id).unwrap(), super::robot(&id, *tells, 2).block)
+    };
+    let participants = tells.iter().enumerate().map(participant).collect();
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    played.run_until(played.now + ms(1_000));
+    assert_eq!(played.mission.acts[0].is_known_of_one(), tells[0] != Tells::Nothing);
+    assert!(!played.mission.acts[0].is_over());
+    played
+}
+
+#[test]
+fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_all_it_had() {
+    for tells in [[Everything; 2], [Tells::Nothing; 2]] {
+        let mut played = the_first_is_done(&tells);
+        let now = played.now;
+        played.mission.leave(now);
+        assert_eq!(fates(&played), [ActFate::Stopped], "{tells:?}");
+        let mut played = the_first_is_done(&tells);
+        assert_eq!(stop(&mut played), Outcome::Stopped);
+        assert_eq!(fates(&played), [ActFate::Stopped], "{tells:?}");
+    }
+}
+
+#[test]
+fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_played() {
+    for starts in [true, false] {
+        let mut mission = one_after_the_other();
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        choreography.acts[0].on_failure.default = OnFailure::Without;
+        let mut played = Played::begun(mission);
+        if starts {
+            played.run_to_the_start();
+        }
+        let now = played.now;
+        played.mission.fail(now, 0, broken());
+        assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "it had started: {starts}");
+        assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played], "it had started: {starts}");
+    }
+}
+
+#[test]
+fn an_act_may_have_moved_a_robot_that_has_not_spoken_as_early_as_its_clock_may_have_it() {
+    use crate::mission::course::may_have_moved;
+    let (_, act, _) = sent_act();
+    let timing = act.timing().unwrap();
+    let earliest = timing.earliest_start();
+    assert!(earliest < timing.start && !act.is_committed());
+    let moved = [earliest - Span::from_nanos(1), earliest].map(|now| may_have_moved(now, &act));
+    assert_eq!(moved, [false, true]);
+
+    let mut played = Played::begun(begins_at_once(Tells::Nothing));
+    played.run_to_the_start();
+    let act = &played.mission.acts[0];
+    let start = act.timing().unwrap().start;
+    assert!(act.is_committed() && !act.has_begun());
+    assert_eq!([at(0), start].map(|now| may_have_moved(now, act)), [false, true]);
+}

@@ -371,3 +371,46 @@ fn an_act_is_unaccounted_while_a_robot_may_have_something_of_it_that_it_has_not_
     bench.run_to_the_end();
     assert!(!bench.act.is_unaccounted());
 }
+
+#[test]
+fn a_robot_that_only_answers_is_asked_again_soon_until_its_script_has_ended() {
+    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
+    bench.play(Leases::Shortened);
+    bench.says_always = Some(RequestState::Running);
+    let due = bench.timing().end + super::super::LAPSE;
+    bench.run_until(due + ms(320));
+    let asked: Vec<_> = bench.asked_of(0).map(|question| question.at).filter(|at| *at >= due).collect();
+    assert!(asked.len() == 7 && asked[0] < due + ms(1), "{asked:?}, due at {due}");
+    assert!(asked.windows(2).all(|pair| pair[1] - pair[0] == ms(50)), "{asked:?}");
+}
+
+#[test]
+fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 5_000)]];
+    let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));
+    bench.play(Leases::Fixed);
+    // Nothing more is accepted but by the test.
+    bench.silent = vec![0];
+    let third = bench.scripts_of(0)[2];
+    while bench.sent_to(0).len() < 3 {
+        bench.run_until(bench.now + ms(1));
+    }
+    bench.refuse(third, ErrorCode::Busy);
+    let refused = bench.now;
+    bench.run_until(refused + ms(60));
+    let again: Vec<_> = bench.sent_to(0).into_iter().skip(3).collect();
+    assert!(matches!(again.as_slice(), [(at, 2)] if *at > refused), "{again:?}");
+}
+
+#[test]
+fn a_robot_that_only_answers_is_asked_for_each_script_when_it_should_have_ended() {
+    let mut bench = Bench::new(&[Tells::Answers], &[&[("a", 0, 200), ("b", 0, 230)]]);
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    let from = bench.start() + ms(100);
+    let asked: Vec<_> = bench.asked_of(0).map(|question| question.at).filter(|at| *at >= from).collect();
+    let due = [200, 230].map(|end| bench.start() + ms(end) + super::super::LAPSE);
+    let is_due = |(at, due): (&Timestamp<Server>, Timestamp<Server>)| *at >= due && *at < due + ms(1);
+    assert!(asked.len() == 2 && asked.iter().zip(due).all(is_due), "{asked:?}, due at {due:?}");
+    assert!(bench.act.is_over());
+}
