@@ -28,6 +28,10 @@ use urrcp::{
     Timestamp, encode,
 };
 
+/// That of the program.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 const STEPS: u32 = 20;
 const ROUNDS: usize = 3;
 

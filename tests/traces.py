@@ -6,11 +6,13 @@ import http.server
 import json
 import os
 import shutil
+import socket
 import socketserver
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import (
@@ -135,6 +137,40 @@ def check_no_collector():
     print("without a collector the mission is done, and a warning says that the trace was not sent")
 
 
+class Refusing(http.server.BaseHTTPRequestHandler):
+    """Takes nothing."""
+
+    def do_POST(self):
+        self.rfile.read(int(self.headers["Content-Length"]))
+        self.send_error(503)
+
+    def log_message(self, *_):
+        pass
+
+
+def check_bad_collector(kind, url):
+    """One that is there and of no use delays no mission: only the program's end, and for seconds."""
+    begin = time.monotonic()
+    report, said = run(["scripts/examples/swap.yaml"], 0)
+    without = time.monotonic() - begin
+    begin = time.monotonic()
+    report, said = run(["scripts/examples/swap.yaml", "--traces", url], 0)
+    took = time.monotonic() - begin - without
+    assert report["outcome"] == "done" and "the trace is not complete: " in said, said
+    assert all(act["fate"] == "played" for act in report["acts"]), report["acts"]
+    warning = next(line for line in said.splitlines() if "the trace is not complete" in line)
+    print(f"a collector that {kind}: done, {took:.1f} s later, with the warning: {warning.strip()}")
+
+
+def check_bad_collectors():
+    hanging = socket.create_server(("127.0.0.1", 0))
+    check_bad_collector("answers nothing", f"http://127.0.0.1:{hanging.getsockname()[1]}")
+    hanging.close()
+    refusing = Server(("127.0.0.1", 0), Refusing)
+    threading.Thread(target=refusing.serve_forever, daemon=True).start()
+    check_bad_collector("refuses all", f"http://127.0.0.1:{refusing.server_address[1]}")
+
+
 def main():
     server = Server(("127.0.0.1", 0), Collector)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -146,6 +182,7 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         os.environ["DOWNBEAT_STATE"] = f"{folder}/state"
         check_no_collector()
+        check_bad_collectors()
 
 
 main()
