@@ -18,13 +18,18 @@ use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, error_
 
 /// Exchanges of timestamps with each robot before anything is decided.
 const CLOCK_SAMPLES: u32 = 8;
-/// For how long clocks are sampled further while the fleet's possible spread is beyond the tolerance.
+/// For how long clocks are sampled further while the fleet's possible spread is beyond the tolerance, or a link seems too slow.
 const SAMPLING: Span = Span::from_millis(4_000);
 /// After so long a clock is looked at again.
 const STALE: Span = Span::from_millis(500);
 /// How often it is looked whether a robot may be asked again. One question at a time: on a link that keeps the order of
 /// messages several would wait for each other.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
+
+/// Whether its answers take longer than any lease.
+fn is_too_slow(robot: &RobotState) -> bool {
+    robot.standing == Standing::In && !robot.is_of_another() && robot.round_trip() > ROUND_TRIP_LONGEST
+}
 
 impl Mission {
     pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: usize) {
@@ -251,13 +256,16 @@ impl Mission {
         }
     }
 
-    /// Samples clocks further as long as that may bring the fleet's possible spread within the tolerance.
-    fn still_sampling(&mut self, now: Timestamp<Server>) -> bool {
+    /// Samples clocks further as long as that may bring the fleet's possible spread within the tolerance, or show that a robot
+    /// is slow only as long as thousands of others are connected to.
+    pub(super) fn still_sampling(&mut self, now: Timestamp<Server>) -> bool {
         if self.robots.iter().any(RobotState::has_failed) {
             return false;
         }
         let settled = !(0..self.robots.len()).any(|robot| self.is_on_its_way(robot));
-        let fits = settled && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
+        let fits = settled
+            && !self.robots.iter().any(is_too_slow)
+            && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
         let Phase::Greeting { deadline } = self.phase else { return false };
         let until = deadline.min(now + SAMPLING);
         let (until, next) = *self.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
@@ -278,7 +286,7 @@ impl Mission {
             // Also those that are known well enough are looked at now and then: a clock may be set meanwhile.
             let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
-            if unsure && state.is_up() {
+            if (unsure || is_too_slow(state)) && state.is_up() {
                 self.ask_further(now, robot);
             }
             self.follow_on_its_way(now, robot);
@@ -306,8 +314,8 @@ impl Mission {
     pub(super) fn check_links(&mut self) {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
-            let round_trip = robot.round_trip();
-            if robot.standing == Standing::In && !robot.is_of_another() && round_trip > ROUND_TRIP_LONGEST {
+            if is_too_slow(robot) {
+                let round_trip = robot.round_trip();
                 let slow = Slow::RoundTrip { round_trip, longest: ROUND_TRIP_LONGEST };
                 self.note_failure(index, FailureKind::TooSlow { slow });
             }

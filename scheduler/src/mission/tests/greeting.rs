@@ -191,6 +191,38 @@ fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything
     assert!(played.recorded.iter().any(|record| matches!(record, Record::Checked)));
 }
 
+/// Three round trips of four seconds each, before anything is played.
+fn was_slow(mission: &mut Mission) {
+    for sent in [-15_000, -10_000, -5_000].map(at) {
+        let there = by_robot(sent + ms(2_000));
+        mission.robots[0].clock.add(ClockSample::from_exchange(sent, there, there, sent + ms(4_000)));
+    }
+}
+
+#[test]
+fn a_robot_that_was_slow_as_long_as_others_were_connected_to_is_measured_further() {
+    let mut mission = asked();
+    was_slow(&mut mission);
+    let mut played = Played::begun(mission);
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused() {
+    let mut mission = asked();
+    was_slow(&mut mission);
+    for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
+        // Whoever goes on looks again every 20 ms.
+        if let Some((_, next)) = &mut mission.sampling {
+            *next = at(now) + ms(20);
+        }
+        assert_eq!(mission.still_sampling(at(now)), goes_on, "{now}");
+    }
+    mission.check_links();
+    let slow = |failure: &Failure| matches!(failure.kind, FailureKind::TooSlow { .. });
+    assert!(mission.robots[0].failures.iter().any(slow));
+}
+
 #[test]
 fn a_preflight_ends_once_the_fleet_is_checked() {
     for (fails, outcome) in [(false, Outcome::Ready), (true, Outcome::NotReady)] {
