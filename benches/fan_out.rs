@@ -470,15 +470,11 @@ fn main() {
         for _ in 0..ROUNDS {
             // All in turn, so that all meet the same machine.
             let (bytes, messages) = (raw(count, Carries::Bytes), raw(count, Carries::Messages));
-            rows.push((downbeat(count), millis(bytes), millis(messages)));
+            let (accepted, decided, memory) = downbeat(count);
+            rows.push([millis(accepted), millis(decided), millis(bytes), millis(messages), memory]);
         }
-        let of = |figure: fn(&((Duration, Duration, f64), f64, f64)) -> f64| {
-            median(rows.iter().map(figure).collect())
-        };
-        let accepted = of(|(ours, ..)| ours.0.as_secs_f64() * 1e3);
-        let decision = of(|(ours, ..)| ours.1.as_secs_f64() * 1e3);
-        let (raw, floor, memory) =
-            (of(|(_, raw, _)| *raw), of(|(.., floor)| *floor), of(|(ours, ..)| ours.2));
+        let column = |index: usize| median(rows.iter().map(|row| row[index]).collect());
+        let [accepted, decision, raw, floor, memory] = [0, 1, 2, 3, 4].map(column);
         let mqtt = mqtt::exchange(count).map_or_else(|| "-".to_owned(), |t| format!("{:.1} ms", millis(t)));
         println!(
             "{count:>7} {accepted:>11.1} ms {decision:>11.1} ms {raw:>7.1} ms {:>7.2} {floor:>10.1} ms {:>7.2} {mqtt:>12} {memory:>14.1}",
