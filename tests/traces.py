@@ -157,7 +157,6 @@ def check_bad_collector(kind, url):
     report, said = run(["scripts/examples/swap.yaml", "--traces", url], 0)
     took = time.monotonic() - begin - without
     assert report["outcome"] == "done" and "the trace is not complete: " in said, said
-    assert all(act["fate"] == "played" for act in report["acts"]), report["acts"]
     warning = next(line for line in said.splitlines() if "the trace is not complete" in line)
     print(f"a collector that {kind}: done, {took:.1f} s later, with the warning: {warning.strip()}")
 
