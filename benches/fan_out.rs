@@ -139,13 +139,10 @@ async fn be_echoes(count: usize, carries: Carries) {
                     let (reader, mut writer) = stream.into_split();
                     let mut lines = AsyncBufReader::new(reader).lines();
                     while let Ok(Some(line)) = lines.next_line().await {
-                        let mut answer = match carries {
-                            Carries::Bytes => line.into_bytes(),
+                        let answer = match carries {
+                            Carries::Bytes => (line + "\n").into_bytes(),
                             Carries::Messages => acceptance(&line),
                         };
-                        if carries == Carries::Bytes {
-                            answer.push(b'\n');
-                        }
                         if writer.write_all(&answer).await.is_err() {
                             return;
                         }

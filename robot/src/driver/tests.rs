@@ -52,6 +52,37 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
                 "control_types": ["speed"]}}}]}"#;
 
+/// A script that starts this many milliseconds from now.
+fn request(device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) -> Message {
+    let step = |(millis, value): &(f64, f64)| Step {
+        offset: Millis::new(*millis).unwrap(),
+        setpoint: Setpoint::new(control_type, *value),
+        stop_condition: None,
+    };
+    let script = Script::new(steps.iter().map(step).collect()).unwrap();
+    let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
+    Message::ControlRequest(ControlRequest {
+        timestamp: Some(now),
+        time_offset_to_start: Some(Millis::new(lead).unwrap()),
+        request_id: Some(RequestId::new(id).unwrap()),
+        ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
+    })
+}
+
+/// The whole plan of a device that has no steps.
+fn empty_plan<C>(device: &DeviceId) -> PlanPart<C> {
+    PlanPart {
+        plan: crate::PlanId(1),
+        device: device.clone(),
+        start: Timestamp::from_nanos(0),
+        begin_by: Timestamp::from_nanos(0),
+        interpolation: urrcp::Interpolation::Hold,
+        first: 0,
+        steps: Vec::new(),
+        is_last: true,
+    }
+}
+
 /// Hardware of a test: tells what is done with it, and does what the test says.
 #[derive(Default)]
 struct Bench {
@@ -190,19 +221,7 @@ impl Rig {
 
     /// Sends a script that starts this many milliseconds from now.
     fn script_in(&self, device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) {
-        let step = |(millis, value): &(f64, f64)| Step {
-            offset: Millis::new(*millis).unwrap(),
-            setpoint: Setpoint::new(control_type, *value),
-            stop_condition: None,
-        };
-        let script = Script::new(steps.iter().map(step).collect()).unwrap();
-        let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
-        self.link.send(Message::ControlRequest(ControlRequest {
-            timestamp: Some(now),
-            time_offset_to_start: Some(Millis::new(lead).unwrap()),
-            request_id: Some(RequestId::new(id).unwrap()),
-            ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
-        }));
+        self.link.send(request(device, id, lead, steps, control_type));
     }
 
     async fn response(&mut self) -> ControlResponse {

@@ -7,16 +7,7 @@ fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
     let mailbox = Mailbox::default();
     mailbox.connected(1, mailbox::Manners { acknowledges: true, ..MANNERS });
     let arm = DeviceId::new("arm").unwrap();
-    let part = PlanPart {
-        plan: crate::PlanId(1),
-        device: arm.clone(),
-        start: Timestamp::from_nanos(0),
-        begin_by: Timestamp::from_nanos(0),
-        interpolation: urrcp::Interpolation::Hold,
-        first: 0,
-        steps: Vec::new(),
-        is_last: true,
-    };
+    let part = empty_plan(&arm);
     let cancel =
         PlanCancel { plan: part.plan, device: arm.clone(), then: crate::Then::Keep, why: String::new() };
     let take = mailbox::PlanOrder::Take(part, HostClock::anchored());

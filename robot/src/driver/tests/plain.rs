@@ -47,16 +47,7 @@ fn a_driver_by_default_is_told_values_alone_one_after_another() {
     let ramp = Ramp { control_type: ControlType::Speed, to: 1.0, duration: Duration::ZERO };
     let arm = || DeviceId::new("a").unwrap();
     assert!(plain.ramp(&arm(), ramp).is_err());
-    let part = PlanPart {
-        plan: crate::PlanId(1),
-        device: arm(),
-        start: Timestamp::from_nanos(0),
-        begin_by: Timestamp::from_nanos(0),
-        interpolation: urrcp::Interpolation::Hold,
-        first: 0,
-        steps: Vec::new(),
-        is_last: true,
-    };
+    let part = empty_plan(&arm());
     let (then, why) = (crate::Then::Keep, String::new());
     let cancel = PlanCancel { plan: part.plan, device: arm(), then, why };
     let timed = Err(DriverError::Refused("this driver times no scripts".to_owned()));

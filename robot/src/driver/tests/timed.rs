@@ -100,27 +100,17 @@ async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
     all
 }
 
-fn request(device: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) -> Message {
-    let step = |(millis, value): &(f64, f64)| Step {
-        offset: Millis::new(*millis).unwrap(),
-        setpoint: Setpoint::new(control_type, *value),
-        stop_condition: None,
-    };
-    let script = Script::new(steps.iter().map(step).collect()).unwrap();
-    let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
-    Message::ControlRequest(ControlRequest {
-        timestamp: Some(now),
-        time_offset_to_start: Some(Millis::new(lead).unwrap()),
-        request_id: Some(RequestId::new(device).unwrap()),
-        ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
-    })
-}
-
 #[tokio::test]
 async fn a_program_that_times_scripts_reports_what_it_logs() {
     for mode in ["script", "horizon"] {
         let Some((host, mut link, folder)) = ahead(mode) else { return };
-        link.send(request("wheel", 2_000.0, &[(0.0, 4.0), (300.0, 5.0), (600.0, 6.0)], ControlType::Speed));
+        link.send(request(
+            "wheel",
+            "wheel",
+            2_000.0,
+            &[(0.0, 4.0), (300.0, 5.0), (600.0, 6.0)],
+            ControlType::Speed,
+        ));
         let all = responses(&mut link, 3).await;
         let statuses: Vec<_> = all.iter().map(|response| response.status.clone()).collect();
         assert_eq!(statuses, PLAYED, "{mode}: {:?}", all[all.len() - 1].error);
@@ -141,6 +131,7 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
         let Some((host, mut link, folder)) = ahead("script") else { return };
         link.send(request(
             "arm",
+            "arm",
             2_000.0,
             &[(300.0, 4.0), (600.0, value), (900.0, 6.0)],
             ControlType::Position,
@@ -158,7 +149,7 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
 async fn a_stop_ends_the_script_of_a_program_before_it_is_confirmed() {
     let Some((host, mut link, folder)) = ahead("script") else { return };
     let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();
-    link.send(request("wheel", 2_000.0, &steps, ControlType::Speed));
+    link.send(request("wheel", "wheel", 2_000.0, &steps, ControlType::Speed));
     responses(&mut link, 2).await;
     link.send(Message::ControlRequest(ControlRequest {
         request_id: Some(RequestId::new("stop").unwrap()),

@@ -212,7 +212,7 @@ fn a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused
     let mut mission = asked();
     was_slow(&mut mission);
     for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
-        // Whoever goes on looks again every 20 ms.
+        // While it samples, the mission asks again every 20 ms.
         if let Some((_, next)) = &mut mission.sampling {
             *next = at(now) + ms(20);
         }
