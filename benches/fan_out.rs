@@ -1,6 +1,6 @@
-//! From the first request to the decision for thousands of robots on loopback, next to a raw exchange of messages of the
-//! same size over tokio's TCP, the same with the messages written and read as URRCP asks and nothing else done (the floor),
-//! and MQTT through mosquitto where that is installed. Robots are simulated in a process of their own.
+//! From the first request to the decision for thousands of robots on loopback, which all play the same script or each its own.
+//! Next to a raw exchange of messages of the same size over tokio's TCP, the same with the messages written and read as URRCP
+//! asks and nothing else done, and MQTT through mosquitto where that is installed. Robots are simulated in a process of their own.
 //!
 //! `cargo bench --bench fan_out`; with numbers behind it those fleets: `cargo bench --bench fan_out -- 1000 4000`.
 #![expect(
@@ -44,23 +44,37 @@ fn block(id: usize) -> InitializationBlock {
     serde_json::from_str(&json).unwrap()
 }
 
-fn script() -> Script {
+/// Each number has its own script. All are as long.
+fn script(number: usize) -> Script {
+    let places = [number % 90, number / 90 % 90, number / 8_100];
     let step = |i: u32| Step {
         offset: Millis::new(f64::from(i) * 5.0).unwrap(),
-        setpoint: Setpoint::new(ControlType::Position, f64::from(i)),
+        setpoint: Setpoint::new(
+            ControlType::Position,
+            places.get(i as usize).map_or_else(|| f64::from(i), |place| *place as f64),
+        ),
         stop_condition: None,
     };
     Script::new((0..STEPS).map(step).collect()).unwrap()
 }
 
-fn plan(robots: usize) -> Plan {
+/// Who plays what.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Plays {
+    /// All robots the same script.
+    InUnison,
+    /// Each robot a script of its own.
+    ItsOwn,
+}
+
+fn plan(robots: usize, plays: Plays) -> Plan {
     let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
     // One after another: a process that moves eight thousand robots at one instant does the last one late.
     let script = |id: usize| DeviceScript {
         device: DeviceId::new("d").unwrap(),
         start: Millis::new(id as f64 * 0.25).unwrap(),
         stop_condition,
-        script: script(),
+        script: script(if plays == Plays::ItsOwn { id } else { 0 }),
     };
     let robot =
         |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };
@@ -173,16 +187,15 @@ fn acceptance(line: &str) -> Vec<u8> {
     line
 }
 
-/// Sending timestamp to the last acceptance, and to the decision; resident memory of this process a robot.
-fn downbeat(count: usize) -> (Duration, Duration, f64) {
+/// From the sending timestamp to the decision.
+fn downbeat(count: usize, plays: Plays) -> Duration {
     let peers = peers("robots", count);
-    let before = resident();
     runtime().block_on(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
         let mut options = MissionOptions::default();
         options.patience = Span::from_millis(60_000);
-        let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
+        let mission = Mission::of_plan(plan(count, plays), participants, options, clock.now()).unwrap();
         let endpoints = peers
             .ports
             .iter()
@@ -194,34 +207,22 @@ fn downbeat(count: usize) -> (Duration, Duration, f64) {
             })
             .collect();
         let (_operator, said) = tokio::sync::mpsc::channel(1);
-        let (mut sent, mut accepted, mut decided) = (None, None, None);
-        let mut most = 0.0_f64;
+        let (mut sent, mut decided) = (None, None);
         let report = downbeat::run::run(mission, endpoints, clock, said, |at, progress| match progress {
             Progress::Preparing { .. } => sent = Some(at),
-            Progress::Accepted { .. } => accepted = Some(at),
-            Progress::Decided { .. } => {
-                decided = Some(at);
-                most = most.max(resident());
-            }
+            Progress::Decided { .. } => decided = Some(at),
             _ => {}
         })
         .await;
         assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures.first());
-        let since = |at: Option<urrcp::Timestamp<urrcp::Server>>| (at.unwrap() - sent.unwrap()).to_duration();
-        (since(accepted), since(decided), (most - before) / count as f64)
+        let took: urrcp::Span = decided.unwrap() - sent.unwrap();
+        took.to_duration()
     })
-}
-
-/// Resident memory of this process in kilobytes.
-fn resident() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
-    line.split_whitespace().nth(1).unwrap().parse().unwrap()
 }
 
 fn request_line() -> Vec<u8> {
     let mut line = Vec::new();
-    encode(&Message::ControlRequest(request(0, script())), &mut line);
+    encode(&Message::ControlRequest(request(0, script(0))), &mut line);
     line
 }
 
@@ -246,7 +247,7 @@ fn raw(count: usize, carries: Carries) -> Duration {
             let stream = TcpStream::connect(("127.0.0.1", *port)).await.unwrap();
             stream.set_nodelay(true).unwrap();
             // Scripts are compiled and hashed before a mission begins.
-            streams.push((stream, request(streams.len(), script())));
+            streams.push((stream, request(streams.len(), script(streams.len()))));
         }
         let began = Instant::now();
         let mut exchanges = tokio::task::JoinSet::new();
@@ -446,19 +447,11 @@ fn main() {
         });
     }
     let asked: Vec<usize> = std::env::args().filter_map(|arg| arg.parse().ok()).collect();
-    let fleets = if asked.is_empty() { vec![1_000, 4_000, 8_000] } else { asked };
+    let fleets = if asked.is_empty() { vec![1_000, 4_000, 9_900] } else { asked };
     println!("medians of {ROUNDS} rounds; requests of {} bytes, {STEPS} steps", request_line().len());
     println!(
-        "{:>7} {:>14} {:>14} {:>10} {:>7} {:>12} {:>7} {:>12} {:>14}",
-        "robots",
-        "last accepted",
-        "decision",
-        "raw tokio",
-        "ratio",
-        "read, written",
-        "ratio",
-        "mosquitto",
-        "KB a robot"
+        "{:>7} {:>12} {:>11} {:>6} {:>11} {:>6} {:>14} {:>12}",
+        "robots", "raw tokio", "in unison", "ratio", "own scripts", "ratio", "read, written", "mosquitto"
     );
     let millis = |duration: Duration| duration.as_secs_f64() * 1e3;
     let mut times: Vec<(f64, f64)> = Vec::new();
@@ -467,23 +460,20 @@ fn main() {
         for _ in 0..ROUNDS {
             // All in turn, so that all meet the same machine.
             let (bytes, messages) = (raw(count, Carries::Bytes), raw(count, Carries::Messages));
-            let (accepted, decided, memory) = downbeat(count);
-            rows.push([millis(accepted), millis(decided), millis(bytes), millis(messages), memory]);
+            let (unison, own) = (downbeat(count, Plays::InUnison), downbeat(count, Plays::ItsOwn));
+            rows.push([bytes, messages, unison, own].map(millis));
         }
         let column = |index: usize| median(rows.iter().map(|row| row[index]).collect());
-        let [accepted, decision, raw, floor, memory] = [0, 1, 2, 3, 4].map(column);
+        let [raw, messages, unison, own] = [0, 1, 2, 3].map(column);
         let mqtt = mqtt::exchange(count).map_or_else(|| "-".to_owned(), |t| format!("{:.1} ms", millis(t)));
         println!(
-            "{count:>7} {accepted:>11.1} ms {decision:>11.1} ms {raw:>7.1} ms {:>7.2} {floor:>10.1} ms {:>7.2} {mqtt:>12} {memory:>14.1}",
-            accepted / raw,
-            accepted / floor
+            "{count:>7} {raw:>9.1} ms {unison:>8.1} ms {:>6.2} {own:>8.1} ms {:>6.2} {messages:>11.1} ms {mqtt:>12}",
+            unison / raw,
+            own / raw
         );
-        times.push(((count as f64).ln(), accepted.ln()));
+        times.push(((count as f64).ln(), own.ln()));
     }
     if let [first, .., last] = times.as_slice() {
-        println!(
-            "growth of the last acceptance with the fleet: N^{:.2}",
-            (last.1 - first.1) / (last.0 - first.0)
-        );
+        println!("growth of the decision with the fleet: N^{:.2}", (last.1 - first.1) / (last.0 - first.0));
     }
 }

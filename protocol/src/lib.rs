@@ -61,7 +61,7 @@ mod time;
 #[cfg(test)]
 mod wire_tests;
 
-pub use codec::{DecodeError, DecodeErrorKind, Decoder, Encoding, Front, encode, encode_as};
+pub use codec::{DecodeError, DecodeErrorKind, Decoder, Encoding, Front, KnownScripts, encode, encode_as};
 pub use content_hash::ContentHash;
 pub use control_type::ControlType;
 pub use error::{ControlError, ErrorCode};

@@ -3,8 +3,9 @@
 mod arbitrary;
 
 use crate::{
-    Command, ControlRequest, ControlType, DecodeErrorKind, Decoder, DeviceId, Encoding, ErrorCode, Message,
-    Millis, RequestId, Script, Setpoint, Step, StopCondition, encode, encode_as,
+    Command, ControlRequest, ControlResponse, ControlType, DecodeErrorKind, Decoder, DeviceId, Encoding,
+    ErrorCode, Message, Millis, RequestId, Script, Setpoint, StatusValue, Step, StopCondition, encode,
+    encode_as,
 };
 
 /// The paper's own script, 45, 0, 45, as `docs/protocol.md` shows it.
@@ -28,6 +29,12 @@ fn line_of(message: &Message) -> String {
     let mut line = Vec::new();
     encode(message, &mut line);
     String::from_utf8(line).unwrap()
+}
+
+fn frame_of(message: &Message) -> Vec<u8> {
+    let mut frame = Vec::new();
+    encode_as(Encoding::MessagePack, message, &mut frame);
+    frame
 }
 
 fn step(millis: f64, value: f64) -> Step {
@@ -482,6 +489,23 @@ proptest::proptest! {
         if let (Message::ControlRequest(framed), Message::ControlRequest(message)) = (&framed, &message) {
             proptest::prop_assert_eq!(framed.command.content_hash(), message.command.content_hash());
         }
+    }
+
+    #[test]
+    fn a_script_whose_text_is_kept_is_written_as_one_whose_text_is_not(message in arbitrary::message()) {
+        let (before, compact) = (line_of(&message), frame_of(&message));
+        match &message {
+            Message::ControlRequest(request) => {
+                let _hash = request.command.content_hash();
+            }
+            Message::ControlResponse(ControlResponse { status_value: StatusValue::Script(script), .. }) => {
+                let _hash = Command::Script(script.clone()).content_hash();
+            }
+            _ => {}
+        }
+        proptest::prop_assert_eq!(&line_of(&message), &before);
+        proptest::prop_assert_eq!(format!("{}\n", serde_json::to_string(&message).unwrap()), before);
+        proptest::prop_assert_eq!(frame_of(&message), compact);
     }
 
     #[test]

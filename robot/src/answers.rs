@@ -15,7 +15,7 @@ const ENDED_KEPT_A_DEVICE: usize = 4;
 #[derive(Clone, Debug)]
 pub(crate) struct Answers {
     kept: usize,
-    known: HashMap<RequestId, Known>,
+    known: HashMap<RequestId, Box<Known>>,
     ended: VecDeque<RequestId>,
 }
 
@@ -44,7 +44,7 @@ impl Answers {
     }
 
     pub(crate) fn known(&self, id: &RequestId) -> Option<&Known> {
-        self.known.get(id)
+        self.known.get(id).map(Box::as_ref)
     }
 
     /// An accepted request is to start then.
@@ -65,7 +65,8 @@ impl Answers {
             }
             None => {
                 let (answer, content_hash) = (answer.clone(), answer.content_hash);
-                self.known.insert(id.clone(), Known { answer, content_hash, start: None, began });
+                let known = Known { answer, content_hash, start: None, began };
+                self.known.insert(id.clone(), Box::new(known));
                 false
             }
         };

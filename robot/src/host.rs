@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, oneshot, watch};
-use urrcp::{Message, RobotId};
+use urrcp::{KnownScripts, Message, RobotId};
 
 use self::body::Body;
 use self::executor::{Order, Told, prepared_thread};
@@ -121,6 +121,7 @@ pub struct HostHandle {
     refusals: Arc<Refusals>,
     figures: Arc<Figures>,
     strangers: Arc<Strangers>,
+    scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
 }
 
@@ -169,6 +170,7 @@ impl Host {
             next_link: Arc::new(AtomicU64::new(0)),
             refusals: Arc::default(),
             strangers: Arc::default(),
+            scripts: KnownScripts::default(),
             owners: watched.into(),
         };
         let told = Told {
@@ -320,6 +322,11 @@ impl HostHandle {
     /// What all peers share that have no robot of this host.
     pub(crate) fn strangers(&self) -> Arc<Strangers> {
         Arc::clone(&self.strangers)
+    }
+
+    /// Scripts that came last: often several robots of a host get the same one.
+    pub(crate) const fn scripts(&self) -> &KnownScripts {
+        &self.scripts
     }
 
     /// To whom a robot belongs, or belonged last, as it changes.

@@ -1,6 +1,7 @@
 //! What a scenario compiles to: acts, and for each the scripts of every robot.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
@@ -209,6 +210,17 @@ impl Plan {
     }
 }
 
+/// The same for equal scripts, and mostly another one for others.
+fn fingerprint(script: &Script) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    for step in script.steps() {
+        // Adding zero makes one of the two zeros, which are equal.
+        (step.offset.get() + 0.0).to_bits().hash(&mut hasher);
+        (step.setpoint.value + 0.0).to_bits().hash(&mut hasher);
+    }
+    hasher.finish()
+}
+
 impl Choreography {
     /// One act, which begins at once and after which the mission ends.
     #[must_use]
@@ -230,6 +242,23 @@ impl Choreography {
             plan,
         };
         Self { scenario: act.plan.scenario.clone(), acts: vec![act], requirements: Requirements::default() }
+            .with_shared_scripts()
+    }
+
+    /// The same choreography, in which scripts with equal steps are one: groups in unison take no more memory than one robot,
+    /// and what is computed of a script, as its hash and its text, is computed once.
+    #[must_use]
+    pub fn with_shared_scripts(mut self) -> Self {
+        let mut known: HashMap<u64, Vec<Script>> = HashMap::new();
+        let robots = self.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
+        for device in robots.flat_map(|robot| &mut robot.scripts) {
+            let alike = known.entry(fingerprint(&device.script)).or_default();
+            match alike.iter().find(|script| **script == device.script) {
+                Some(script) => device.script = script.clone(),
+                None => alike.push(device.script.clone()),
+            }
+        }
+        self
     }
 
     /// The closest that two bodies come in any act, with that act. `None` where no two bodies are known.
@@ -258,4 +287,49 @@ impl Choreography {
 /// Whether a control type drives a rate, which continues until something changes it.
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{Setpoint, Step};
+
+    use super::*;
+
+    #[test]
+    fn scripts_with_equal_steps_are_one_and_others_stay_as_they_are() {
+        let script = |value: f64, running: Option<f64>| {
+            let step = Step {
+                stop_condition: running.map(|millis| StopCondition::both(Millis::new(millis).unwrap())),
+                ..Step::new(Millis::new(5.0).unwrap(), Setpoint::new(ControlType::Position, value))
+            };
+            DeviceScript {
+                device: DeviceId::new("d").unwrap(),
+                start: Millis::new(0.0).unwrap(),
+                stop_condition: StopCondition::default(),
+                script: Script::new(vec![step]).unwrap(),
+            }
+        };
+        let variants = [(1.0, None), (2.0, None), (1.0, Some(9.0)), (0.0, None), (-0.0, None), (1.0, None)];
+        let robot = |id: &str| RobotPlan {
+            robot: RobotId::new(id).unwrap(),
+            scripts: variants.map(|(value, running)| script(value, running)).into(),
+        };
+        let plan = Plan {
+            scenario: "s".into(),
+            start_tolerance: Span::ZERO,
+            lead: None,
+            stop_condition: StopCondition::default(),
+            robots: vec![robot("a"), robot("b")],
+        };
+        let shared = Choreography::of_plan(plan.clone());
+        assert_eq!(shared.acts[0].plan, plan);
+        let steps = |robot: usize, script: usize| {
+            shared.acts[0].plan.robots[robot].scripts[script].script.steps().as_ptr()
+        };
+        let first: Vec<_> = (0..variants.len()).map(|script| steps(0, script)).collect();
+        assert_eq!((0..variants.len()).map(|script| steps(1, script)).collect::<Vec<_>>(), first);
+        let one = |a: usize, b: usize| first[a] == first[b];
+        let are_one = [one(0, 5), one(3, 4), one(0, 1), one(0, 2), one(1, 3)];
+        assert_eq!(are_one, [true, true, false, false, false]);
+    }
 }

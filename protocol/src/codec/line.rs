@@ -5,8 +5,9 @@ use std::fmt;
 use serde::de::{IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
+use super::KnownScripts;
 use super::error::{DecodeError, DecodeErrorKind, Envelope, UnknownType};
-use crate::message::Message;
+use crate::message::{Message, OnLine};
 use crate::text::shortened;
 
 /// What ends a line.
@@ -14,16 +15,21 @@ pub(super) const END: u8 = b'\n';
 
 /// Appends a message and its newline.
 pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
+    let message = OnLine(message);
+    line.reserve(message.length());
     // Writing a message into memory cannot fail: keys are strings, numbers finite.
-    let written = serde_json::to_writer(&mut *line, message);
+    let written = serde_json::to_writer(&mut *line, &message);
     debug_assert!(written.is_ok(), "{written:?}");
     line.push(END);
 }
 
 /// Reads one line without its newline.
-pub(super) fn read(line: &[u8]) -> Result<Message, DecodeError> {
+pub(super) fn read(line: &[u8], known: Option<&KnownScripts>) -> Result<Message, DecodeError> {
     let text = std::str::from_utf8(line)
         .map_err(|e| DecodeError::bare(DecodeErrorKind::NotUtf8 { valid_up_to: e.valid_up_to() }))?;
+    if let Some(message) = known.and_then(|known| known.read(text)) {
+        return Ok(message);
+    }
     serde_json::from_str(text).or_else(|error| match serde_json::from_str::<UnknownType>(text) {
         Ok(unknown) => Ok(unknown.into()),
         Err(_) => Err(explain(text, &error)),

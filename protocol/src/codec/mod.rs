@@ -5,12 +5,14 @@
 mod decoder;
 mod error;
 mod frame;
+mod known_scripts;
 mod line;
 
 use std::fmt;
 
 pub use decoder::{Decoder, Front};
 pub use error::{DecodeError, DecodeErrorKind};
+pub use known_scripts::KnownScripts;
 
 use crate::message::Message;
 

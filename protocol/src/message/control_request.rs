@@ -7,7 +7,7 @@ use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::script::{FurtherValues, Key, Keys, serialize_values, set_once};
-use super::{Script, Setpoint, StopCondition};
+use super::{OnLine, Script, Setpoint, StopCondition};
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::number;
@@ -143,6 +143,23 @@ impl ControlRequest {
 
 impl Serialize for ControlRequest {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.write(serializer, |script| script)
+    }
+}
+
+impl Serialize for OnLine<'_, ControlRequest> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.write(serializer, OnLine)
+    }
+}
+
+impl ControlRequest {
+    /// Writes it, its script in a form of its own.
+    fn write<'a, S: Serializer, T: Serialize>(
+        &'a self,
+        serializer: S,
+        form: impl FnOnce(&'a Script) -> T,
+    ) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(None)?;
         if let Some(timestamp) = &self.timestamp {
             map.serialize_entry("timestamp", timestamp)?;
@@ -172,7 +189,7 @@ impl Serialize for ControlRequest {
         }
         match &self.command {
             Command::Set(setpoint) => serialize_values(setpoint, &mut map)?,
-            Command::Script(script) => map.serialize_entry("control_value", script)?,
+            Command::Script(script) => map.serialize_entry("control_value", &form(script))?,
             Command::ReadSensor | Command::Unknown(_) => {}
         }
         map.end()

@@ -3,9 +3,10 @@
 use std::fmt;
 
 use serde::de::{self, Visitor};
+use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{ControlRequest, Script};
+use super::{ControlRequest, OnLine, Script};
 use crate::content_hash::ContentHash;
 use crate::error::ControlError;
 use crate::number::{self, Number};
@@ -15,7 +16,7 @@ use crate::time::{Robot, Timestamp};
 
 /// Confirms acceptance, reports progress, or provides a reading.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ControlResponse {
     /// When the robot sent this. Not for synchronising.
     pub timestamp: Timestamp<Robot>,
@@ -83,6 +84,57 @@ impl ControlResponse {
             error: Some(error),
             ..Self::new(timestamp, request.device_id.clone(), Status::Failed)
         }
+    }
+}
+
+impl Serialize for ControlResponse {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.write(serializer, &self.status_value)
+    }
+}
+
+impl Serialize for OnLine<'_, ControlResponse> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.write(serializer, &OnLine(&self.0.status_value))
+    }
+}
+
+impl ControlResponse {
+    /// Writes it, with its value in a form of its own.
+    fn write<S: Serializer>(&self, serializer: S, status_value: &impl Serialize) -> Result<S::Ok, S::Error> {
+        let optional = [
+            self.request_id.is_some(),
+            self.content_hash.is_some(),
+            self.event_timestamp.is_some(),
+            self.steps_done.is_some(),
+            self.late_steps.is_some(),
+            self.error.is_some(),
+        ];
+        let fields = 4 + optional.into_iter().filter(|given| *given).count();
+        let mut fields = serializer.serialize_struct("ControlResponse", fields)?;
+        fields.serialize_field("timestamp", &self.timestamp)?;
+        fields.serialize_field("device_id", &self.device_id)?;
+        fields.serialize_field("status", &self.status)?;
+        fields.serialize_field("status_value", status_value)?;
+        if let Some(request_id) = &self.request_id {
+            fields.serialize_field("request_id", request_id)?;
+        }
+        if let Some(content_hash) = &self.content_hash {
+            fields.serialize_field("content_hash", content_hash)?;
+        }
+        if let Some(event_timestamp) = &self.event_timestamp {
+            fields.serialize_field("event_timestamp", event_timestamp)?;
+        }
+        if let Some(steps_done) = &self.steps_done {
+            fields.serialize_field("steps_done", steps_done)?;
+        }
+        if let Some(late_steps) = &self.late_steps {
+            fields.serialize_field("late_steps", late_steps)?;
+        }
+        if let Some(error) = &self.error {
+            fields.serialize_field("error", error)?;
+        }
+        fields.end()
     }
 }
 

@@ -7,6 +7,7 @@ use std::sync::{Arc, OnceLock};
 use serde::de::{self, SeqAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::value::{RawValue, to_raw_value};
 
 use super::Step;
 use crate::content_hash::ContentHash;
@@ -39,19 +40,29 @@ impl Setpoint {
     }
 }
 
-/// Steps in order of time. Without steps it cancels. Clones share their steps, and their hash once it has been asked for.
+/// Steps in order of time. Without steps it cancels. Clones share their steps, and what was computed of them: once the hash has
+/// been asked for, it is kept, and so is the text from which it was made, if that is not long. Lines are written with it.
 #[derive(Clone, Default)]
 pub struct Script(Arc<Shared>);
 
 #[derive(Default)]
 struct Shared {
     steps: Box<[Step]>,
-    hash: OnceLock<ContentHash>,
+    hashed: OnceLock<Hashed>,
 }
+
+struct Hashed {
+    hash: ContentHash,
+    /// The canonical JSON, `None` where it is longer than [`KEPT_TEXT_MAX`].
+    text: Option<Box<RawValue>>,
+}
+
+/// The longest text that is kept, in bytes: about as much as its steps take in memory.
+const KEPT_TEXT_MAX: usize = 64 * 1024;
 
 impl PartialEq for Script {
     fn eq(&self, other: &Self) -> bool {
-        self.steps() == other.steps()
+        self.is_same(other) || self.steps() == other.steps()
     }
 }
 
@@ -69,7 +80,7 @@ impl Script {
     pub fn new(steps: Vec<Step>) -> Result<Self, LimitError> {
         let fall = steps.windows(2).position(|pair| pair[1].offset < pair[0].offset);
         match fall {
-            None => Ok(Self(Arc::new(Shared { steps: steps.into(), hash: OnceLock::new() }))),
+            None => Ok(Self(Arc::new(Shared { steps: steps.into(), hashed: OnceLock::new() }))),
             Some(i) => Err(LimitError::StepsOutOfOrder {
                 step: i + 1,
                 millis: steps[i + 1].offset.get(),
@@ -92,7 +103,22 @@ impl Script {
 
     /// SHA-256 over the canonical JSON of the steps.
     pub(super) fn content_hash(&self) -> ContentHash {
-        *self.0.hash.get_or_init(|| ContentHash::of(&serde_json::to_vec(self).unwrap_or_default()))
+        let hashed = self.0.hashed.get_or_init(|| {
+            let text = to_raw_value(self).unwrap_or_default();
+            let hash = ContentHash::of(text.get().as_bytes());
+            Hashed { hash, text: (text.get().len() <= KEPT_TEXT_MAX).then_some(text) }
+        });
+        hashed.hash
+    }
+
+    /// The canonical JSON of the steps, if it is kept.
+    pub(crate) fn kept_text(&self) -> Option<&RawValue> {
+        self.0.hashed.get()?.text.as_deref()
+    }
+
+    /// Whether it is a clone of the other.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
     }
 
     /// Whether it cancels instead of moving.
@@ -131,7 +157,7 @@ impl<'de> Visitor<'de> for Steps {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Script, A::Error> {
         // What a list says of its length is believed up to a point.
-        let mut steps = Vec::with_capacity(list.size_hint().unwrap_or(0).min(STEPS_BELIEVED));
+        let mut steps = Vec::with_capacity(list.size_hint().unwrap_or(STEPS_USUAL).min(STEPS_BELIEVED));
         while let Some(step) = list.next_element()? {
             if steps.len() == SCRIPT_STEPS_MAX {
                 return Err(de::Error::custom(LimitError::StepCount));
@@ -144,6 +170,8 @@ impl<'de> Visitor<'de> for Steps {
 
 /// Steps for which room is made before they come.
 const STEPS_BELIEVED: usize = 1_024;
+/// The same where the list does not say how many they are.
+const STEPS_USUAL: usize = 32;
 
 /// Writes `control_value` and the further values of a setpoint.
 pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M) -> Result<(), M::Error> {

@@ -17,9 +17,9 @@ pub(super) const BYTES_MAX: usize = 1024 * 1024;
 /// And for one that has.
 pub(super) const OWNER_BYTES_MAX: usize = 64 * 1024 * 1024;
 
-/// The robot's end.
+/// The robot's end. Events are boxed, because a channel keeps room for 32 of them, and a robot has many peers.
 pub(super) struct Outbox {
-    events: mpsc::Sender<LinkEvent>,
+    events: mpsc::Sender<Box<LinkEvent>>,
     unread: Arc<AtomicUsize>,
     peer: Peer,
 }
@@ -27,7 +27,7 @@ pub(super) struct Outbox {
 /// The peer's end.
 #[derive(Debug)]
 pub(super) struct Inbox {
-    events: mpsc::Receiver<LinkEvent>,
+    events: mpsc::Receiver<Box<LinkEvent>>,
     unread: Arc<AtomicUsize>,
 }
 
@@ -52,12 +52,12 @@ impl Outbox {
             return false;
         }
         self.unread.fetch_add(weight(&message), Ordering::Relaxed);
-        self.events.try_send(LinkEvent::Message(message)).is_ok()
+        self.events.try_send(Box::new(LinkEvent::Message(message))).is_ok()
     }
 
     /// Closes the link behind what was said.
     pub(super) fn close(&self) {
-        let _full_or_gone = self.events.try_send(LinkEvent::Closed);
+        let _full_or_gone = self.events.try_send(Box::new(LinkEvent::Closed));
     }
 }
 
@@ -72,7 +72,8 @@ impl Inbox {
         self.taken(event)
     }
 
-    fn taken(&self, event: Option<LinkEvent>) -> Option<LinkEvent> {
+    fn taken(&self, event: Option<Box<LinkEvent>>) -> Option<LinkEvent> {
+        let event = event.map(|event| *event);
         if let Some(LinkEvent::Message(message)) = &event {
             self.unread.fetch_sub(weight(message), Ordering::Relaxed);
         }

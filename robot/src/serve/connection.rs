@@ -1,8 +1,11 @@
 //! One connection of a robot: what it brings is read within its budget and handed on, what the robot says is written.
 #![expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
 
+use std::future::poll_fn;
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
@@ -83,10 +86,10 @@ where
     let hung_up = ticket.hung_up();
     // How the peer wrote last is how it is answered.
     let (heard, encoding) = watch::channel(Encoding::Json);
-    let (writes, being_written) = watch::channel(false);
+    let being_written = AtomicBool::new(false);
     let reading = Reading {
         reader,
-        decoder: Decoder::new(LINE_BYTES_MAX),
+        decoder: Decoder::new(LINE_BYTES_MAX).that_knows(shared.host.scripts().clone()),
         robot: link.sender(),
         peer: peer.clone(),
         heard,
@@ -97,27 +100,29 @@ where
         spoke: false,
         until: Some(Instant::now() + shared.patience.first_message),
         long_line: None,
-        being_written,
+        being_written: &being_written,
     };
     let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
     // Both go on all the time: what waits for its turn among strangers must take it when it comes, or it keeps the others.
     let writing = async {
         loop {
             let event = link.recv().await;
-            writes.send_replace(true);
+            being_written.store(true, Ordering::Relaxed);
             let encoding = *encoding.borrow();
             let open = writing.tell(event, &mut link, encoding).await?;
             writing.flush().await?;
-            writes.send_replace(false);
+            being_written.store(false, Ordering::Relaxed);
             if !open {
                 return Ok(());
             }
         }
     };
     tokio::select! {
-        ended = reading.run() => ended,
-        ended = writing => ended,
+        biased;
         () = hung_up => Ok(()),
+        // Ahead of the reading, which looks whether something is being written when it is polled.
+        ended = writing => ended,
+        ended = reading.run() => ended,
     }
 }
 
@@ -165,14 +170,9 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
     }
 
     async fn flush(&mut self) -> io::Result<()> {
-        let mut bytes = std::mem::take(&mut self.bytes);
-        self.write(&bytes).await?;
-        bytes.clear();
-        // A large message leaves no large buffer behind.
-        if bytes.capacity() <= 2 * WRITE_BATCH {
-            self.bytes = bytes;
-        }
-        Ok(())
+        // What is written leaves no buffer behind: a robot has many connections, and a host many robots.
+        let bytes = std::mem::take(&mut self.bytes);
+        self.write(&bytes).await
     }
 
     async fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
@@ -194,7 +194,7 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
 }
 
 /// A peer's words, on their way to the robot.
-struct Reading<R> {
+struct Reading<'a, R> {
     reader: R,
     decoder: Decoder,
     robot: LinkSender,
@@ -212,12 +212,12 @@ struct Reading<R> {
     /// The message that is coming may be long.
     long_line: Option<OwnedSemaphorePermit>,
     /// What the robot has said is on its way to the peer.
-    being_written: watch::Receiver<bool>,
+    being_written: &'a AtomicBool,
 }
 
 type Decoded = Result<Message, DecodeError>;
 
-impl<R: AsyncRead + Unpin> Reading<R> {
+impl<R: AsyncRead + Unpin> Reading<'_, R> {
     async fn run(mut self) -> io::Result<()> {
         let mut bytes = vec![0; 8 * 1024];
         loop {
@@ -229,7 +229,8 @@ impl<R: AsyncRead + Unpin> Reading<R> {
             loop {
                 self.bound_line().await;
                 let Some(decoded) = self.decode().await else { break };
-                self.heard.send_replace(self.decoder.encoding());
+                let encoding = self.decoder.encoding();
+                self.heard.send_if_modified(|heard| std::mem::replace(heard, encoding) != encoding);
                 self.deliver(decoded).await;
                 self.pause().await;
                 self.until_written().await;
@@ -240,9 +241,13 @@ impl<R: AsyncRead + Unpin> Reading<R> {
 
     /// While the peer takes nothing, nothing more is taken from it. A message is not late for that.
     async fn until_written(&mut self) {
+        let is_written = || !self.being_written.load(Ordering::Relaxed);
+        if is_written() {
+            return;
+        }
         let begin = Instant::now();
-        // It fails where the connection ends.
-        let _ended = self.being_written.wait_for(|being_written| !being_written).await;
+        // The task of this connection writes as well, and is woken when it can go on.
+        poll_fn(|_| if is_written() { Poll::Ready(()) } else { Poll::Pending }).await;
         self.until = self.until.map(|until| until + begin.elapsed());
     }
 
@@ -389,7 +394,13 @@ impl<R: AsyncRead + Unpin> Reading<R> {
         if !decoded.as_ref().is_ok_and(needs_no_place) {
             self.ticket.take(decoded.as_ref().is_ok_and(claims)).await;
         }
-        self.robot.send(decoded.map_or_else(Input::Undecodable, Input::read)).await;
+        let input = decoded.map_or_else(Input::Undecodable, Input::read);
+        if let Input::Hashed(request, _) = &input
+            && self.standing() != Standing::Stranger
+        {
+            self.shared.host.scripts().note(request);
+        }
+        self.robot.send(input).await;
     }
 }
 

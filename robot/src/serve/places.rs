@@ -240,6 +240,9 @@ impl Ticket {
 
     /// Waits for a place.
     pub(super) async fn take(&self, claims: bool) {
+        if self.places.try_take(self.id, claims) {
+            return;
+        }
         for tried in 0_u32.. {
             let mut changed = std::pin::pin!(self.places.changed.notified());
             changed.as_mut().enable();

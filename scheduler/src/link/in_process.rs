@@ -14,7 +14,7 @@ pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut q
     loop {
         tokio::select! {
             message = queue.next() => match message {
-                Some((message, _)) => link.send(message),
+                Some((message, _)) => link.send(*message),
                 None => return,
             },
             event = link.recv() => match event {

@@ -25,7 +25,7 @@ pub use secure::{Hmac, Security, Site, Tls};
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::AbortHandle;
-use urrcp::Message;
+use urrcp::{KnownScripts, Message};
 
 use crate::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use crate::mission::{Event, Loss};
@@ -92,8 +92,8 @@ pub enum Endpoint {
 /// The sending end of a link. Dropping it closes the link once all has been sent.
 #[derive(Debug)]
 pub struct Link {
-    outgoing: mpsc::Sender<Message>,
-    urgent: mpsc::UnboundedSender<Message>,
+    outgoing: mpsc::Sender<Outgoing>,
+    urgent: mpsc::UnboundedSender<Outgoing>,
     task: AbortHandle,
 }
 
@@ -104,14 +104,19 @@ struct Peer {
     reach: Reach,
     encoding: LinkEncoding,
     asked: Asked,
+    /// What a robot repeats when it accepts it.
+    sent: KnownScripts,
 }
 
 /// The other ends of a link's channels.
 struct Queue {
-    outgoing: mpsc::Receiver<Message>,
+    outgoing: mpsc::Receiver<Outgoing>,
     /// Stops: at most one a device, and a repetition now and then.
-    urgent: mpsc::UnboundedReceiver<Message>,
+    urgent: mpsc::UnboundedReceiver<Outgoing>,
 }
+
+/// Boxed, because a channel keeps room for 32 of them, and there may be thousands of links.
+pub(crate) type Outgoing = Box<Message>;
 
 impl Link {
     /// Opens a link after a while; what happens on it comes as events of `robot` on the link of this number.
@@ -159,16 +164,17 @@ impl Link {
             if queue.outgoing.is_closed() {
                 return;
             }
+            let sent = KnownScripts::default();
             match endpoint {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
                 Endpoint::Tcp { host, port, encoding, security } => {
                     let reach = Reach::Tcp { host, port, security };
-                    tcp::carry(Peer { sink, reach, encoding, asked }, queue).await;
+                    tcp::carry(Peer { sink, reach, encoding, asked, sent }, queue).await;
                 }
                 #[cfg(feature = "zenoh")]
                 Endpoint::Zenoh { network, key, encoding } => {
                     let reach = Reach::Zenoh { network, key };
-                    tcp::carry(Peer { sink, reach, encoding, asked }, queue).await;
+                    tcp::carry(Peer { sink, reach, encoding, asked, sent }, queue).await;
                 }
             }
         });
@@ -180,6 +186,7 @@ impl Link {
     /// # Errors
     /// [`QueueFull`] when the robot does not read: the message is lost.
     pub fn send(&self, message: Message, urgency: Urgency) -> Result<(), QueueFull> {
+        let message = Box::new(message);
         let full = match urgency {
             Urgency::Overtaking => {
                 let _down = self.urgent.send(message);
@@ -193,7 +200,7 @@ impl Link {
     }
 
     /// Where messages go in that overtake all that waits.
-    pub(crate) fn overtaking(&self) -> mpsc::UnboundedSender<Message> {
+    pub(crate) fn overtaking(&self) -> mpsc::UnboundedSender<Outgoing> {
         self.urgent.clone()
     }
 
@@ -205,7 +212,7 @@ impl Link {
 
 impl Queue {
     /// The next message, urgent ones first, and whether it is one; `None` once the mission has let go of the link.
-    async fn next(&mut self) -> Option<(Message, bool)> {
+    async fn next(&mut self) -> Option<(Outgoing, bool)> {
         tokio::select! {
             biased;
             Some(message) = self.urgent.recv() => Some((message, true)),
@@ -213,7 +220,7 @@ impl Queue {
         }
     }
 
-    fn try_next(&mut self) -> Option<Message> {
+    fn try_next(&mut self) -> Option<Outgoing> {
         self.urgent.try_recv().ok().or_else(|| self.outgoing.try_recv().ok())
     }
 }

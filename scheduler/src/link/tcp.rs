@@ -8,7 +8,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::mpsc;
 use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
-use super::{Budget, EventSink, Peer, Purpose, Queue, ReadEnd, WriteEnd, denial};
+use super::{Budget, EventSink, Outgoing, Peer, Purpose, Queue, ReadEnd, WriteEnd, denial};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
@@ -84,7 +84,7 @@ impl Garbled {
 /// Ends with the reason for which no more can be read.
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
-    let mut decoder = Decoder::default();
+    let mut decoder = Decoder::default().that_knows(peer.sent.clone());
     let mut budget = Budget::new(peer.asked.clone());
     let mut bytes = vec![0; 8 * 1024];
     let mut garbled = Garbled::default();
@@ -147,7 +147,6 @@ fn flooding(loss: Loss) -> (Loss, String) {
 
 /// Ends with a reason when writing fails, without one when the mission has let go of the link.
 async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
-    let mut bytes = Vec::new();
     let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
     while let Some((message, urgent)) = queue.next().await {
@@ -157,6 +156,8 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
             continue;
         }
         let encoding = peer.encoding.current();
+        // One for each batch: thousands of links are idle at a time.
+        let mut bytes = Vec::new();
         peer.encode(encoding, &message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
@@ -177,7 +178,6 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
                 }
             }
         }
-        bytes.clear();
     }
     None
 }
@@ -205,11 +205,14 @@ impl Peer {
         let before = bytes.len();
         encode_as(encoding, message, bytes);
         self.asked.note(message, bytes.len() - before);
+        if let Message::ControlRequest(request) = message {
+            self.sent.note(request);
+        }
     }
 
     /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
     /// carried twice: the robot knows it by its id.
-    fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
+    fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Outgoing>) {
         let mut bytes = Vec::new();
         let encoding = self.encoding.current();
         self.encode(encoding, first, &mut bytes);

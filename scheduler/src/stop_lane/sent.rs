@@ -7,7 +7,7 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
 use super::Alarm;
-use crate::link::Link;
+use crate::link::{Link, Outgoing};
 use crate::mission::robot_state::Rest;
 use crate::session;
 
@@ -22,7 +22,7 @@ pub(super) struct Sent {
     /// As the robot knows it.
     session: Option<SessionId>,
     /// The mission's own link, for messages that overtake.
-    pub(super) link: Option<mpsc::UnboundedSender<Message>>,
+    pub(super) link: Option<mpsc::UnboundedSender<Outgoing>>,
     /// A link has stood.
     pub(super) reached: bool,
 }

@@ -200,7 +200,7 @@ impl Guard {
     fn overtake(&self, open: &Open) {
         if let Some(link) = &self.sent.borrow().link {
             open.values().for_each(|stop| {
-                let _down = link.send(stop.clone());
+                let _down = link.send(Box::new(stop.clone()));
             });
         }
     }

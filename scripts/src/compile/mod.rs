@@ -178,7 +178,8 @@ impl Compiler {
             scenario: scenario.name.clone(),
             acts,
             requirements: scenario.requirements.clone(),
-        };
+        }
+        .with_shared_scripts();
         check_require::check(&mut self.findings, &scenario, &choreography);
         check_refill::check(&mut self.findings, &scenario, &cast, &choreography);
         Some(choreography)

@@ -1,7 +1,7 @@
 //! Links over real sockets: what a robot that misbehaves does to its own link, and to no other.
 
 use tokio::io::AsyncBufReadExt;
-use urrcp::{Command, ControlRequest, Script};
+use urrcp::{Command, ControlRequest, ControlType, Millis, Script, Setpoint, StatusValue, Step};
 
 use super::*;
 use crate::drive::{Happened, LinkNumber, Urgency};
@@ -285,4 +285,30 @@ async fn a_robot_that_does_not_read_fills_its_queue_and_the_sender_is_told() {
     let mut bytes = Vec::new();
     let _reset = stream.read_to_end(&mut bytes).await;
     assert!(bytes.len() < sent * 250, "what waited was discarded");
+}
+
+#[tokio::test]
+async fn a_script_that_a_robot_repeats_is_the_one_that_was_sent_to_it() {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let (link, mut happened) = linked(listener.local_addr().unwrap().port());
+    let step = |value| Step::new(Millis::ZERO, Setpoint::new(ControlType::Position, value));
+    let script = Script::new(vec![step(1.0), step(2.0)]).unwrap();
+    let command = Command::Script(script.clone());
+    let request = ControlRequest::immediate("arm".parse().unwrap(), command).with_content_hash();
+    link.send(request.into(), Urgency::InOrder).unwrap();
+    let (stream, _) = listener.accept().await.unwrap();
+    let mut stream = tokio::io::BufReader::new(stream);
+    stream.read_line(&mut String::new()).await.unwrap();
+    let text = serde_json::to_string(&script).unwrap();
+    let answer = format!(
+        r#"{{"control_response":{{"timestamp":"2026-11-20T19:00:00Z","device_id":"arm","status":"Accepted","status_value":{text}}}}}"#
+    );
+    stream.write_all(format!("{answer}\n").as_bytes()).await.unwrap();
+    assert!(matches!(next(&mut happened).await, Event::LinkUp { .. }));
+    let Event::Received { message: Message::ControlResponse(response), .. } = next(&mut happened).await
+    else {
+        panic!()
+    };
+    let StatusValue::Script(repeated) = response.status_value else { panic!() };
+    assert!(std::ptr::eq(repeated.steps(), script.steps()), "no step was read");
 }

@@ -1,0 +1,227 @@
+//! Scripts that went over the wire before: known by their text, so that their steps are not read one by one.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use memchr::memmem;
+
+use crate::message::{Command, ControlRequest, Message, Script, StatusValue};
+
+/// Scripts that are kept; older ones are read step by step when they come again.
+const KEPT: usize = 16;
+/// How a message that carries a script begins, and the key of the script in it.
+const CARRIERS: [(&str, &str); 2] =
+    [(r#"{"control_request":{"#, r#""control_value":"#), (r#"{"control_response":{"#, r#""status_value":"#)];
+
+/// The last scripts of requests that were sent or received. A robot repeats a script that it accepts, and robots of a group get
+/// the same one. A [`Decoder`](crate::Decoder) that knows a script gives it back with all that was computed of it; what is read
+/// is the same as without it. Clones are one.
+#[derive(Clone, Debug, Default)]
+pub struct KnownScripts(Arc<Mutex<VecDeque<Script>>>);
+
+impl KnownScripts {
+    /// Keeps the script of a request, if its hash was asked for and it is not long: its text is known then.
+    pub fn note(&self, request: &ControlRequest) {
+        let Command::Script(script) = &request.command else { return };
+        if script.is_empty() || script.kept_text().is_none() {
+            return;
+        }
+        let mut scripts = self.scripts();
+        if !scripts.iter().any(|known| known.is_same(script)) {
+            scripts.truncate(KEPT - 1);
+            scripts.push_front(script.clone());
+        }
+    }
+
+    /// The message on this line, if it carries one of the scripts; `None` for what has to be read as any other line.
+    pub(super) fn read(&self, line: &str) -> Option<Message> {
+        let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
+        let at = memmem::find(line.as_bytes(), key.as_bytes())?;
+        let (head, value) = line.split_at_checked(at + key.len())?;
+        let (script, rest) = self.scripts().iter().find_map(|script| {
+            let rest = value.strip_prefix(script.kept_text()?.get())?;
+            Some((script.clone(), rest))
+        })?;
+        if !is_where_keys_of_a_message_are(&head[..at]) {
+            return None;
+        }
+        let mut message = serde_json::from_str(&[head, "[]", rest].concat()).ok()?;
+        let place = match &mut message {
+            Message::ControlRequest(ControlRequest { command: Command::Script(steps), .. }) => steps,
+            Message::ControlResponse(response) => match &mut response.status_value {
+                StatusValue::Script(steps) => steps,
+                _ => return None,
+            },
+            _ => return None,
+        };
+        *place = script;
+        Some(message)
+    }
+
+    fn scripts(&self) -> MutexGuard<'_, VecDeque<Script>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Whether what follows this stands directly in the object that a message is, and in no string.
+fn is_where_keys_of_a_message_are(head: &str) -> bool {
+    let (mut depth, mut in_string, mut escaped) = (0_i32, false, false);
+    for byte in head.bytes() {
+        match byte {
+            _ if escaped => escaped = false,
+            b'\\' => escaped = in_string,
+            b'"' => in_string = !in_string,
+            b'{' | b'[' if !in_string => depth += 1,
+            b'}' | b']' if !in_string => depth -= 1,
+            _ => {}
+        }
+    }
+    depth == 2 && !in_string
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{ControlResponse, ControlType, DeviceId, Millis, Setpoint, Step};
+
+    fn script(values: &[f64]) -> Script {
+        let step =
+            |value: &f64| Step::new(Millis::new(5.0).unwrap(), Setpoint::new(ControlType::Position, *value));
+        Script::new(values.iter().map(step).collect()).unwrap()
+    }
+
+    fn note(known: &KnownScripts, script: &Script) -> String {
+        let command = Command::Script(script.clone());
+        let _hash = command.content_hash();
+        known.note(&ControlRequest::immediate(DeviceId::new("d").unwrap(), command));
+        serde_json::to_string(script).unwrap()
+    }
+
+    /// A response with these keys behind those that each has, and a request likewise.
+    fn lines(keys: &str) -> [String; 2] {
+        let time = "2026-11-20T19:00:00.000000000Z";
+        [
+            format!(
+                r#"{{"control_response":{{"timestamp":"{time}","device_id":"d","status":"Accepted"{keys}}}}}"#
+            ),
+            format!(r#"{{"control_request":{{"device_id":"d","control_type":"script"{keys}}}}}"#)
+                .replace("status_value", "control_value"),
+        ]
+    }
+
+    fn script_of(message: Message) -> Script {
+        match message {
+            Message::ControlResponse(ControlResponse {
+                status_value: StatusValue::Script(script), ..
+            })
+            | Message::ControlRequest(ControlRequest { command: Command::Script(script), .. }) => script,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_script_that_comes_again_has_the_steps_that_are_known() {
+        let known = KnownScripts::default();
+        let scripts = [script(&[1.0, 2.0]), script(&[1.0])];
+        for (script, text) in scripts.each_ref().map(|script| (script, note(&known, script))) {
+            for line in
+                lines(&format!(r#","stop_condition":{{"pending":5}},"status_value":{text},"request_id":"r""#))
+            {
+                let read = known.read(&line).unwrap();
+                assert_eq!(read, serde_json::from_str(&line).unwrap());
+                assert!(script_of(read).is_same(script));
+            }
+        }
+    }
+
+    #[test]
+    fn no_more_than_the_last_scripts_are_kept_and_each_once() {
+        let known = KnownScripts::default();
+        let scripts: Vec<_> = (0..=KEPT).map(|value| script(&[value as f64])).collect();
+        let texts: Vec<_> = scripts.iter().map(|script| note(&known, script)).collect();
+        note(&known, &scripts[KEPT]);
+        let is_known = |text: &String| known.read(&lines(&format!(r#","status_value":{text}"#))[0]).is_some();
+        assert_eq!(texts.iter().map(is_known).collect::<Vec<_>>(), [&[false][..], &[true; KEPT]].concat());
+    }
+
+    #[test]
+    fn what_has_no_known_text_is_not_kept() {
+        let known = KnownScripts::default();
+        let hashed = |script: &Script| {
+            note(&known, script);
+            known.scripts().len()
+        };
+        assert_eq!(hashed(&Script::cancel()), 0);
+        assert_eq!(hashed(&script(&[0.5; 2_000])), 0, "it is long");
+        let command = Command::Script(script(&[1.0]));
+        known.note(&ControlRequest::immediate(DeviceId::new("d").unwrap(), command));
+        assert_eq!(known.scripts().len(), 0, "nobody asked for its hash");
+    }
+
+    /// What is read with known scripts, or refused, is the same as without.
+    #[track_caller]
+    fn check_as_any_other(keys: &str, known: &KnownScripts) {
+        for line in lines(keys) {
+            let without = serde_json::from_str::<Message>(&line).ok();
+            assert_eq!(known.read(&line).or_else(|| without.clone()), without, "{line}");
+        }
+    }
+
+    #[test]
+    fn a_script_in_another_place_is_no_value_of_the_message() {
+        let known = KnownScripts::default();
+        let text = note(&known, &script(&[1.0]));
+        for keys in [
+            format!(r#","error":{{"code":"late","message":"m","status_value":{text}}},"status_value":[]"#),
+            format!(r#","x":["status_value":{text}],"status_value":[]"#),
+            format!(r#","x":[1,"status_value":{text}"#),
+            format!(r#","a\"status_value":{text},"status_value":[]"#),
+            format!(r#","a\\"status_value":{text},"status_value":[]"#),
+            format!(r#","a,\"status_value":{text},"status_value":[]"#),
+            format!(r#","x":{{"\\":{{"status_value":{text}}}}},"status_value":[]"#),
+            format!(r#","x":{{"}}":{{"status_value":{text}}}}},"status_value":[]"#),
+            format!(r#","x":{{"\"}}\"":0,"status_value":{text}}},"status_value":[]"#),
+            format!(r#","request_id":"a\"status_value":{text}"#),
+            format!(r#","request_id":"a,"status_value":{text}"#),
+            format!(r#","status_value":{text},"status_value":[]"#),
+            format!(r#","status_value":[],"status_value":{text}"#),
+            format!(r#","status_value":{text}{text}"#),
+            format!(r#","status_value":{text}5"#),
+            format!(r#","status_value":{text},"status":"OK""#),
+            format!(r#","status_value":{text},"control_type":"position""#),
+            format!(r#","status_value":{text},"error":{{"code":7}}"#),
+            format!(r#"}},"x":{{"status_value":{text}"#),
+        ] {
+            check_as_any_other(&keys, &known);
+        }
+        let other_type = format!(
+            r#"{{"control_request":{{"device_id":"d","control_type":"spin","control_value":{text}}}}}"#
+        );
+        assert_eq!(known.read(&other_type), None, "its values are not read");
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn lines_mean_what_they_mean_without_it(
+            parts in proptest::collection::vec(0..10_usize, 0..8), cut in 0..400_usize,
+        ) {
+            let known = KnownScripts::default();
+            let text = note(&known, &script(&[1.0]));
+            let parts = parts.into_iter().map(|part| match part {
+                0 => r#""status_value":"#,
+                1 => text.as_str(),
+                2 => ",",
+                3 => "{",
+                4 => "}",
+                5 => "[]",
+                6 => r#"",""#,
+                7 => r#"\""#,
+                8 => "\\\\",
+                _ => r#""x":"#,
+            });
+            let keys = parts.collect::<String>();
+            check_as_any_other(&format!(",{keys}"), &known);
+            check_as_any_other(keys.get(..cut.min(keys.len())).unwrap_or_default(), &known);
+        }
+    }
+}
