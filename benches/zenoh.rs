@@ -1,7 +1,9 @@
 //! Plain TCP next to Zenoh through a router, in one run: the round trip of one message, bytes a second on one connection, and from
-//! the first request of a mission to its decision. Robots are simulated in a process of their own.
+//! the first request of a mission to its decision, with a script for each robot and with one for all, which is published once. Robots are
+//! simulated in a process of their own.
 //!
 //! `ZENOHD=path/of/zenohd cargo bench --features zenoh --bench zenoh`; with numbers behind it those fleets: `-- 100 1000`.
+//! `ZENOH_STEPS=8,2000` are the lengths of scripts.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -11,12 +13,15 @@
 #![expect(clippy::disallowed_methods, reason = "real sockets take real time")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use downbeat::link::{Endpoint, LinkEncoding, Security};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
+use downbeat::run::Operator;
 use downbeat::server_clock::ServerClock;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
 use downbeat_robot::zenoh::{Haste, Key, Listener, Network, connect};
@@ -36,24 +41,41 @@ fn block(id: usize) -> InitializationBlock {
     let json = format!(
         r#"{{"id": "r{id}", "api_version": "1", "reports": true, "devices": [{{"id": "d", "name": "d", "available_control_types": {{
         "position": {{"min_value": 0, "max_value": 90, "granularity": 1}},
-        "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 20}}}}}}]}}"#
+        "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 10000}}}}}}]}}"#
     );
     serde_json::from_str(&json).unwrap()
 }
 
-/// 2 KB for each robot.
-fn plan(robots: usize) -> Plan {
-    let step = |i: u32| Step {
+/// Which scripts the robots of a mission get.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Scripts {
+    /// Each its own.
+    Own,
+    /// All the same.
+    Same,
+}
+
+/// Scripts of 83 to 90 bytes a step.
+fn plan(robots: usize, steps: u32, scripts: Scripts) -> Plan {
+    let step = |i: u32, value: u32| Step {
         offset: Millis::new(f64::from(i) * 5.0).unwrap(),
-        setpoint: Setpoint::new(ControlType::Position, f64::from(i)),
+        setpoint: Setpoint::new(ControlType::Position, f64::from(value)),
         stop_condition: None,
+    };
+    // The last steps are the digits of the robot's number.
+    let steps_of = |id: usize| {
+        let digit = |i: u32| match scripts {
+            Scripts::Own => u32::try_from(id).unwrap() / 10_u32.pow(steps - 1 - i) % 10,
+            Scripts::Same => 7,
+        };
+        (0..steps).map(|i| step(i, if i + 4 < steps { i % 90 } else { digit(i) })).collect()
     };
     let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
     let script = |id: usize| DeviceScript {
         device: DeviceId::new("d").unwrap(),
         start: Millis::new(id as f64 * 0.25).unwrap(),
         stop_condition,
-        script: Script::new((0..20).map(step).collect()).unwrap(),
+        script: Script::new(steps_of(id)).unwrap(),
     };
     let robot =
         |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };
@@ -233,8 +255,12 @@ const fn way(router: Option<u16>) -> &'static str {
     if router.is_some() { "Zenoh through a router" } else { "TCP" }
 }
 
-/// From the first request to the decision.
-fn decision(count: usize, router: Option<u16>) -> Duration {
+/// From the first request to the decision. The robots connect to the router, the scheduler through another port.
+fn decision(
+    (count, steps, scripts): (usize, u32, Scripts),
+    router: Option<u16>,
+    through: Option<u16>,
+) -> Duration {
     let role = if router.is_some() { "robots at keys" } else { "robots" };
     let (_robots, ports) = others(role, count, router.unwrap_or(0));
     runtime().block_on(async {
@@ -242,8 +268,9 @@ fn decision(count: usize, router: Option<u16>) -> Duration {
         let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
         let mut options = MissionOptions::default();
         options.patience = Span::from_millis(60_000);
-        let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
-        let network = router.map(|port| Network::open_with(&configuration(port)).unwrap());
+        let mission =
+            Mission::of_plan(plan(count, steps, scripts), participants, options, clock.now()).unwrap();
+        let network = through.map(|port| Network::open_with(&configuration(port)).unwrap());
         let endpoint = |(id, port): (usize, &u16)| match &network {
             None => Endpoint::Tcp {
                 host: "127.0.0.1".into(),
@@ -256,18 +283,67 @@ fn decision(count: usize, router: Option<u16>) -> Duration {
             }
         };
         let endpoints = ports.iter().enumerate().map(endpoint).collect();
-        let (_operator, said) = tokio::sync::mpsc::channel(1);
+        let (operator, said) = tokio::sync::mpsc::channel(1);
         let (mut sent, mut decided) = (None, None);
         let report = downbeat::run::run(mission, endpoints, clock, said, |at, progress| match progress {
             Progress::Preparing { .. } => sent = Some(at),
-            Progress::Decided { .. } => decided = Some(at),
+            Progress::Decided { .. } => {
+                decided = Some(at);
+                let _leaves = operator.try_send(Operator::Leave);
+            }
             _ => {}
         })
         .await;
-        // What comes behind the decision is not measured: on a busy machine, a robot of so many in one process may wake up too late.
+        // What comes behind the decision is not measured.
         let decided = decided.unwrap_or_else(|| panic!("{}: {:?}", report.outcome, report.failures.first()));
         (decided - sent.unwrap()).to_duration()
     })
+}
+
+/// A way to the router that counts what comes from the side that connects.
+fn relay(router: u16) -> (u16, Arc<AtomicU64>) {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let (port, counted) = (listener.local_addr().unwrap().port(), Arc::new(AtomicU64::new(0)));
+    let count = Arc::clone(&counted);
+    std::thread::spawn(move || {
+        let (near, _) = listener.accept().unwrap();
+        let far = std::net::TcpStream::connect(("127.0.0.1", router)).unwrap();
+        let back = (far.try_clone().unwrap(), near.try_clone().unwrap());
+        std::thread::spawn(move || carry(back, &AtomicU64::new(0)));
+        carry((near, far), &count);
+    });
+    (port, counted)
+}
+
+fn carry((mut from, mut to): (std::net::TcpStream, std::net::TcpStream), counted: &AtomicU64) {
+    let mut bytes = vec![0; 64 * 1024];
+    to.set_nodelay(true).unwrap();
+    while let Ok(came @ 1..) = from.read(&mut bytes) {
+        counted.fetch_add(came as u64, Ordering::Relaxed);
+        if to.write_all(&bytes[..came]).is_err() {
+            return;
+        }
+    }
+    let _gone = to.shutdown(std::net::Shutdown::Both);
+}
+
+/// Prints how long missions take to their decision, and what their scheduler sends through the router.
+fn missions(of: (usize, u32, Scripts), router: Option<u16>) {
+    let mut times: Vec<_> = (0..ROUNDS).map(|_| decision(of, router, router)).collect();
+    times.sort();
+    let sent = router.map_or_else(String::new, |port| {
+        let (through, counted) = relay(port);
+        decision(of, router, Some(through));
+        format!("; the scheduler sends {:.2} MB", counted.load(Ordering::Relaxed) as f64 / 1e6)
+    });
+    let (count, steps, scripts) = of;
+    println!(
+        "{:<24} {count} robots, {steps} steps, {}: decided after {:.1} ms, best {:.1} ms{sent}",
+        way(router),
+        if scripts == Scripts::Own { "each its own" } else { "all the same" },
+        times[ROUNDS / 2].as_secs_f64() * 1e3,
+        times[0].as_secs_f64() * 1e3
+    );
 }
 
 fn main() {
@@ -291,16 +367,12 @@ fn main() {
     if counts.is_empty() {
         counts = vec![100, 1_000];
     }
-    for count in counts {
-        for router in [None, Some(port)] {
-            let mut times: Vec<_> = (0..ROUNDS).map(|_| decision(count, router)).collect();
-            times.sort();
-            println!(
-                "{:<24} {count} robots: decided after {:.1} ms, best {:.1} ms",
-                way(router),
-                times[ROUNDS / 2].as_secs_f64() * 1e3,
-                times[0].as_secs_f64() * 1e3
-            );
+    let steps = std::env::var("ZENOH_STEPS").unwrap_or_else(|_| "20,2000".to_owned());
+    for steps in steps.split(',').map(|steps| steps.parse().unwrap()) {
+        for count in &counts {
+            missions((*count, steps, Scripts::Own), None);
+            missions((*count, steps, Scripts::Own), Some(port));
+            missions((*count, steps, Scripts::Same), Some(port));
         }
     }
 }

@@ -11,3 +11,5 @@ mod network;
 mod robots;
 #[path = "zenoh/routed.rs"]
 mod routed;
+#[path = "zenoh/shared.rs"]
+mod shared;

@@ -16,6 +16,18 @@ impl ContentHash {
     pub fn of(canonical_json: &[u8]) -> Self {
         Self(Sha256::digest(canonical_json).into())
     }
+
+    /// Its 32 bytes.
+    #[must_use]
+    pub const fn bytes(&self) -> &[u8; 32] {
+        &self.0
+    }
+}
+
+impl From<[u8; 32]> for ContentHash {
+    fn from(bytes: [u8; 32]) -> Self {
+        Self(bytes)
+    }
 }
 
 impl fmt::Display for ContentHash {

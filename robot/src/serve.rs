@@ -80,7 +80,7 @@ pub async fn serve_zenoh(mut listener: zenoh::Listener, host: HostHandle, robot:
         let shared = shared.clone();
         // As with TCP.
         tokio::spawn(async move {
-            let ends = tokio::io::split(stream);
+            let ends = stream.split();
             if let Err(error) = carry(ends, peer.clone(), link, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }

@@ -1,8 +1,11 @@
 //! Fleets at keys, the processes that simulate them, and routers.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -41,19 +44,29 @@ pub fn stage(running: &str) -> Stage {
 
 /// The same with this rule for failures.
 pub fn stage_where(running: &str, on_failure: &str) -> Stage {
+    stage_of(running, on_failure, STEPS, EVERY_MS)
+}
+
+/// The same with so many steps, and so much time between two of them.
+pub fn stage_of(running: &str, on_failure: &str, steps: u32, every_ms: u32) -> Stage {
     let stage = Stage::new();
-    let track: Vec<_> =
-        (0..STEPS).map(|step| format!("{{at: {}ms, to: {}}}", step * EVERY_MS, step + 1)).collect();
-    stage.file("robot.yaml", one_device(1, 200, 200));
+    let track = track(steps, every_ms, 100);
+    stage.file("robot.yaml", one_device(1, 200, steps.max(200)));
     stage.file(
         "play.yaml",
         format!(
             "scenario: play\nstart_tolerance: 2s\non_failure: {on_failure}\nstop_condition: {{running: {running}}}\ncues:\n  \
-             - {{at: 0s, robots: all, tracks: {{d: [{}]}}}}\n",
-            track.join(", ")
+             - {{at: 0s, robots: all, tracks: {{d: [{track}]}}}}\n"
         ),
     );
     stage
+}
+
+/// Up by 1 with every step, and down again from this value on.
+pub fn track(steps: u32, every_ms: u32, top: u32) -> String {
+    let value = |step: u32| 1 + (step % (2 * top)).min(2 * top - step % (2 * top));
+    let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, value(step));
+    (0..steps).map(keyframe).collect::<Vec<_>>().join(", ")
 }
 
 /// A process that simulates the robots of a fleet file, once they all listen.
@@ -128,6 +141,56 @@ pub fn outcome(ended: &Ended) -> Value {
     ended.report()["outcome"].clone()
 }
 
+/// A way to a port that counts the steps of scripts in what the side says that connects.
+pub struct Relay {
+    pub port: u16,
+    steps: Arc<AtomicU64>,
+}
+
+/// A step in JSON has this in it once, and nothing else has.
+const IN_A_STEP: &[u8] = b"\"position\"";
+
+impl Relay {
+    /// Its threads end with their connections.
+    pub fn to(port: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let relay = Self { port: listener.local_addr().unwrap().port(), steps: Arc::default() };
+        let counted = Arc::clone(&relay.steps);
+        std::thread::spawn(move || {
+            for near in listener.incoming().map_while(Result::ok) {
+                let Ok(far) = TcpStream::connect(("127.0.0.1", port)) else { continue };
+                for (from, to, counted) in
+                    [(&near, &far, Arc::clone(&counted)), (&far, &near, Arc::default())]
+                {
+                    let (from, to) = (from.try_clone().unwrap(), to.try_clone().unwrap());
+                    std::thread::spawn(move || carry(from, to, &counted));
+                }
+            }
+        });
+        relay
+    }
+
+    /// How many steps came in the clear; where Zenoh cuts a message into fragments, some are not found.
+    pub fn steps(&self) -> u64 {
+        self.steps.load(Ordering::Relaxed)
+    }
+}
+
+fn carry(mut from: TcpStream, mut to: TcpStream, counted: &AtomicU64) {
+    let (mut bytes, mut searched) = (vec![0; 64 * 1024], Vec::<u8>::new());
+    to.set_nodelay(true).unwrap();
+    while let Ok(came @ 1..) = from.read(&mut bytes) {
+        searched.extend(&bytes[..came]);
+        let steps = searched.windows(IN_A_STEP.len()).filter(|found| *found == IN_A_STEP).count();
+        counted.fetch_add(steps as u64, Ordering::Relaxed);
+        searched.drain(..searched.len().saturating_sub(IN_A_STEP.len() - 1));
+        if to.write_all(&bytes[..came]).is_err() {
+            break;
+        }
+    }
+    let _gone = to.shutdown(Shutdown::Both);
+}
+
 /// A router that can be killed and started again.
 pub struct Router {
     config: std::path::PathBuf,
@@ -175,7 +238,7 @@ impl Router {
             command.spawn().unwrap_or_else(|error| panic!("{zenohd}: {error}; ZENOHD names the router"));
         self.process = Some(Process(process));
         let began = Instant::now();
-        while std::net::TcpStream::connect(("127.0.0.1", self.port)).is_err() {
+        while TcpStream::connect(("127.0.0.1", self.port)).is_err() {
             assert!(began.elapsed() < Duration::from_secs(30), "the router does not listen");
             std::thread::sleep(Duration::from_millis(5));
         }

@@ -2,6 +2,7 @@
 
 use std::any::Any;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use ::zenoh::query::{QueryTarget, Reply};
@@ -9,8 +10,9 @@ use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
 use tokio::sync::{mpsc, oneshot};
 
-use super::keys::{Key, LinkId, STOPS};
+use super::keys::{Key, LinkId, STOPS, asks_to_hear, hears};
 use super::network::{Haste, Network};
+use super::offers::Offers;
 use super::stream::{Shared, Stream, Target, link_of};
 
 /// How long the answer of a robot may take.
@@ -21,6 +23,19 @@ const ANSWERS_WITHIN: Duration = Duration::from_secs(2);
 /// # Errors
 /// No robot is there, several are, or the network does not carry.
 pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<Stream> {
+    open(network, key, (haste, &[])).await
+}
+
+/// The same for a connection that may name texts which are published once for all robots of an audience ([`Stream::offer`]), if the robot
+/// at the key hears them. It belongs to these audiences, of which each has a number in this session, and to [`AUDIENCES_MAX`](super::AUDIENCES_MAX) at most.
+///
+/// # Errors
+/// As [`connect`].
+pub async fn connect_sharing(network: &Network, key: &Key, audiences: &[u32]) -> io::Result<Stream> {
+    open(network, key, (Haste::None, audiences)).await
+}
+
+async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32])) -> io::Result<Stream> {
     let nobody = || {
         let why = "no robot answers there: it is not running, or a router on the way is not";
         io::Error::new(io::ErrorKind::NotFound, why)
@@ -32,23 +47,34 @@ pub async fn connect(network: &Network, key: &Key, haste: Haste) -> io::Result<S
     let (answer, mut answers) = mpsc::unbounded_channel();
     let (told, opened) = oneshot::channel();
     let stream = Stream::new(network.clone(), pipe.clone(), (link, Target::new(key.to())?), haste);
-    let opening = Opening { key: key.clone(), network: network.clone(), link, pipe: pipe.clone(), haste };
+    let opening = Opening {
+        key: key.clone(),
+        network: network.clone(),
+        link,
+        pipe: pipe.clone(),
+        haste,
+        audiences: audiences.to_owned(),
+    };
     network.declare(haste, move |session| {
         let _waits = told.send(opening.open(session, answer).map_err(|error| error.to_string()));
     });
     let kept = opened.await.map_err(|_| io::Error::other("the Zenoh session has ended"))?;
-    let kept = kept.map_err(io::Error::other)?;
+    let Opened { kept, offers } = kept.map_err(io::Error::other)?;
     let mut robots = Vec::new();
     while let Some(answer) = answers.recv().await {
         robots.push(answer.map_err(|why| io::Error::new(io::ErrorKind::TimedOut, why))?);
     }
-    let robot = match robots.as_slice() {
-        [robot] => robot,
+    let (robot, hears) = match robots.as_slice() {
+        [(robot, hears)] => (robot, *hears),
         [] => return Err(nobody()),
         _ => return Err(io::Error::other("several robots answer there: each needs a key of its own")),
     };
     let following = network.tokens().follow_seen(&key.robot(robot), &pipe).await?;
-    Ok(stream.keeping(Box::new((kept, following))))
+    let stream = stream.keeping(Box::new((kept, following)));
+    Ok(match offers.filter(|_| hears) {
+        Some(offers) => stream.heard_by(key.clone(), offers),
+        None => stream,
+    })
 }
 
 /// A connection that is about to be opened.
@@ -58,38 +84,54 @@ struct Opening {
     link: LinkId,
     pipe: Shared,
     haste: Haste,
+    audiences: Vec<u32>,
 }
 
+/// What it takes.
+struct Opened {
+    /// To be kept for as long as the connection lives.
+    kept: Box<dyn Any + Send>,
+    offers: Option<Arc<Offers>>,
+}
+
+/// The id of a robot's session, and whether it hears what is published for several.
+type Robot = (String, bool);
+
 impl Opening {
-    /// Declares all that a connection lives by, and then asks the robot for it; returns what has to be kept for as long as it lives.
+    /// Declares all that a connection lives by, and then asks the robot for it.
     fn open(
         self,
         session: &Session,
-        answer: mpsc::UnboundedSender<Result<String, String>>,
-    ) -> ::zenoh::Result<Box<dyn Any + Send>> {
-        let Self { key, network, link, pipe, haste } = self;
+        answer: mpsc::UnboundedSender<Result<Robot, String>>,
+    ) -> ::zenoh::Result<Opened> {
+        let Self { key, network, link, pipe, haste, audiences } = self;
         network.watch(session, key.robots_beside())?;
         network.show(session, key.scheduler(network.id()))?;
+        let asks = asks_to_hear(&audiences);
+        let offers = asks.as_ref().map(|_| network.offers(session, &key)).transpose()?;
+        let offers = offers.filter(|offers| offers.reach(&key));
         // Declared by itself, so that Zenoh hands frames to the connections of this robot, and compares them with no others.
         let from = session.declare_keyexpr(key.from(network.id())).wait()?;
         let frames = session.declare_subscriber(from.clone());
         let own = move |sample: Sample| {
-            if link_of(&sample) == Some(link) {
-                pipe.receive(&sample);
+            if link_of(&sample) == Some(link) && pipe.receive(&sample).is_some() {
+                pipe.lock().break_off("the robot names a script, which only schedulers do");
             }
         };
         let frames = frames.callback(own).wait()?;
         let reply = move |reply: Reply| {
             let said = reply.result().map_err(|error| read(error.payload()));
-            let _gave_up = answer.send(said.map(|sample| read(sample.payload())));
+            let robot = |sample: &Sample| (read(sample.payload()), hears(sample.attachment()));
+            let _gave_up = answer.send(said.map(robot));
         };
         let asked = match haste {
             Haste::None => link.to_string(),
             Haste::Stop => format!("{link} {STOPS}"),
         };
         let asking = session.get(key.open()).payload(asked).target(QueryTarget::All);
+        let asking = asking.attachment(offers.as_ref().and(asks));
         asking.timeout(ANSWERS_WITHIN).priority(haste.priority()).callback(reply).wait()?;
-        Ok(Box::new((frames, from)))
+        Ok(Opened { kept: Box::new((frames, from)), offers })
     }
 }
 

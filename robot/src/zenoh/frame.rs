@@ -1,4 +1,6 @@
-//! What one publication carries: a number, how much its sender has read, and bytes.
+//! What one publication carries: a number, how much its sender has read, and bytes, some of which may have been published before.
+
+use urrcp::ContentHash;
 
 /// What stands behind a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -9,33 +11,84 @@ pub(super) enum Next {
     End,
     /// The sender has lost something of the connection, and says and hears nothing more.
     Broken,
+    /// The same, because the sender did not get a text of which a frame named a part.
+    Lacking,
 }
 
 /// Bytes ahead of the content: kind, number, bytes read.
 const HEADER: usize = 17;
+/// The kind of a frame with a part of a text; others may follow.
+const WITH_PART: u8 = 3;
+/// Bytes of a part, which stands behind the header: hash, and three numbers.
+const PART: usize = 44;
+
+/// Bytes of a text that was published by itself, in place of these bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Part {
+    /// Of the whole text.
+    pub(super) text: ContentHash,
+    /// Bytes of the text ahead of the part.
+    pub(super) from: u32,
+    /// Bytes of the part; never 0.
+    pub(super) count: u32,
+    /// Bytes of the frame's content that go ahead of the part.
+    pub(super) at: u32,
+}
 
 /// One publication of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Frame<'a> {
     /// Counted from 0 in each direction.
     pub(super) number: u64,
-    /// Bytes of content that the sender has read on this connection in all.
+    /// Bytes of the stream that the sender has read on this connection in all.
     pub(super) read: u64,
     pub(super) next: Next,
-    /// The next bytes of the stream.
+    /// Only where more may follow.
+    pub(super) part: Option<Part>,
+    /// The next bytes of the stream, without those of the part.
     pub(super) content: &'a [u8],
+}
+
+impl Part {
+    fn encode(&self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.text.bytes());
+        for number in [self.from, self.count, self.at] {
+            bytes.extend(number.to_le_bytes());
+        }
+    }
+
+    fn decode(bytes: &[u8]) -> Option<(Self, &[u8])> {
+        let (text, rest) = bytes.split_first_chunk::<32>()?;
+        let (from, rest) = rest.split_first_chunk::<4>()?;
+        let (count, rest) = rest.split_first_chunk::<4>()?;
+        let (at, content) = rest.split_first_chunk::<4>()?;
+        let [from, count, at] = [from, count, at].map(|number| u32::from_le_bytes(*number));
+        let fits = count > 0 && usize::try_from(at).is_ok_and(|at| at <= content.len());
+        fits.then_some((Self { text: (*text).into(), from, count, at }, content))
+    }
+
+    /// The bytes that it names; `None` where the text has fewer.
+    pub(super) fn of<'t>(&self, text: &'t [u8]) -> Option<&'t [u8]> {
+        let from = usize::try_from(self.from).ok()?;
+        text.get(from..from.checked_add(usize::try_from(self.count).ok()?)?)
+    }
 }
 
 impl<'a> Frame<'a> {
     pub(super) fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(HEADER + self.content.len());
-        bytes.push(match self.next {
-            Next::More => 0,
-            Next::End => 1,
-            Next::Broken => 2,
+        let mut bytes = Vec::with_capacity(HEADER + PART + self.content.len());
+        bytes.push(match (self.next, self.part) {
+            (Next::More, None) => 0,
+            (Next::End, _) => 1,
+            (Next::Broken, _) => 2,
+            (Next::More, Some(_)) => WITH_PART,
+            (Next::Lacking, _) => 4,
         });
         bytes.extend(self.number.to_le_bytes());
         bytes.extend(self.read.to_le_bytes());
+        if let (Next::More, Some(part)) = (self.next, self.part) {
+            part.encode(&mut bytes);
+        }
         bytes.extend(self.content);
         bytes
     }
@@ -44,14 +97,25 @@ impl<'a> Frame<'a> {
     pub(super) fn decode(bytes: &'a [u8]) -> Option<Self> {
         let (kind, rest) = bytes.split_first()?;
         let (number, rest) = rest.split_first_chunk::<8>()?;
-        let (read, content) = rest.split_first_chunk::<8>()?;
-        let next = match kind {
-            0 => Next::More,
+        let (read, rest) = rest.split_first_chunk::<8>()?;
+        let (part, content) = match *kind {
+            WITH_PART => Part::decode(rest).map(|(part, content)| (Some(part), content))?,
+            _ => (None, rest),
+        };
+        let next = match *kind {
+            0 | WITH_PART => Next::More,
             1 => Next::End,
             2 => Next::Broken,
+            4 => Next::Lacking,
             _ => return None,
         };
-        Some(Self { number: u64::from_le_bytes(*number), read: u64::from_le_bytes(*read), next, content })
+        Some(Self {
+            number: u64::from_le_bytes(*number),
+            read: u64::from_le_bytes(*read),
+            next,
+            part,
+            content,
+        })
     }
 }
 
@@ -61,15 +125,32 @@ mod tests {
 
     #[test]
     fn a_frame_is_read_as_it_was_written_and_nothing_else_is_a_frame() {
-        let frame = Frame { number: 258, read: u64::MAX, next: Next::End, content: b"abc" };
+        let frame = Frame { number: 258, read: u64::MAX, next: Next::End, part: None, content: b"abc" };
         let bytes = frame.encode();
         assert_eq!(Frame::decode(&bytes), Some(frame));
-        let empty = Frame { content: b"", next: Next::Broken, ..frame };
-        assert_eq!(Frame::decode(&empty.encode()), Some(empty));
+        for next in [Next::Broken, Next::Lacking] {
+            let empty = Frame { content: b"", next, ..frame };
+            assert_eq!(Frame::decode(&empty.encode()), Some(empty));
+        }
         assert_eq!(Frame::decode(&bytes[..HEADER - 1]), None);
         assert_eq!(Frame::decode(b""), None);
         let mut unknown = bytes;
-        unknown[0] = 3;
+        unknown[0] = 5;
         assert_eq!(Frame::decode(&unknown), None);
+    }
+
+    #[test]
+    fn a_part_goes_in_at_one_of_the_bytes_and_is_never_empty() {
+        let part = Part { text: ContentHash::of(b"text"), from: 1, count: 2, at: 3 };
+        let frame = Frame { number: 1, read: 2, next: Next::More, part: Some(part), content: b"abc" };
+        let bytes = frame.encode();
+        assert_eq!(Frame::decode(&bytes), Some(frame));
+        assert_eq!(Frame::decode(&bytes[..bytes.len() - 1]), None, "it would go in behind the end");
+        assert_eq!(Frame::decode(&bytes[..HEADER + PART - 1]), None);
+        let empty = Frame { part: Some(Part { count: 0, ..part }), ..frame };
+        assert_eq!(Frame::decode(&empty.encode()), None);
+        assert_eq!(part.of(b"text"), Some(&b"ex"[..]));
+        assert_eq!(part.of(b"te"), None);
+        assert_eq!(Part { from: u32::MAX, count: u32::MAX, ..part }.of(b"text"), None);
     }
 }

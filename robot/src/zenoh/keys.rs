@@ -3,6 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use ::zenoh::bytes::ZBytes;
+
 /// Where a robot is in a Zenoh network, for example `hall-2/arm-1`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Key(String);
@@ -57,8 +59,22 @@ impl Key {
         format!("{}/from/{session}", self.0)
     }
 
+    /// Where robots stand next to each other: the key without its last word, empty where it has one only.
+    #[must_use]
+    pub fn place(&self) -> &str {
+        self.0.rsplit_once('/').map_or("", |(place, _)| place)
+    }
+
+    /// Where a scheduler's session is asked for what it has published for several robots that stand here. It publishes below that.
+    pub(super) fn shared(&self, session: &str) -> String {
+        self.beside(&format!("shared/{session}"))
+    }
+
     fn beside(&self, what: &str) -> String {
-        self.0.rsplit_once('/').map_or_else(|| what.to_owned(), |(place, _)| format!("{place}/{what}"))
+        match self.place() {
+            "" => what.to_owned(),
+            place => format!("{place}/{what}"),
+        }
     }
 }
 
@@ -110,6 +126,35 @@ pub(super) fn robot_of(token: &str) -> Option<&str> {
     token.rsplit_once('/')?.0.strip_suffix("/robot")
 }
 
+/// Attached to the answer of a robot that hears what is published for several.
+pub(super) const HEARS: &str = "shared-1";
+
+/// Several robots for which the same is published, by their number in the session of the scheduler that does.
+pub(super) type Audience = u32;
+
+/// Audiences to which one robot may belong.
+pub const AUDIENCES_MAX: usize = 32;
+
+/// What is attached to the query that opens a connection to a robot of these audiences; nothing where it has none.
+pub(super) fn asks_to_hear(audiences: &[Audience]) -> Option<String> {
+    let numbers = || audiences.iter().map(|audience| format!(" {audience}"));
+    (!audiences.is_empty()).then(|| HEARS.to_owned() + &numbers().collect::<String>())
+}
+
+/// The audiences of which this is attached; none where it is something else.
+pub(super) fn asked_to_hear(attachment: Option<&ZBytes>) -> Vec<Audience> {
+    let text = attachment.map(|attached| String::from_utf8_lossy(&attached.to_bytes()).into_owned());
+    let numbers = text.as_deref().and_then(|text| text.strip_prefix(HEARS)?.strip_prefix(' '));
+    let numbers = numbers.into_iter().flat_map(|numbers| numbers.split(' '));
+    let audiences = numbers.map(str::parse).collect::<Result<Vec<_>, _>>().unwrap_or_default();
+    if audiences.len() <= AUDIENCES_MAX { audiences } else { Vec::new() }
+}
+
+/// Whether a robot says that it hears.
+pub(super) fn hears(attachment: Option<&ZBytes>) -> bool {
+    attachment.is_some_and(|attached| *attached.to_bytes() == *HEARS.as_bytes())
+}
+
 /// Stands behind the name of a connection, after a space, when one is opened for stops.
 pub(super) const STOPS: &str = "stop";
 
@@ -132,10 +177,25 @@ mod tests {
         let key = |key: &str| key.parse::<Key>().unwrap();
         assert_eq!(key("site/hall/arm").robots_beside(), "site/hall/*/robot/*");
         assert_eq!(key("site/hall/arm").scheduler("7"), "site/hall/scheduler/7");
+        assert_eq!(key("site/hall/arm").shared("7"), "site/hall/shared/7");
         assert_eq!(key("arm").robots_beside(), "*/robot/*");
         assert_eq!(key("arm").scheduler("7"), "scheduler/7");
         assert_eq!(robot_of(&key("site/hall/arm").robot("7")), Some("site/hall/arm"));
         assert_eq!(robot_of(&key("site/hall/arm").scheduler("7")), None);
+    }
+
+    #[test]
+    fn the_audiences_of_a_robot_are_read_as_they_were_attached_and_nothing_else_is() {
+        let read = |text: &str| asked_to_hear(Some(&ZBytes::from(text)));
+        assert_eq!(asks_to_hear(&[]), None);
+        assert_eq!(read(&asks_to_hear(&[0, 7, u32::MAX]).unwrap()), [0, 7, u32::MAX]);
+        let many = asks_to_hear(&[1; AUDIENCES_MAX + 1]).unwrap();
+        for wrong in
+            ["", "shared-1", "shared-1 ", "shared-1 x", "shared-1 1 -2", "shared-2 1", "shared-10 1", &many]
+        {
+            assert_eq!(read(wrong), [0; 0], "{wrong:?}");
+        }
+        assert_eq!(asked_to_hear(None), [0; 0]);
     }
 
     #[test]

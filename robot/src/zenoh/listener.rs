@@ -10,7 +10,8 @@ use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
 use tokio::sync::{mpsc, oneshot};
 
-use super::keys::{Key, LinkId, STOPS};
+use super::hearing::Hearing;
+use super::keys::{HEARS, Key, LinkId, STOPS, asked_to_hear};
 use super::network::{Haste, Kept, Network};
 use super::presence::Following;
 use super::stream::{Shared, Stream, Target, link_of};
@@ -101,12 +102,20 @@ struct Links(Arc<Inner>);
 struct Inner {
     key: Key,
     network: Network,
-    open: Mutex<HashMap<LinkId, Shared>>,
+    open: Mutex<HashMap<LinkId, Open>>,
     accept: mpsc::Sender<Stream>,
 }
 
+/// One of its connections.
+#[derive(Clone)]
+struct Open {
+    pipe: Shared,
+    /// What is published for several robots, where the scheduler does that.
+    hearing: Option<Arc<Hearing>>,
+}
+
 impl Inner {
-    fn lock(&self) -> MutexGuard<'_, HashMap<LinkId, Shared>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<LinkId, Open>> {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -143,8 +152,13 @@ impl Links {
 
     fn hear(&self, sample: &Sample) {
         // Of a connection that has ended, something may still be on its way.
-        let pipe = link_of(sample).and_then(|link| self.0.lock().get(&link).cloned());
-        pipe.into_iter().for_each(|pipe| pipe.receive(sample));
+        let open = link_of(sample).and_then(|link| self.0.lock().get(&link).cloned());
+        let Some(Open { pipe, hearing }) = open else { return };
+        let Some(text) = pipe.receive(sample) else { return };
+        match hearing {
+            Some(hearing) => hearing.supply(text, &pipe, &self.0.network),
+            None => pipe.lock().break_off("the other side names a script that is not published"),
+        }
     }
 
     fn open(&self, query: Query) {
@@ -161,20 +175,46 @@ impl Links {
         let Ok(place) = accept.try_reserve() else { return };
         let pipe = Shared::default();
         let Ok(target) = Target::new(key.from(&link.session())) else { return };
+        let audiences = asked_to_hear(query.attachment());
+        let hears = haste == Haste::None && !audiences.is_empty();
+        let hearing = hears.then(|| network.hearing(key.shared(&link.session()))).flatten();
         match self.0.lock().entry(link) {
             // Its owner opens a connection once.
             Entry::Occupied(_) => return,
-            Entry::Vacant(new) => new.insert(pipe.clone()),
+            Entry::Vacant(new) => new.insert(Open { pipe: pipe.clone(), hearing: hearing.clone() }),
         };
         let following = network.tokens().follow(&key.scheduler(&link.session()), &pipe);
-        let answer = network.id().to_owned();
-        let own = query.key_expr().clone().into_owned();
-        network.call(haste, move |_| {
-            if let Err(error) = query.reply(own, answer).wait() {
-                tracing::debug!("a connection by Zenoh was not answered: {error}");
+        let answer = Answer { query, robot: network.id().to_owned() };
+        match hearing {
+            None => network.call(haste, move |_| answer.send(None)),
+            // Behind its declaration, so that it hears all that is published once the answer is there.
+            Some(hearing) => {
+                network.declare(haste, move |session| match hearing.begin(session, &audiences) {
+                    Ok(()) => answer.send(Some(HEARS)),
+                    Err(error) => {
+                        tracing::debug!("what is published for several robots is not heard: {error}");
+                        answer.send(None);
+                    }
+                })
             }
-        });
+        }
         let listed = Listed { link, links: Arc::downgrade(&self.0), _following: following };
         place.send(Stream::new(network.clone(), pipe, (link, target), haste).keeping(Box::new(listed)));
+    }
+}
+
+/// The answer to who opens a connection.
+struct Answer {
+    query: Query,
+    robot: String,
+}
+
+impl Answer {
+    fn send(self, hears: Option<&'static str>) {
+        let Self { query, robot } = self;
+        let reply = query.reply(query.key_expr().clone().into_owned(), robot);
+        if let Err(error) = reply.attachment(hears).wait() {
+            tracing::debug!("a connection by Zenoh was not answered: {error}");
+        }
     }
 }

@@ -9,14 +9,17 @@ use std::fmt;
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use ::zenoh::qos::{CongestionControl, Priority};
+use ::zenoh::query::Query;
 use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
 
 use super::config::{self, NetworkError};
-use super::keys::LinkId;
+use super::hearing::Hearing;
+use super::keys::{Key, LinkId};
+use super::offers::Offers;
 use super::presence::Tokens;
 use super::stream::{Shared, Target};
 
@@ -39,7 +42,7 @@ impl Haste {
     }
 }
 
-type Call = Box<dyn FnOnce(&Session) + Send>;
+pub(super) type Call = Box<dyn FnOnce(&Session) + Send>;
 
 /// What has to be undeclared by being dropped, behind a lock, because what Zenoh hands back may not be shared between threads.
 pub(super) type Kept = Box<dyn Any + Send + Sync>;
@@ -59,7 +62,14 @@ struct Inner {
     tokens: Tokens,
     /// What was declared for as long as the session lasts, by its keys.
     lasting: Mutex<HashMap<String, Kept>>,
+    /// What it publishes for several robots, by its keys.
+    offers: Mutex<HashMap<String, Arc<Offers>>>,
+    /// What it hears of schedulers that do so, by their keys.
+    hearings: Mutex<HashMap<String, Weak<Hearing>>>,
 }
+
+/// Schedulers of which a session hears what they publish for several robots; others send everything whole.
+const HEARINGS_MAX: usize = 16;
 
 impl Drop for Inner {
     fn drop(&mut self) {
@@ -112,9 +122,18 @@ impl Network {
         let another = session.clone();
         let hasty = speak("zenoh-haste", move || Some(session))?;
         let declaring = speak("zenoh-declare", move || Some(another))?;
-        let (tokens, lasting) = (Tokens::default(), Mutex::default());
-        let connections = AtomicU64::new(0);
-        Ok(Self(Arc::new(Inner { id, open_endpoint, calm, hasty, declaring, connections, tokens, lasting })))
+        Ok(Self(Arc::new(Inner {
+            id,
+            open_endpoint,
+            calm,
+            hasty,
+            declaring,
+            connections: AtomicU64::new(0),
+            tokens: Tokens::default(),
+            lasting: Mutex::default(),
+            offers: Mutex::default(),
+            hearings: Mutex::default(),
+        })))
     }
 
     /// The id of the session.
@@ -152,6 +171,38 @@ impl Network {
     /// Shows a token to other sessions, for as long as this one lasts.
     pub(super) fn show(&self, session: &Session, token: String) -> ::zenoh::Result<()> {
         self.once(token, |token| Ok(Box::new(Mutex::new(session.liveliness().declare_token(token).wait()?))))
+    }
+
+    /// What this session publishes for several robots that stand where this one does; it answers who asks for it.
+    pub(super) fn offers(&self, session: &Session, key: &Key) -> ::zenoh::Result<Arc<Offers>> {
+        let key = key.shared(self.id());
+        let mut all = self.0.offers.lock().unwrap_or_else(PoisonError::into_inner);
+        let offers = match all.entry(key.clone()) {
+            Entry::Occupied(known) => Arc::clone(known.get()),
+            Entry::Vacant(new) => Arc::clone(new.insert(Offers::new(key.clone()))),
+        };
+        drop(all);
+        self.once(key, |key| {
+            let (offers, speaking) = (Arc::clone(&offers), self.0.calm.clone());
+            let declared = session.declare_queryable(key);
+            let declared = declared.callback(move |query: Query| offers.answer(query, &speaking));
+            Ok(Box::new(Mutex::new(declared.wait()?)))
+        })?;
+        Ok(offers)
+    }
+
+    /// What this session hears of what a scheduler publishes for several robots; `None` where it hears too many already.
+    pub(super) fn hearing(&self, key: String) -> Option<Arc<Hearing>> {
+        let mut all = self.0.hearings.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = all.get(&key).and_then(Weak::upgrade) {
+            return Some(known);
+        }
+        all.retain(|_, hearing| hearing.strong_count() > 0);
+        (all.len() < HEARINGS_MAX).then(|| {
+            let hearing = Hearing::new(key.clone(), self.0.declaring.clone());
+            all.insert(key, Arc::downgrade(&hearing));
+            hearing
+        })
     }
 
     fn once(

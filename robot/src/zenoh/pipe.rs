@@ -4,7 +4,9 @@ use std::collections::VecDeque;
 use std::io;
 use std::task::{Context, Poll, Waker};
 
-use super::frame::{Frame, Next};
+use urrcp::ContentHash;
+
+use super::frame::{Frame, Next, Part};
 
 /// Bytes that one side may have written and the other not yet read.
 pub(super) const WINDOW: usize = 1024 * 1024;
@@ -20,10 +22,25 @@ enum End {
     Broken(String),
 }
 
+/// What has come and is not yet read.
+#[derive(Debug)]
+enum Piece {
+    Here(Vec<u8>),
+    /// Its text has not come yet, and nothing behind it is read.
+    Awaited(Part),
+}
+
+/// How much was written: of bytes, and of the text put in among them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Written {
+    pub(super) content: usize,
+    pub(super) text: usize,
+}
+
 /// One end of a connection.
 #[derive(Debug, Default)]
 pub(super) struct Pipe {
-    waiting: VecDeque<Vec<u8>>,
+    waiting: VecDeque<Piece>,
     /// How much of the first that waits is read.
     begun: usize,
     next: u64,
@@ -37,6 +54,10 @@ pub(super) struct Pipe {
     /// How much the other side has read.
     taken: u64,
     has_ended: bool,
+    /// A text that this side needs cannot be had.
+    lacks: bool,
+    /// The other side could not get a text that this one named.
+    is_lacked: bool,
     reader: Option<Waker>,
     writer: Option<Waker>,
 }
@@ -46,37 +67,104 @@ fn count(bytes: usize) -> u64 {
 }
 
 impl Pipe {
-    /// A publication of the other side has come.
-    pub(super) fn receive(&mut self, bytes: &[u8]) {
+    /// A publication of the other side has come. Returns the text that has to be filled in before what stands behind it is read.
+    #[must_use]
+    pub(super) fn receive(&mut self, bytes: &[u8]) -> Option<ContentHash> {
         if self.end.is_some() {
-            return;
+            return None;
         }
-        let Some(frame) = Frame::decode(bytes) else {
-            return self.break_off("something came that is no frame");
-        };
-        if frame.next == Next::Broken {
-            return self.break_off("the other side has lost a message, or its way here");
+        match Frame::decode(bytes) {
+            Some(frame) => {
+                let is_taken = self.take(&frame);
+                frame.part.filter(|_| is_taken).map(|part| part.text)
+            }
+            None => {
+                self.break_off("something came that is no frame");
+                None
+            }
         }
-        if frame.number != self.next {
-            let what = format!(
-                "a message was lost on the way: number {} came, expected {}",
-                frame.number, self.next
-            );
-            return self.break_off(&what);
+    }
+
+    /// Whether it fits behind what came.
+    fn take(&mut self, frame: &Frame<'_>) -> bool {
+        let refused = self.check(frame);
+        if let Some(why) = refused {
+            self.is_lacked |= frame.next == Next::Lacking;
+            self.break_off(&why);
+            return false;
         }
         self.next += 1;
-        self.came = self.came.saturating_add(count(frame.content.len()));
-        if self.came.saturating_sub(self.read) > count(WINDOW) || frame.read > self.written {
-            return self.break_off("the other side does not keep to what it may send");
-        }
         self.taken = self.taken.max(frame.read);
-        if !frame.content.is_empty() {
-            self.waiting.push_back(frame.content.to_vec());
-        }
+        let ahead = frame.part.and_then(|part| usize::try_from(part.at).ok()).unwrap_or(frame.content.len());
+        let (ahead, behind) = frame.content.split_at(ahead.min(frame.content.len()));
+        let pieces = [Some(Piece::Here(ahead.to_vec())), frame.part.map(Piece::Awaited)];
+        let pieces = pieces.into_iter().flatten().chain([Piece::Here(behind.to_vec())]);
+        self.waiting.extend(pieces.filter(|piece| !matches!(piece, Piece::Here(bytes) if bytes.is_empty())));
         if frame.next == Next::End {
             self.end = Some(End::Said);
         }
         self.wake();
+        true
+    }
+
+    /// Counts what came with a frame; returns why it breaks the connection, if it does.
+    fn check(&mut self, frame: &Frame<'_>) -> Option<String> {
+        match frame.next {
+            Next::Broken => return Some("the other side has lost a message, or its way here".to_owned()),
+            Next::Lacking => {
+                return Some("the other side did not get a script that was published".to_owned());
+            }
+            Next::More | Next::End => {}
+        }
+        if frame.number != self.next {
+            let (came, expected) = (frame.number, self.next);
+            return Some(format!("a message was lost on the way: number {came} came, expected {expected}"));
+        }
+        let part = frame.part.map_or(0, |part| u64::from(part.count));
+        self.came = self.came.saturating_add(count(frame.content.len())).saturating_add(part);
+        let too_much = self.came.saturating_sub(self.read) > count(WINDOW) || frame.read > self.written;
+        too_much.then(|| "the other side does not keep to what it may send".to_owned())
+    }
+
+    /// Fills in a text that was waited for.
+    pub(super) fn fill(&mut self, text: ContentHash, bytes: &[u8]) {
+        let mut fits = true;
+        for piece in &mut self.waiting {
+            if let Piece::Awaited(part) = piece
+                && part.text == text
+            {
+                match part.of(bytes) {
+                    Some(bytes) => *piece = Piece::Here(bytes.to_vec()),
+                    None => fits = false,
+                }
+            }
+        }
+        if !fits {
+            self.fail("the other side names more of a script than there is");
+        }
+        self.wake();
+    }
+
+    /// A text that was waited for does not come.
+    pub(super) fn lack(&mut self, text: ContentHash) {
+        let awaits = |piece: &Piece| matches!(piece, Piece::Awaited(part) if part.text == text);
+        if self.waiting.iter().any(awaits) {
+            self.lacks = true;
+            self.fail("a script that was published for several robots did not come");
+        }
+    }
+
+    /// Whether the other side could not get a text that this one named.
+    pub(super) const fn is_lacked(&self) -> bool {
+        self.is_lacked
+    }
+
+    /// Breaks off, even where all has come that the other side says.
+    fn fail(&mut self, why: &str) {
+        if self.end == Some(End::Said) {
+            self.end = None;
+        }
+        self.break_off(why);
     }
 
     /// Nothing more comes, and nothing more arrives.
@@ -90,6 +178,11 @@ impl Pipe {
     #[cfg(test)]
     pub(super) const fn is_broken(&self) -> bool {
         matches!(self.end, Some(End::Broken(_)))
+    }
+
+    #[cfg(test)]
+    pub(super) fn waits_for_a_text(&self) -> bool {
+        self.waiting.iter().any(|piece| matches!(piece, Piece::Awaited(_)))
     }
 
     fn wake(&mut self) {
@@ -109,17 +202,18 @@ impl Pipe {
         context: &Context<'_>,
         into: &mut tokio::io::ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        if self.waiting.is_empty() {
+        let awaits = matches!(self.waiting.front(), Some(Piece::Awaited(_)));
+        if awaits || self.waiting.is_empty() {
             return match (&self.end, self.error()) {
-                (None, _) => {
+                (Some(_), Some(error)) => Poll::Ready(Err(error)),
+                (Some(_), None) if !awaits => Poll::Ready(Ok(())),
+                _ => {
                     self.reader = Some(context.waker().clone());
                     Poll::Pending
                 }
-                (Some(_), None) => Poll::Ready(Ok(())),
-                (Some(_), Some(error)) => Poll::Ready(Err(error)),
             };
         }
-        while let Some(first) = self.waiting.front().filter(|_| into.remaining() > 0) {
+        while let Some(Piece::Here(first)) = self.waiting.front().filter(|_| into.remaining() > 0) {
             let left = &first[self.begun..];
             let n = left.len().min(into.remaining());
             into.put_slice(&left[..n]);
@@ -133,12 +227,13 @@ impl Pipe {
         Poll::Ready(Ok(()))
     }
 
-    /// The next frame with as much of these bytes as may be written.
+    /// The next frame with as much of these bytes as may be written, and of a part that goes in among them.
     pub(super) fn poll_write(
         &mut self,
         context: &Context<'_>,
         bytes: &[u8],
-    ) -> Poll<io::Result<(usize, Vec<u8>)>> {
+        part: Option<Part>,
+    ) -> Poll<io::Result<(Written, Vec<u8>)>> {
         if let Some(error) = self.error() {
             return Poll::Ready(Err(error));
         }
@@ -146,33 +241,55 @@ impl Pipe {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
         let under_way = usize::try_from(self.written.saturating_sub(self.taken)).unwrap_or(usize::MAX);
-        let n = WINDOW.saturating_sub(under_way).min(CONTENT_MAX).min(bytes.len());
-        if n == 0 && !bytes.is_empty() {
+        let (written, part) = fitting(WINDOW.saturating_sub(under_way), bytes, part);
+        if written == Written::default() && !bytes.is_empty() {
             self.writer = Some(context.waker().clone());
             return Poll::Pending;
         }
-        self.written = self.written.saturating_add(count(n));
-        Poll::Ready(Ok((n, self.frame(&bytes[..n], Next::More))))
+        self.written = self.written.saturating_add(count(written.content + written.text));
+        Poll::Ready(Ok((written, self.frame(&bytes[..written.content], part, Next::More))))
     }
 
     /// A frame that says how much was read, once the other side may wait for that.
     pub(super) fn acknowledgement(&mut self) -> Option<Vec<u8>> {
         let due = self.read.saturating_sub(self.told) >= count(WINDOW / 2);
-        (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], Next::More))
+        (due && self.end.is_none() && !self.has_ended).then(|| self.frame(&[], None, Next::More))
     }
 
     /// The last frame, once: a side whose connection broke tells the other, which may have noticed nothing.
     pub(super) fn ending(&mut self) -> Option<Vec<u8>> {
-        let next = if matches!(self.end, Some(End::Broken(_))) { Next::Broken } else { Next::End };
-        (!std::mem::replace(&mut self.has_ended, true)).then(|| self.frame(&[], next))
+        let next = match self.end {
+            Some(End::Broken(_)) if self.lacks => Next::Lacking,
+            Some(End::Broken(_)) => Next::Broken,
+            Some(End::Said) | None => Next::End,
+        };
+        (!std::mem::replace(&mut self.has_ended, true)).then(|| self.frame(&[], None, next))
     }
 
-    fn frame(&mut self, content: &[u8], next: Next) -> Vec<u8> {
-        let frame = Frame { number: self.number, read: self.read, next, content };
+    fn frame(&mut self, content: &[u8], part: Option<Part>, next: Next) -> Vec<u8> {
+        let frame = Frame { number: self.number, read: self.read, next, part, content };
         self.number += 1;
         self.told = self.read;
         frame.encode()
     }
+}
+
+/// What goes into one frame where there is room for so many bytes: content, the part, and what stands behind that.
+fn fitting(room: usize, bytes: &[u8], part: Option<Part>) -> (Written, Option<Part>) {
+    let size = |number: u32| usize::try_from(number).unwrap_or(usize::MAX);
+    let at = part.map_or(bytes.len(), |part| size(part.at).min(bytes.len()));
+    let ahead = at.min(room).min(CONTENT_MAX);
+    let Some(part) = part.filter(|_| ahead == at) else {
+        return (Written { content: ahead, text: 0 }, None);
+    };
+    let count = part.count.min(u32::try_from(room - ahead).unwrap_or(u32::MAX));
+    if count == 0 {
+        return (Written { content: ahead, text: 0 }, None);
+    }
+    let text = size(count);
+    let left = (room - ahead - text).min(CONTENT_MAX - ahead).min(bytes.len() - ahead);
+    let behind = if count == part.count { left } else { 0 };
+    (Written { content: ahead + behind, text }, Some(Part { count, ..part }))
 }
 
 #[cfg(test)]
@@ -182,7 +299,33 @@ mod tests {
     use super::*;
 
     fn write(pipe: &mut Pipe, bytes: &[u8]) -> Poll<io::Result<(usize, Vec<u8>)>> {
-        pipe.poll_write(&Context::from_waker(Waker::noop()), bytes)
+        let written = pipe.poll_write(&Context::from_waker(Waker::noop()), bytes, None);
+        written.map_ok(|(written, frame)| (written.content, frame))
+    }
+
+    /// Writes with a text put in at one of the bytes, and returns all frames that this takes.
+    fn written_around(pipe: &mut Pipe, bytes: &[u8], at: usize, text: &[u8]) -> Vec<Vec<u8>> {
+        let (mut frames, mut done) = (Vec::new(), Written::default());
+        while done != (Written { content: bytes.len(), text: text.len() }) {
+            let small = |size: usize| u32::try_from(size).unwrap();
+            let part = (done.text < text.len()).then(|| Part {
+                text: ContentHash::of(text),
+                from: small(done.text),
+                count: small(text.len() - done.text),
+                at: small(at - done.content),
+            });
+            let context = Context::from_waker(Waker::noop());
+            let Poll::Ready(Ok((n, frame))) = pipe.poll_write(&context, &bytes[done.content..], part) else {
+                return frames;
+            };
+            done = Written { content: done.content + n.content, text: done.text + n.text };
+            frames.push(frame);
+        }
+        frames
+    }
+
+    fn receive(pipe: &mut Pipe, frame: &[u8]) {
+        assert_eq!(pipe.receive(frame), None);
     }
 
     fn written(pipe: &mut Pipe, bytes: &[u8]) -> Vec<u8> {
@@ -206,10 +349,10 @@ mod tests {
     fn what_is_written_is_read_in_order_and_then_the_end() {
         let (mut near, mut far) = (Pipe::default(), Pipe::default());
         for words in [&b"one"[..], b"two"] {
-            far.receive(&written(&mut near, words));
+            receive(&mut far, &written(&mut near, words));
         }
         assert_eq!(read(&mut far, 4), Some(Ok(b"onet".to_vec())));
-        far.receive(&near.ending().unwrap());
+        receive(&mut far, &near.ending().unwrap());
         assert_eq!(near.ending(), None, "it ends once");
         assert_eq!(read(&mut far, 9), Some(Ok(b"wo".to_vec())));
         assert_eq!(read(&mut far, 9), Some(Ok(Vec::new())));
@@ -224,14 +367,14 @@ mod tests {
         for order in [&[0_usize, 2][..], &[0, 0], &[1], &[0, 2, 1]] {
             let (mut near, mut far) = (Pipe::default(), Pipe::default());
             let frames: Vec<_> = (0..3).map(|i| written(&mut near, &[b'a' + i])).collect();
-            order.iter().for_each(|i| far.receive(&frames[*i]));
+            order.iter().for_each(|i| receive(&mut far, &frames[*i]));
             if order[0] == 0 {
                 assert_eq!(read(&mut far, 9), Some(Ok(b"a".to_vec())), "{order:?}");
             }
             let broken = read(&mut far, 9).unwrap().unwrap_err();
             assert!(broken.contains("a message was lost on the way"), "{broken}");
             assert!(matches!(write(&mut far, b"x"), Poll::Ready(Err(_))));
-            near.receive(&far.ending().unwrap());
+            receive(&mut near, &far.ending().unwrap());
             assert_eq!(far.ending(), None, "said once");
             let told = read(&mut near, 9).unwrap().unwrap_err();
             assert!(told.contains("the other side has lost a message"), "{told}");
@@ -244,14 +387,14 @@ mod tests {
         let piece = vec![7; CONTENT_MAX];
         let mut sent = 0;
         while let Poll::Ready(Ok((n, frame))) = write(&mut near, &piece) {
-            far.receive(&frame);
+            receive(&mut far, &frame);
             sent += n;
             assert!(sent <= WINDOW);
         }
         assert_eq!(sent, WINDOW);
         assert_eq!(far.acknowledgement(), None);
         assert_eq!(read(&mut far, WINDOW / 2).unwrap().unwrap().len(), WINDOW / 2);
-        near.receive(&far.acknowledgement().unwrap());
+        receive(&mut near, &far.acknowledgement().unwrap());
         assert_eq!(far.acknowledgement(), None, "told once");
         assert!(matches!(write(&mut near, &piece), Poll::Ready(Ok((CONTENT_MAX, _)))));
     }
@@ -260,14 +403,88 @@ mod tests {
     fn who_does_not_keep_to_the_window_or_speaks_otherwise_is_cut_off() {
         let mut far = Pipe::default();
         let content = vec![0; WINDOW + 1];
-        far.receive(&Frame { number: 0, read: 0, next: Next::More, content: &content }.encode());
+        receive(
+            &mut far,
+            &Frame { number: 0, read: 0, next: Next::More, part: None, content: &content }.encode(),
+        );
         assert!(read(&mut far, 1).unwrap().is_err(), "nothing of it is kept");
         let mut far = Pipe::default();
-        far.receive(&Frame { number: 0, read: 1, next: Next::More, content: b"" }.encode());
+        receive(&mut far, &Frame { number: 0, read: 1, next: Next::More, part: None, content: b"" }.encode());
         assert!(read(&mut far, 1).unwrap().unwrap_err().contains("does not keep"));
         let mut far = Pipe::default();
-        far.receive(b"GET / HTTP/1.1");
+        receive(&mut far, b"GET / HTTP/1.1");
         assert!(read(&mut far, 1).unwrap().unwrap_err().contains("no frame"));
+    }
+
+    #[test]
+    fn a_text_that_was_published_is_read_where_it_goes_in_and_holds_back_what_is_behind_it() {
+        let (mut near, mut far) = (Pipe::default(), Pipe::default());
+        let (bytes, text, hash) = (b"<>\n", b"a script", ContentHash::of(b"a script"));
+        let frames = written_around(&mut near, bytes, 1, text);
+        assert_eq!(frames.len(), 1);
+        assert_eq!(far.receive(&frames[0]), Some(hash));
+        receive(&mut far, &written(&mut near, b"next"));
+        receive(&mut far, &near.ending().unwrap());
+        assert_eq!(read(&mut far, 99), Some(Ok(b"<".to_vec())));
+        assert_eq!(read(&mut far, 99), None, "it waits, though nothing more comes");
+        far.fill(ContentHash::of(b"another"), b"another");
+        assert_eq!(read(&mut far, 99), None);
+        far.fill(hash, text);
+        assert_eq!(read(&mut far, 99), Some(Ok(b"a script>\nnext".to_vec())));
+        assert_eq!(read(&mut far, 99), Some(Ok(Vec::new())));
+    }
+
+    #[test]
+    fn a_long_text_goes_through_the_window_in_parts() {
+        let (mut near, mut far) = (Pipe::default(), Pipe::default());
+        let text: Vec<u8> = (0..WINDOW + 9).map(|i| u8::try_from(i % 251).unwrap()).collect();
+        let hash = ContentHash::of(&text);
+        let first = written_around(&mut near, b"<>", 1, &text);
+        assert_eq!(first.len(), 1);
+        assert_eq!(far.receive(&first[0]), Some(hash));
+        far.fill(hash, &text);
+        let mut came = read(&mut far, 2 * WINDOW).unwrap().unwrap();
+        assert_eq!(came.len(), WINDOW);
+        assert!(matches!(write(&mut near, b"x"), Poll::Pending), "the text counts as what is written");
+        receive(&mut near, &far.acknowledgement().unwrap());
+        let part = Part { text: hash, from: u32::try_from(WINDOW - 1).unwrap(), count: 10, at: 0 };
+        let context = Context::from_waker(Waker::noop());
+        let Poll::Ready(Ok((_, frame))) = near.poll_write(&context, b">", Some(part)) else { panic!() };
+        assert_eq!(far.receive(&frame), Some(hash));
+        far.fill(hash, &text);
+        came.extend(read(&mut far, 99).unwrap().unwrap());
+        assert!(came == [&b"<"[..], &text, b">"].concat());
+    }
+
+    #[test]
+    fn a_text_that_does_not_come_or_is_too_short_breaks_the_connection_and_the_other_side_is_told_which() {
+        for (fills, told) in [(false, "did not get a script"), (true, "has lost a message")] {
+            let (mut near, mut far) = (Pipe::default(), Pipe::default());
+            let part = Part { text: ContentHash::of(b"text"), from: 1, count: 4, at: 1 };
+            let context = Context::from_waker(Waker::noop());
+            let Poll::Ready(Ok((_, frame))) = near.poll_write(&context, b"<>", Some(part)) else { panic!() };
+            let awaited = far.receive(&frame).unwrap();
+            receive(&mut far, &near.ending().unwrap());
+            assert_eq!(read(&mut far, 9), Some(Ok(b"<".to_vec())));
+            if fills {
+                far.fill(awaited, b"text")
+            } else {
+                far.lack(awaited)
+            }
+            read(&mut far, 9).unwrap().unwrap_err();
+            receive(&mut near, &far.ending().unwrap());
+            assert_eq!(near.is_lacked(), !fills);
+            assert!(read(&mut near, 9).unwrap().unwrap_err().contains(told));
+        }
+    }
+
+    #[test]
+    fn a_part_that_is_longer_than_the_window_is_not_waited_for() {
+        let mut far = Pipe::default();
+        let part = Part { text: ContentHash::of(b"x"), from: 0, count: u32::MAX, at: 0 };
+        let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
+        receive(&mut far, &frame.encode());
+        assert!(read(&mut far, 1).unwrap().unwrap_err().contains("does not keep"));
     }
 
     #[test]

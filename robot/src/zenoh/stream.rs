@@ -11,10 +11,13 @@ use ::zenoh::key_expr::KeyExpr;
 use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use urrcp::ContentHash;
 
-use super::keys::LinkId;
+use super::frame::Part;
+use super::keys::{Key, LinkId};
 use super::network::{Haste, Network};
-use super::pipe::Pipe;
+use super::offers::{Offers, Text};
+use super::pipe::{Pipe, Written};
 
 /// An end of a connection that the network writes to and a stream reads.
 #[derive(Clone, Debug, Default)]
@@ -25,8 +28,10 @@ impl Shared {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn receive(&self, sample: &Sample) {
-        self.lock().receive(&sample.payload().to_bytes());
+    /// Returns the text that has to be filled in.
+    #[must_use]
+    pub(super) fn receive(&self, sample: &Sample) -> Option<ContentHash> {
+        self.lock().receive(&sample.payload().to_bytes())
     }
 
     pub(super) fn downgrade(&self) -> WeakShared {
@@ -55,6 +60,7 @@ pub(super) fn link_of(sample: &Sample) -> Option<LinkId> {
 
 /// Where one side of a connection publishes. The session declares the key with the first frame: Zenoh computes its route then, and
 /// compares the frames behind it with no other keys.
+#[derive(Debug)]
 pub(super) struct Target {
     key: KeyExpr<'static>,
     declared: OnceLock<KeyExpr<'static>>,
@@ -76,23 +82,28 @@ impl Target {
     }
 }
 
-/// A connection between a scheduler and a robot. Dropping it ends it: the other side reads what was written, and then the end.
-pub struct Stream {
+/// A connection between a scheduler and a robot. Dropping it, and what it was split into, ends it: the other side reads what was written,
+/// and then the end.
+pub struct Stream(Arc<Ends>);
+
+struct Ends {
     network: Network,
     pipe: Shared,
     link: LinkId,
     target: Arc<Target>,
     haste: Haste,
     /// What the network has to be told when the connection ends, by being dropped.
-    kept: Option<Box<dyn Any + Send>>,
+    kept: Mutex<Option<Box<dyn Any + Send>>>,
+    /// What the robot is reached at, and hears of what is published for several robots there.
+    hears: OnceLock<(Key, Arc<Offers>)>,
 }
 
 impl fmt::Debug for Stream {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Stream")
-            .field("link", &self.link)
-            .field("key", &self.target.key)
-            .field("haste", &self.haste)
+            .field("link", &self.0.link)
+            .field("key", &self.0.target.key)
+            .field("haste", &self.0.haste)
             .finish_non_exhaustive()
     }
 }
@@ -104,22 +115,103 @@ impl Stream {
         (link, target): (LinkId, Arc<Target>),
         haste: Haste,
     ) -> Self {
-        Self { network, pipe, link, target, haste, kept: None }
+        let (kept, hears) = (Mutex::default(), OnceLock::new());
+        Self(Arc::new(Ends { network, pipe, link, target, haste, kept, hears }))
     }
 
-    pub(super) fn keeping(mut self, kept: Box<dyn Any + Send>) -> Self {
-        self.kept = Some(kept);
+    pub(super) fn keeping(self, kept: Box<dyn Any + Send>) -> Self {
+        *self.0.kept.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
+        self
+    }
+
+    pub(super) fn heard_by(self, key: Key, offers: Arc<Offers>) -> Self {
+        // Set once, when the connection is opened.
+        let _set = self.0.hears.set((key, offers));
         self
     }
 
     /// The name of the connection, which begins with the id of the session that has opened it.
     #[must_use]
     pub fn name(&self) -> String {
-        self.link.to_string()
+        self.0.link.to_string()
     }
 
+    /// The same connection twice: to read from the one and write to the other.
+    #[must_use]
+    pub fn split(self) -> (Self, Self) {
+        (Self(Arc::clone(&self.0)), self)
+    }
+
+    /// Publishes a text for all robots of an audience, unless that was done before. `None`: this robot does not hear what is published,
+    /// or the text is longer than 4 MiB, so it has to be written.
+    #[must_use]
+    pub fn offer(
+        &self,
+        (audience, hash): (u32, ContentHash),
+        text: impl FnOnce() -> Vec<u8>,
+    ) -> Option<Text> {
+        let (_, offers) = self.0.hears.get()?;
+        offers.offer(&self.0.network, (audience, hash), text)
+    }
+
+    /// Writes all these bytes with texts that were offered put in, each ahead of the byte at its place. Places do not decrease.
+    ///
+    /// # Errors
+    /// The connection has ended.
+    pub async fn write_with(&mut self, bytes: &[u8], texts: &[(usize, Text)]) -> io::Result<()> {
+        let mut done = 0;
+        for (index, (place, text)) in texts.iter().enumerate() {
+            let end = texts.get(index + 1).map_or(bytes.len(), |(next, _)| *next);
+            let mut from = 0;
+            while from < text.len() {
+                let part = text.part(from, place.saturating_sub(done))?;
+                let written = self.write_part(&bytes[done..end], Some(part)).await?;
+                done += written.content;
+                from += written.text;
+            }
+        }
+        while done < bytes.len() {
+            done += self.write_part(&bytes[done..], None).await?.content;
+        }
+        Ok(())
+    }
+
+    async fn write_part(&self, bytes: &[u8], part: Option<Part>) -> io::Result<Written> {
+        std::future::poll_fn(|context| self.0.poll_write(context, bytes, part)).await
+    }
+}
+
+#[cfg(test)]
+impl Stream {
+    /// Nobody who asks for what was offered gets it.
+    pub(super) fn forget_offers(&self) {
+        self.0.hears.get().unwrap().1.forget();
+    }
+}
+
+impl Ends {
     fn publish(&self, frame: Vec<u8>) {
         self.network.publish(self.haste, (self.link, self.target.clone()), frame, &self.pipe);
+    }
+
+    fn poll_write(
+        &self,
+        context: &Context<'_>,
+        bytes: &[u8],
+        part: Option<Part>,
+    ) -> Poll<io::Result<Written>> {
+        // Handed on before another frame can have the next number.
+        let mut pipe = self.pipe.lock();
+        let (written, frame) = std::task::ready!(pipe.poll_write(context, bytes, part))?;
+        self.publish(frame);
+        Poll::Ready(Ok(written))
+    }
+
+    fn end(&self) {
+        let mut pipe = self.pipe.lock();
+        if let Some(frame) = pipe.ending() {
+            self.publish(frame);
+        }
     }
 }
 
@@ -129,10 +221,10 @@ impl AsyncRead for Stream {
         context: &mut Context<'_>,
         into: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let mut pipe = self.pipe.lock();
+        let mut pipe = self.0.pipe.lock();
         let read = pipe.poll_read(context, into);
         if let Some(frame) = pipe.acknowledgement() {
-            self.publish(frame);
+            self.0.publish(frame);
         }
         read
     }
@@ -140,11 +232,7 @@ impl AsyncRead for Stream {
 
 impl AsyncWrite for Stream {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        // Handed on before another frame can have the next number.
-        let mut pipe = self.pipe.lock();
-        let (n, frame) = std::task::ready!(pipe.poll_write(context, bytes))?;
-        self.publish(frame);
-        Poll::Ready(Ok(n))
+        self.0.poll_write(context, bytes, None).map_ok(|written| written.content)
     }
 
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -152,22 +240,20 @@ impl AsyncWrite for Stream {
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let mut pipe = self.pipe.lock();
-        if let Some(frame) = pipe.ending() {
-            self.publish(frame);
-        }
+        self.0.end();
         Poll::Ready(Ok(()))
     }
 }
 
-impl Drop for Stream {
+impl Drop for Ends {
     fn drop(&mut self) {
-        let mut pipe = self.pipe.lock();
-        if let Some(frame) = pipe.ending() {
-            self.publish(frame);
+        self.end();
+        if let Some((key, offers)) = self.hears.get()
+            && self.pipe.lock().is_lacked()
+        {
+            offers.note_lack(key);
         }
-        drop(pipe);
-        if let Some(kept) = self.kept.take() {
+        if let Some(kept) = self.kept.lock().unwrap_or_else(PoisonError::into_inner).take() {
             self.network.declare(self.haste, move |_| drop(kept));
         }
     }

@@ -1,11 +1,14 @@
 //! Connections over Zenoh between sessions of this process, from peer to peer over TCP on the loopback interface.
 
 use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ::zenoh::Wait;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use urrcp::ContentHash;
 
-use super::{Haste, Key, Listener, Network, connect};
+use super::{Haste, Key, Listener, Network, Stream, Text, connect, connect_sharing};
 
 /// A network of two: one listens, the other connects.
 fn two() -> (Network, Network) {
@@ -151,4 +154,182 @@ async fn a_robot_that_has_left_and_come_back_is_reached_again() {
         }
     };
     soon(reached).await;
+}
+
+/// A text that is longer than one frame.
+fn long_text() -> Vec<u8> {
+    (0..200_000_u32).map(|i| u8::try_from(i % 251).unwrap()).collect()
+}
+
+fn offer(stream: &Stream, text: &[u8]) -> Option<Text> {
+    stream.offer((7, ContentHash::of(text)), || text.to_vec())
+}
+
+/// Writes `<`, a text that was offered, and `>`, and then the end.
+async fn write_around(mut stream: Stream, text: Text) -> Stream {
+    stream.write_with(b"<>", &[(1, text)]).await.unwrap();
+    stream.shutdown().await.unwrap();
+    stream
+}
+
+async fn read_all(mut stream: Stream) -> std::io::Result<Vec<u8>> {
+    let mut all = Vec::new();
+    soon(stream.read_to_end(&mut all)).await.map(|_| all)
+}
+
+fn around(text: &[u8]) -> Vec<u8> {
+    [b"<", text, b">"].concat()
+}
+
+/// Lengths of what one session hears at these keys.
+fn heard(network: &Network, keys: &'static str) -> Arc<Mutex<Vec<usize>>> {
+    let heard = Arc::new(Mutex::new(Vec::new()));
+    let (hears, (declared, begun)) = (Arc::clone(&heard), std::sync::mpsc::channel());
+    network.declare(Haste::None, move |session| {
+        let subscriber = session.declare_subscriber(keys);
+        let subscriber =
+            subscriber.callback(move |sample| hears.lock().unwrap().push(sample.payload().len()));
+        subscriber.background().wait().unwrap();
+        declared.send(()).unwrap();
+    });
+    begun.recv().unwrap();
+    heard
+}
+
+/// A connection to a robot that may name texts, from both sides.
+async fn sharing(schedulers: &Network, listener: &mut Listener) -> (Stream, Stream) {
+    let connected = async {
+        loop {
+            // A router may not know yet that it is there.
+            match connect_sharing(schedulers, listener.key(), &[3, 7]).await {
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => tokio::task::yield_now().await,
+                connected => return connected.unwrap(),
+            }
+        }
+    };
+    let near = soon(connected).await;
+    (near, soon(listener.accept()).await.unwrap())
+}
+
+#[tokio::test]
+async fn a_text_for_several_robots_is_published_once_and_read_by_all_where_it_goes_in() {
+    let (robots, schedulers) = two();
+    let published = heard(&robots, "hall/shared/*/*");
+    let frames = heard(&robots, "hall/*/to");
+    let (text, mut pairs) = (long_text(), Vec::new());
+    for i in 0..5 {
+        let mut listener = Listener::bind(&robots, key(&format!("hall/r{i}"))).await.unwrap();
+        pairs.push((sharing(&schedulers, &mut listener).await, listener));
+    }
+    for ((near, far), _) in pairs {
+        let offered = offer(&near, &text).unwrap();
+        let near = write_around(near, offered).await;
+        assert!(read_all(far).await.unwrap() == around(&text));
+        drop(near);
+    }
+    assert_eq!(*published.lock().unwrap(), [text.len()]);
+    assert!(frames.lock().unwrap().iter().all(|bytes| *bytes < 100), "{frames:?}");
+}
+
+#[tokio::test]
+async fn a_robot_that_has_missed_what_was_published_asks_for_it() {
+    let (robots, schedulers) = two();
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let (near, far) = sharing(&schedulers, &mut listener).await;
+    robots.hearing(format!("hall/shared/{}", schedulers.id())).unwrap().withhold();
+    let text = long_text();
+    let offered = offer(&near, &text).unwrap();
+    let _near = write_around(near, offered).await;
+    assert!(read_all(far).await.unwrap() == around(&text));
+}
+
+#[tokio::test]
+async fn a_robot_whose_process_starts_later_asks_for_what_was_published_before() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let here = format!(r#"{{mode: "router", listen: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
+    let there = format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
+    let [first, schedulers, later] = [&here, &there, &there].map(|to| Network::open_with(to).unwrap());
+    let (text, mut published) = (long_text(), None);
+    for robots in [&first, &later] {
+        let mut listener = Listener::bind(robots, key(&format!("hall/{}", robots.id()))).await.unwrap();
+        let published = published.get_or_insert_with(|| heard(robots, "hall/shared/*/*"));
+        let (near, far) = sharing(&schedulers, &mut listener).await;
+        let offered = offer(&near, &text).unwrap();
+        let _near = write_around(near, offered).await;
+        assert!(read_all(far).await.unwrap() == around(&text));
+        assert_eq!(*published.lock().unwrap(), [text.len()]);
+    }
+}
+
+#[tokio::test]
+async fn where_a_text_cannot_be_had_the_connection_ends_and_the_next_one_carries_all_by_itself() {
+    let (robots, schedulers) = two();
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let (near, far) = sharing(&schedulers, &mut listener).await;
+    let shared = format!("hall/shared/{}", schedulers.id());
+    robots.hearing(shared.clone()).unwrap().withhold();
+    // Another one answers in place of the scheduler, but not with the text.
+    let (declared, begun) = std::sync::mpsc::channel();
+    robots.declare(Haste::None, move |session| {
+        let liar = session.declare_queryable(shared.clone()).complete(true);
+        let liar = liar.callback(move |query| query.reply(shared.clone(), "a lie").wait().unwrap());
+        liar.background().wait().unwrap();
+        declared.send(()).unwrap();
+    });
+    begun.recv().unwrap();
+    let offered = offer(&near, &long_text()).unwrap();
+    near.forget_offers();
+    let mut near = write_around(near, offered).await;
+    let broken = read_all(far).await.unwrap_err();
+    assert!(broken.to_string().contains("did not come"), "{broken}");
+    let told = soon(near.read_u8()).await.unwrap_err();
+    assert!(told.to_string().contains("did not get a script"), "{told}");
+    drop(near);
+    let (mut near, far) = sharing(&schedulers, &mut listener).await;
+    assert!(offer(&near, &long_text()).is_none());
+    near.write_all(b"whole").await.unwrap();
+    drop(near);
+    assert_eq!(read_all(far).await.unwrap(), b"whole");
+}
+
+#[tokio::test]
+async fn what_another_session_publishes_changes_nothing() {
+    let (robots, schedulers) = two();
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let (near, far) = sharing(&schedulers, &mut listener).await;
+    let shared = format!("hall/shared/{}", schedulers.id());
+    schedulers.call(Haste::None, move |session| {
+        session.put(format!("{shared}/7"), "a lie").wait().unwrap();
+        session.put(format!("{shared}/7"), vec![0; 8 * 1024 * 1024]).wait().unwrap();
+    });
+    let text = long_text();
+    let offered = offer(&near, &text).unwrap();
+    let _near = write_around(near, offered).await;
+    assert!(read_all(far).await.unwrap() == around(&text));
+}
+
+#[tokio::test]
+async fn a_text_goes_to_its_audience_alone() {
+    let (robots, schedulers) = two();
+    let published = heard(&robots, "hall/shared/*/7");
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let (near, far) = sharing(&schedulers, &mut listener).await;
+    let hash = ContentHash::of(b"other");
+    let other = near.offer((8, hash), || b"other".to_vec()).unwrap();
+    // The robot does not hear that one, and asks for it.
+    let _near = write_around(near, other).await;
+    assert_eq!(read_all(far).await.unwrap(), b"<other>");
+    assert_eq!(*published.lock().unwrap(), [0_usize; 0]);
+}
+
+#[tokio::test]
+async fn only_connections_to_robots_that_hear_what_is_published_may_name_it() {
+    let (robots, schedulers) = two();
+    let mut listener = Listener::bind(&robots, key("hall/arm")).await.unwrap();
+    let plain = soon(connect(&schedulers, &key("hall/arm"), Haste::None)).await.unwrap();
+    assert!(offer(&plain, b"text").is_none(), "it was not asked for");
+    drop(soon(listener.accept()).await.unwrap());
+    let _others: Vec<_> = (0..16).map(|i| robots.hearing(format!("hall/shared/{i}")).unwrap()).collect();
+    let (near, _far) = sharing(&schedulers, &mut listener).await;
+    assert!(offer(&near, b"text").is_none(), "it hears as many schedulers as it may");
 }

@@ -1,12 +1,14 @@
 //! Links to robots. A link is a pair of channels with tasks behind it; which transport carries the messages, the mission
 //! never knows.
 
+mod batch;
 mod budget;
 mod by_key;
 mod encoding;
 mod in_process;
 mod reach;
 mod secure;
+mod shared;
 mod tcp;
 
 use std::sync::Arc;
@@ -21,6 +23,7 @@ pub use encoding::LinkEncoding;
 pub(crate) use reach::{Purpose, Reach, ReadEnd, WriteEnd, over};
 pub(crate) use secure::denial;
 pub use secure::{Hmac, Security, Site, Tls};
+pub(crate) use shared::SharedScripts;
 
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
@@ -89,6 +92,17 @@ pub enum Endpoint {
     },
 }
 
+impl Endpoint {
+    /// What robots have in common that hear what is published for several: the session and the place.
+    fn place(&self) -> Option<shared::Place> {
+        match self {
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh { network, key, .. } => Some((network.id().to_owned(), key.place().to_owned())),
+            Self::InProcess { .. } | Self::Tcp { .. } => None,
+        }
+    }
+}
+
 /// The sending end of a link. Dropping it closes the link once all has been sent.
 #[derive(Debug)]
 pub struct Link {
@@ -103,9 +117,18 @@ struct Peer {
     sink: EventSink,
     reach: Reach,
     encoding: LinkEncoding,
-    asked: Asked,
+    of: OfRobot,
     /// What a robot repeats when it accepts it.
     sent: KnownScripts,
+}
+
+/// What all links to one robot have in common.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct OfRobot {
+    /// What it was asked on all of them.
+    pub(crate) asked: Asked,
+    /// The scripts that go to others as well.
+    pub(crate) shared: SharedScripts,
 }
 
 /// The other ends of a link's channels.
@@ -127,14 +150,13 @@ impl Link {
         events: mpsc::Sender<Happened>,
         after: Duration,
     ) -> Self {
-        Self::carrying(of, (endpoint, Asked::default()), clock, Events::Plain(events), after)
+        Self::carrying(of, (endpoint, OfRobot::default()), clock, Events::Plain(events), after)
     }
 
-    /// The same, where what comes on one link leaves the others their places. `asked` is what the robot was asked on all links to
-    /// it.
+    /// The same, where what comes on one link leaves the others their places.
     pub(crate) fn open_beside_others(
         of: (usize, LinkNumber),
-        (endpoint, asked): (Endpoint, Asked),
+        (endpoint, of_robot): (Endpoint, OfRobot),
         clock: ServerClock,
         events: mpsc::Sender<Waiting>,
         after: Duration,
@@ -142,12 +164,12 @@ impl Link {
         // A robot of this process is no stranger, and its host keeps what waits.
         let places =
             (!matches!(endpoint, Endpoint::InProcess { .. })).then(|| Arc::new(Semaphore::new(PLACES)));
-        Self::carrying(of, (endpoint, asked), clock, Events::Placed(events, places), after)
+        Self::carrying(of, (endpoint, of_robot), clock, Events::Placed(events, places), after)
     }
 
     fn carrying(
         (robot, number): (usize, LinkNumber),
-        (endpoint, asked): (Endpoint, Asked),
+        (endpoint, of): (Endpoint, OfRobot),
         clock: ServerClock,
         events: Events,
         after: Duration,
@@ -169,12 +191,12 @@ impl Link {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
                 Endpoint::Tcp { host, port, encoding, security } => {
                     let reach = Reach::Tcp { host, port, security };
-                    tcp::carry(Peer { sink, reach, encoding, asked, sent }, queue).await;
+                    tcp::carry(Peer { sink, reach, encoding, of, sent }, queue).await;
                 }
                 #[cfg(feature = "zenoh")]
                 Endpoint::Zenoh { network, key, encoding } => {
                     let reach = Reach::Zenoh { network, key };
-                    tcp::carry(Peer { sink, reach, encoding, asked, sent }, queue).await;
+                    tcp::carry(Peer { sink, reach, encoding, of, sent }, queue).await;
                 }
             }
         });

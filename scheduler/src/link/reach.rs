@@ -4,14 +4,20 @@ use std::fmt;
 use std::io;
 
 #[cfg(feature = "zenoh")]
-use downbeat_robot::zenoh::{Key, Network, Stream};
+pub(crate) use downbeat_robot::zenoh::Text;
 #[cfg(feature = "zenoh")]
-use tokio::io::{ReadHalf, WriteHalf};
+use downbeat_robot::zenoh::{Key, Network, Stream};
+use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 #[cfg(feature = "zenoh")]
 use tokio_util::either::Either;
 
+#[cfg(feature = "zenoh")]
+use urrcp::Command;
+use urrcp::Script;
+
 use super::Security;
+use super::batch::Batch;
 use super::secure::{BareReadEnd, BareWriteEnd, Met, secured};
 
 /// The end of a connection from which is read.
@@ -23,10 +29,22 @@ pub(crate) type WriteEnd = BareWriteEnd;
 
 /// The end of a connection from which is read.
 #[cfg(feature = "zenoh")]
-pub(crate) type ReadEnd = Either<BareReadEnd, ReadHalf<Stream>>;
+pub(crate) type ReadEnd = Either<BareReadEnd, Stream>;
 /// The end of a connection to which is written, and then flushed: what is encrypted or sealed may wait in it.
 #[cfg(feature = "zenoh")]
-pub(crate) type WriteEnd = Either<BareWriteEnd, WriteHalf<Stream>>;
+pub(crate) type WriteEnd = Either<BareWriteEnd, Stream>;
+
+/// What was published for several robots: nothing, without Zenoh.
+#[cfg(not(feature = "zenoh"))]
+#[derive(Debug)]
+pub(crate) enum Text {}
+
+#[cfg(not(feature = "zenoh"))]
+impl Text {
+    pub(crate) const fn len(&self) -> usize {
+        match *self {}
+    }
+}
 
 /// A way to one robot.
 #[derive(Clone, Debug)]
@@ -40,9 +58,9 @@ pub(crate) enum Reach {
 
 /// What a connection is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Purpose {
-    /// All that a mission says.
-    Link,
+pub(crate) enum Purpose<'a> {
+    /// All that a mission says; some of it is published for these audiences, to which the robot belongs.
+    Link { audiences: &'a [u32] },
     /// A stop, which nothing else may keep waiting.
     Stop,
 }
@@ -50,7 +68,7 @@ pub(crate) enum Purpose {
 pub(crate) type Ends = ((ReadEnd, WriteEnd), Option<Met>);
 
 impl Reach {
-    pub(crate) async fn connect(&self, purpose: Purpose) -> io::Result<Ends> {
+    pub(crate) async fn connect(&self, purpose: Purpose<'_>) -> io::Result<Ends> {
         // Over TCP all go the same way.
         #[cfg(not(feature = "zenoh"))]
         let _alike = purpose;
@@ -60,16 +78,41 @@ impl Reach {
             }
             #[cfg(feature = "zenoh")]
             Self::Zenoh { network, key } => {
-                use downbeat_robot::zenoh::{Haste, connect};
-                let haste = match purpose {
-                    Purpose::Link => Haste::None,
-                    Purpose::Stop => Haste::Stop,
+                use downbeat_robot::zenoh::{Haste, connect, connect_sharing};
+                let connected = match purpose {
+                    Purpose::Link { audiences } => connect_sharing(network, key, audiences).await,
+                    Purpose::Stop => connect(network, key, Haste::Stop).await,
                 };
-                let (reader, writer) = tokio::io::split(connect(network, key, haste).await?);
+                let (reader, writer) = connected?.split();
                 Ok(((Either::Right(reader), Either::Right(writer)), None))
             }
         }
     }
+}
+
+/// Writes messages, and then flushes.
+pub(crate) async fn write_out(writer: &mut WriteEnd, batch: &Batch) -> io::Result<()> {
+    #[cfg(feature = "zenoh")]
+    if let Either::Right(stream) = writer {
+        return stream.write_with(batch.bytes(), batch.texts()).await;
+    }
+    // A text is put in only where it was offered by a stream of Zenoh.
+    writer.write_all(batch.bytes()).await?;
+    writer.flush().await
+}
+
+/// Publishes a script for an audience, once; `None` where it has to be written to each robot.
+#[cfg(feature = "zenoh")]
+pub(crate) fn offer(writer: &WriteEnd, audience: u32, script: &Script) -> Option<Text> {
+    let Either::Right(stream) = writer else { return None };
+    let text = || serde_json::to_vec(script).unwrap_or_default();
+    stream.offer((audience, Command::Script(script.clone()).content_hash()), text)
+}
+
+/// Publishes a script for an audience, once; `None` where it has to be written to each robot.
+#[cfg(not(feature = "zenoh"))]
+pub(crate) const fn offer(_: &WriteEnd, _: u32, _: &Script) -> Option<Text> {
+    None
 }
 
 /// The same over a connection that is made.

@@ -4,10 +4,12 @@ use std::io::{self, ErrorKind};
 use std::time::Duration;
 
 use downbeat_scripts::{Attempt, Refusal};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::AsyncReadExt;
 use tokio::sync::mpsc;
-use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
+use urrcp::{Decoder, Encoding, Message, Script, Server, Span, Timestamp};
 
+use super::batch::Batch;
+use super::reach::{offer, write_out};
 use super::{Budget, EventSink, Outgoing, Peer, Purpose, Queue, ReadEnd, WriteEnd, denial};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
@@ -23,7 +25,7 @@ const WRITE_BATCH: usize = 64 * 1024;
 /// Connects and carries messages both ways until either side closes.
 pub(super) async fn carry(peer: Peer, queue: Queue) {
     let Peer { sink, reach, .. } = &peer;
-    let connecting = reach.connect(Purpose::Link);
+    let connecting = reach.connect(Purpose::Link { audiences: peer.of.shared.audiences() });
     let ((reader, writer), met) = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
         Ok(Ok(ends)) => ends,
         Ok(Err(error)) => {
@@ -85,7 +87,7 @@ impl Garbled {
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default().that_knows(peer.sent.clone());
-    let mut budget = Budget::new(peer.asked.clone());
+    let mut budget = Budget::new(peer.of.asked.clone());
     let mut bytes = vec![0; 8 * 1024];
     let mut garbled = Garbled::default();
     loop {
@@ -157,17 +159,17 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
         }
         let encoding = peer.encoding.current();
         // One for each batch: thousands of links are idle at a time.
-        let mut bytes = Vec::new();
-        peer.encode(encoding, &message, &mut bytes);
-        while bytes.len() < WRITE_BATCH {
+        let mut batch = Batch::default();
+        peer.encode(encoding, &message, &mut batch, &writer);
+        while batch.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
-            peer.encode(encoding, &message, &mut bytes);
+            peer.encode(encoding, &message, &mut batch, &writer);
         }
-        if bytes.len() >= WRITE_BATCH {
+        if batch.len() >= WRITE_BATCH {
             long_until = Some(clock.now() + LONG_UPLOAD);
         }
         {
-            let mut write = std::pin::pin!(write_out(&mut writer, &bytes));
+            let mut write = std::pin::pin!(write_out(&mut writer, &batch));
             loop {
                 tokio::select! {
                     written = &mut write => match written {
@@ -180,11 +182,6 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
         }
     }
     None
-}
-
-async fn write_out(writer: &mut WriteEnd, bytes: &[u8]) -> io::Result<()> {
-    writer.write_all(bytes).await?;
-    writer.flush().await
 }
 
 /// What the error of an established connection says.
@@ -201,23 +198,29 @@ fn ended(error: &io::Error) -> (Loss, String) {
 
 impl Peer {
     /// Appends a message, which allows the robot to answer it.
-    fn encode(&self, encoding: Encoding, message: &Message, bytes: &mut Vec<u8>) {
-        let before = bytes.len();
-        encode_as(encoding, message, bytes);
-        self.asked.note(message, bytes.len() - before);
+    fn encode(&self, encoding: Encoding, message: &Message, batch: &mut Batch, writer: &WriteEnd) {
+        let shared = |script: &Script| offer(writer, self.of.shared.audience(script)?, script);
+        let bytes = batch.push(encoding, message, shared);
+        self.of.asked.note(message, bytes);
         if let Message::ControlRequest(request) = message {
             self.sent.note(request);
         }
     }
 
+    /// The same for a stop, which nobody shares.
+    fn encode_stop(&self, encoding: Encoding, message: &Message, batch: &mut Batch) {
+        let bytes = batch.push(encoding, message, |_| None);
+        self.of.asked.note(message, bytes);
+    }
+
     /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
     /// carried twice: the robot knows it by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Outgoing>) {
-        let mut bytes = Vec::new();
+        let mut batch = Batch::default();
         let encoding = self.encoding.current();
-        self.encode(encoding, first, &mut bytes);
+        self.encode_stop(encoding, first, &mut batch);
         while let Ok(message) = more.try_recv() {
-            self.encode(encoding, &message, &mut bytes);
+            self.encode_stop(encoding, &message, &mut batch);
         }
         let mut peer = self.clone();
         peer.sink.link = None;
@@ -225,7 +228,7 @@ impl Peer {
         tokio::spawn(async move {
             let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.reach.connect(Purpose::Stop)).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };
-            if let Err(error) = write_out(&mut writer, &bytes).await {
+            if let Err(error) = write_out(&mut writer, &batch).await {
                 return tracing::debug!("the stop that overtakes: {error}");
             }
             let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&peer, reader)).await;

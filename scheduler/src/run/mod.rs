@@ -14,7 +14,7 @@ use self::watch::Watches;
 use self::world::RealWorld;
 use crate::drive::drive;
 use crate::journal::Journal;
-use crate::link::Endpoint;
+use crate::link::{Endpoint, SharedScripts};
 use crate::mission::robot_state::RobotState;
 use crate::mission::{Mission, Progress, Rest};
 use crate::recording::Recorder;
@@ -94,7 +94,9 @@ pub async fn run_and_keep(
         session: mission.options().session_on_the_wire(),
         devices: mission.robots().iter().map(to_be_stopped).collect(),
     };
-    let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));
+    let shared = SharedScripts::of(&mission, &endpoints);
+    let mut world =
+        RealWorld::new((endpoints, shared, before), ids, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     keep.watches.each(|watch| watch.ended(clock.now(), &mission));

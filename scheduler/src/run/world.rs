@@ -11,7 +11,7 @@ use super::watch::Watches;
 use super::{Keep, Operator};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, Writer, Written};
-use crate::link::{Asked, Endpoint, Link, Waiting};
+use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
 use crate::mission::{Event, Mission, Progress, Record};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
@@ -26,8 +26,8 @@ const SCRIPTS_HELD: usize = 16;
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
-    /// What each robot was asked, on all links to it.
-    asked: Vec<Asked>,
+    /// What the links to each robot have in common.
+    of_robots: Vec<OfRobot>,
     ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
     events: mpsc::Sender<Waiting>,
@@ -52,7 +52,7 @@ enum FileJournal {
 
 impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
     pub(super) fn new(
-        (endpoints, before): (Vec<Endpoint>, Before),
+        (endpoints, shared, before): (Vec<Endpoint>, Vec<SharedScripts>, Before),
         ids: Vec<RobotId>,
         clock: ServerClock,
         operator: mpsc::Receiver<Operator>,
@@ -71,7 +71,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         Self {
             clock,
             links: endpoints.iter().map(|_| None).collect(),
-            asked: asked_before(&endpoints, &before),
+            of_robots: of_robots(shared, &before),
             endpoints,
             ids: ids.into(),
             events,
@@ -189,7 +189,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
-        let endpoint = (self.endpoints[robot].clone(), self.asked[robot].clone());
+        let endpoint = (self.endpoints[robot].clone(), self.of_robots[robot].clone());
         let events = self.events.clone();
         let link = Link::open_beside_others((robot, link), endpoint, self.clock, events, after.to_duration());
         if let Some(lane) = &self.stop_lane {
@@ -255,14 +255,14 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 }
 
-/// Devices of which a robot may still tell what becomes of scripts that another process has sent.
-fn asked_before(endpoints: &[Endpoint], before: &Before) -> Vec<Asked> {
-    let asked = |robot: usize| {
+/// A robot may still tell what becomes of scripts that another process has sent to some of its devices.
+fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
+    let of = |(robot, shared): (usize, SharedScripts)| {
         let asked = Asked::default();
         asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
-        asked
+        OfRobot { asked, shared }
     };
-    (0..endpoints.len()).map(asked).collect()
+    shared.into_iter().enumerate().map(of).collect()
 }
 
 async fn next_written(journal: &mut FileJournal) -> Written {

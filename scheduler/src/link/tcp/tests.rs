@@ -1,6 +1,6 @@
 //! Links over real sockets: what a robot that misbehaves does to its own link, and to no other.
 
-use tokio::io::AsyncBufReadExt;
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt};
 use urrcp::{Command, ControlRequest, ControlType, Millis, Script, Setpoint, StatusValue, Step};
 
 use super::*;
@@ -206,7 +206,8 @@ async fn one_link_takes_no_more_of_the_queue_than_its_places() {
     let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security: Security::Plain };
     let (asked, clock) = (crate::link::Asked::default(), ServerClock::anchored(Span::ZERO));
     let of = (0, LinkNumber(0));
-    let _link = Link::open_beside_others(of, (endpoint, asked), clock, events, Duration::ZERO);
+    let of_robot = crate::link::OfRobot { asked, ..Default::default() };
+    let _link = Link::open_beside_others(of, (endpoint, of_robot), clock, events, Duration::ZERO);
     let (mut stream, _) = listener.accept().await.unwrap();
     stream.write_all("x\n".repeat(900).as_bytes()).await.unwrap();
     let mut waiting = Vec::new();

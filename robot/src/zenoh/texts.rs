@@ -1,0 +1,182 @@
+//! The texts that a robot's process has heard from one scheduler, and the connections that wait for some: which is kept, which is
+//! asked for, and who gets it. No I/O.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+
+use urrcp::ContentHash;
+
+use super::stream::{Shared, WeakShared};
+
+/// A longer text is not published, and one that is published all the same is not heard.
+pub(super) const TEXT_MAX: usize = 4 * 1024 * 1024;
+/// Bytes of texts that are kept; the oldest go first.
+pub(super) const KEPT_BYTES_MAX: usize = 16 * 1024 * 1024;
+/// Texts that are kept.
+const KEPT_MAX: usize = 256;
+/// Texts that are waited for.
+const AWAITED_MAX: usize = 64;
+
+/// Texts by their hashes, the oldest first.
+#[derive(Debug, Default)]
+pub(super) struct Kept {
+    texts: VecDeque<(ContentHash, Arc<[u8]>)>,
+    bytes: usize,
+}
+
+impl Kept {
+    pub(super) fn get(&self, hash: ContentHash) -> Option<&Arc<[u8]>> {
+        self.texts.iter().rev().find(|(kept, _)| *kept == hash).map(|(_, text)| text)
+    }
+
+    /// Keeps one that is not kept yet, and lets go of the oldest where there is no room.
+    pub(super) fn keep(&mut self, hash: ContentHash, text: Arc<[u8]>) {
+        self.bytes += text.len();
+        self.texts.push_back((hash, text));
+        while self.bytes > KEPT_BYTES_MAX || self.texts.len() > KEPT_MAX {
+            let Some((_, oldest)) = self.texts.pop_front() else { return };
+            self.bytes -= oldest.len();
+        }
+    }
+}
+
+/// What becomes of a connection that needs a text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Supply {
+    /// It has it.
+    Filled,
+    /// It waits, and nobody has asked for the text yet.
+    Ask,
+    /// It waits with others.
+    Waits,
+    /// Too many texts are waited for: it is broken.
+    Refused,
+}
+
+/// What was heard, and who waits for what was not.
+#[derive(Debug, Default)]
+pub(super) struct Texts {
+    kept: Kept,
+    awaited: HashMap<ContentHash, Vec<WeakShared>>,
+}
+
+impl Texts {
+    /// Fills a text in where it is kept; otherwise the connection waits for it.
+    pub(super) fn supply(&mut self, hash: ContentHash, pipe: &Shared) -> Supply {
+        if let Some(text) = self.kept.get(hash) {
+            pipe.lock().fill(hash, text);
+            return Supply::Filled;
+        }
+        if self.awaited.len() >= AWAITED_MAX && !self.awaited.contains_key(&hash) {
+            pipe.lock().lack(hash);
+            return Supply::Refused;
+        }
+        let waiting = self.awaited.entry(hash).or_default();
+        let supply = if waiting.is_empty() { Supply::Ask } else { Supply::Waits };
+        waiting.retain(WeakShared::is_alive);
+        waiting.push(pipe.downgrade());
+        supply
+    }
+
+    /// A text has come. It is what its bytes hash to, whatever it was asked for or published as.
+    pub(super) fn hear(&mut self, hash: ContentHash, text: &[u8]) {
+        for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
+            pipe.lock().fill(hash, text);
+        }
+        if self.kept.get(hash).is_none() && text.len() <= TEXT_MAX {
+            self.kept.keep(hash, text.into());
+        }
+    }
+
+    /// A text that was asked for does not come any more.
+    pub(super) fn give_up(&mut self, hash: ContentHash) {
+        for pipe in self.awaited.remove(&hash).iter().flatten().filter_map(WeakShared::upgrade) {
+            pipe.lock().lack(hash);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::frame::{Frame, Next, Part};
+    use super::*;
+
+    /// A connection that waits for a text.
+    fn waiting_for(text: &[u8]) -> (Shared, ContentHash) {
+        let (pipe, hash) = (Shared::default(), ContentHash::of(text));
+        let part = Part { text: hash, from: 0, count: 1, at: 0 };
+        let frame = Frame { number: 0, read: 0, next: Next::More, part: Some(part), content: b"" };
+        assert_eq!(pipe.lock().receive(&frame.encode()), Some(hash));
+        (pipe, hash)
+    }
+
+    fn hear(texts: &mut Texts, text: &[u8]) {
+        texts.hear(ContentHash::of(text), text);
+    }
+
+    #[track_caller]
+    fn check(pipe: &Shared, waits: bool, is_broken: bool) {
+        let pipe = pipe.lock();
+        assert_eq!((pipe.waits_for_a_text(), pipe.is_broken()), (waits, is_broken));
+    }
+
+    #[test]
+    fn a_text_is_asked_for_once_and_fills_all_who_wait_for_it_and_no_others() {
+        let mut texts = Texts::default();
+        let ((first, hash), (second, _), (other, another)) =
+            (waiting_for(b"text"), waiting_for(b"text"), waiting_for(b"other"));
+        assert_eq!(texts.supply(hash, &first), Supply::Ask);
+        assert_eq!(texts.supply(hash, &second), Supply::Waits);
+        assert_eq!(texts.supply(another, &other), Supply::Ask);
+        hear(&mut texts, b"text");
+        check(&first, false, false);
+        check(&second, false, false);
+        check(&other, true, false);
+        texts.give_up(hash);
+        check(&first, false, false);
+        texts.give_up(another);
+        check(&other, true, true);
+        let (late, hash) = waiting_for(b"text");
+        assert_eq!(texts.supply(hash, &late), Supply::Filled);
+        check(&late, false, false);
+    }
+
+    #[test]
+    fn bytes_that_hash_to_something_else_fill_nothing() {
+        let mut texts = Texts::default();
+        let (pipe, hash) = waiting_for(b"text");
+        texts.supply(hash, &pipe);
+        hear(&mut texts, b"tex!");
+        check(&pipe, true, false);
+    }
+
+    #[test]
+    fn what_is_kept_is_bounded_in_bytes_and_in_number_and_the_newest_stays() {
+        let (mut texts, long) = (Texts::default(), vec![0; TEXT_MAX - 8]);
+        for i in 0..20_u64 {
+            hear(&mut texts, &[&i.to_le_bytes()[..], &long].concat());
+            assert!(texts.kept.bytes <= KEPT_BYTES_MAX);
+        }
+        assert_eq!(texts.kept.texts.len(), KEPT_BYTES_MAX / TEXT_MAX);
+        hear(&mut texts, &vec![1; TEXT_MAX + 1]);
+        hear(&mut texts, b"last");
+        hear(&mut texts, b"last");
+        assert_eq!(texts.kept.texts.len(), KEPT_BYTES_MAX / TEXT_MAX, "kept once");
+        (0..1_000_u64).for_each(|i| hear(&mut texts, &i.to_le_bytes()));
+        assert_eq!(texts.kept.texts.len(), KEPT_MAX);
+        assert!(texts.kept.get(ContentHash::of(&999_u64.to_le_bytes())).is_some());
+        assert!(texts.kept.get(ContentHash::of(b"last")).is_none());
+    }
+
+    #[test]
+    fn who_names_more_texts_than_may_be_waited_for_is_cut_off() {
+        let mut texts = Texts::default();
+        let waiting: Vec<_> = (0..AWAITED_MAX).map(|i| waiting_for(&i.to_le_bytes())).collect();
+        assert!(waiting.iter().all(|(pipe, hash)| texts.supply(*hash, pipe) == Supply::Ask));
+        let (further, hash) = waiting_for(b"further");
+        assert_eq!(texts.supply(hash, &further), Supply::Refused);
+        check(&further, true, true);
+        let (same, hash) = waiting_for(&0_usize.to_le_bytes());
+        assert_eq!(texts.supply(hash, &same), Supply::Waits);
+    }
+}

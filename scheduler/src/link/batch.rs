@@ -1,0 +1,139 @@
+//! Messages that are written at once. A script that was published for several robots is left out of their bytes.
+
+use urrcp::{Command, ControlRequest, Encoding, Message, Script, encode_as};
+
+use super::reach::Text;
+
+/// How the line of a request without steps ends.
+const NO_STEPS: &[u8] = b"[]}}\n";
+
+/// Messages as bytes, and texts that go in among them.
+#[derive(Debug, Default)]
+pub(crate) struct Batch {
+    bytes: Vec<u8>,
+    /// Each with the count of bytes ahead of it.
+    texts: Vec<(usize, Text)>,
+    text_bytes: usize,
+}
+
+impl Batch {
+    /// The bytes without the texts.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The texts, each with the count of bytes ahead of it.
+    #[cfg(feature = "zenoh")]
+    pub(crate) fn texts(&self) -> &[(usize, Text)] {
+        &self.texts
+    }
+
+    /// How many bytes the robot reads of it.
+    pub(crate) const fn len(&self) -> usize {
+        self.bytes.len() + self.text_bytes
+    }
+
+    /// Appends a message; returns how many bytes the robot reads of it. `offer` publishes its script, if that goes to other robots too.
+    pub(crate) fn push(
+        &mut self,
+        encoding: Encoding,
+        message: &Message,
+        offer: impl FnOnce(&Script) -> Option<Text>,
+    ) -> usize {
+        let before = self.len();
+        let published = match message {
+            // Its text is that of JSON.
+            Message::ControlRequest(request) if encoding == Encoding::Json => published(request, offer),
+            _ => None,
+        };
+        match published {
+            Some((rest, text)) => self.push_around(&rest, text),
+            None => encode_as(encoding, message, &mut self.bytes),
+        }
+        self.len() - before
+    }
+
+    fn push_around(&mut self, rest: &Message, text: Text) {
+        encode_as(Encoding::Json, rest, &mut self.bytes);
+        debug_assert!(self.bytes.ends_with(NO_STEPS), "the steps are the last of a request");
+        self.bytes.truncate(self.bytes.len() - NO_STEPS.len());
+        self.text_bytes += text.len();
+        self.texts.push((self.bytes.len(), text));
+        self.bytes.extend(&NO_STEPS[2..]);
+    }
+}
+
+/// A request without its script, and the text that was published instead.
+fn published(
+    request: &ControlRequest,
+    offer: impl FnOnce(&Script) -> Option<Text>,
+) -> Option<(Message, Text)> {
+    let Command::Script(script) = &request.command else { return None };
+    let text = offer(script)?;
+    let command = Command::Script(Script::cancel());
+    Some((Message::ControlRequest(ControlRequest { command, ..request.clone() }), text))
+}
+
+#[cfg(feature = "zenoh")]
+#[cfg(test)]
+mod tests {
+    use urrcp::{AvailabilityRequest, ControlType, Setpoint, Step};
+
+    use super::*;
+
+    /// What the robot's side makes of it.
+    fn put_together(batch: &Batch) -> Vec<u8> {
+        let (mut all, mut done) = (Vec::new(), 0);
+        for (at, text) in batch.texts() {
+            all.extend(&batch.bytes()[done..*at]);
+            all.extend(text.bytes());
+            done = *at;
+        }
+        all.extend(&batch.bytes()[done..]);
+        all
+    }
+
+    fn request() -> Message {
+        let step = |i: u32| Step {
+            offset: urrcp::Millis::new(f64::from(i)).unwrap(),
+            setpoint: Setpoint::new(ControlType::Position, 0.1 * f64::from(i)),
+            stop_condition: None,
+        };
+        let script = Script::new((0..20).map(step).collect()).unwrap();
+        let request = ControlRequest::immediate("d".parse().unwrap(), Command::Script(script));
+        let named = request.with_request_id("[]}}".parse().unwrap()).with_content_hash();
+        Message::ControlRequest(named)
+    }
+
+    fn text_of(script: &Script) -> Option<Text> {
+        Some(serde_json::to_vec(script).unwrap().into())
+    }
+
+    #[test]
+    fn what_the_robot_reads_is_the_same_with_a_script_that_was_published_as_with_all_of_it() {
+        let question = Message::AvailabilityRequest(AvailabilityRequest::default());
+        let cancel = Message::ControlRequest(ControlRequest::immediate(
+            "d".parse().unwrap(),
+            Command::Script(Script::cancel()),
+        ));
+        let (mut batch, mut whole) = (Batch::default(), Vec::new());
+        for message in [&question, &request(), &cancel, &request(), &question] {
+            let (read, before) = (batch.push(Encoding::Json, message, text_of), whole.len());
+            encode_as(Encoding::Json, message, &mut whole);
+            assert_eq!(read, whole.len() - before);
+        }
+        assert_eq!(String::from_utf8(put_together(&batch)), String::from_utf8(whole));
+        assert_eq!(batch.len(), put_together(&batch).len());
+        assert!(batch.bytes().len() < batch.len() / 2);
+    }
+
+    #[test]
+    fn in_another_encoding_and_where_it_is_not_published_a_script_goes_whole() {
+        for (encoding, is_published) in [(Encoding::MessagePack, true), (Encoding::Json, false)] {
+            let (mut batch, mut whole) = (Batch::default(), Vec::new());
+            batch.push(encoding, &request(), |script| text_of(script).filter(|_| is_published));
+            encode_as(encoding, &request(), &mut whole);
+            assert_eq!(batch.bytes(), whole);
+        }
+    }
+}
