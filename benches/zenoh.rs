@@ -70,7 +70,8 @@ fn plan(robots: usize, steps: u32, scripts: Scripts) -> Plan {
         };
         (0..steps).map(|i| step(i, if i + 4 < steps { i % 90 } else { digit(i) })).collect()
     };
-    let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
+    let lease = Millis::new(20_000.0).ok();
+    let stop_condition = StopCondition { pending: lease, running: lease };
     let script = |id: usize| DeviceScript {
         device: DeviceId::new("d").unwrap(),
         start: Millis::new(id as f64 * 0.25).unwrap(),

@@ -7,8 +7,8 @@ use rcgen::{BasicConstraints, Certificate, CertificateParams, DnType, IsCa, Issu
 use crate::network::{Router, fleet, lies, names, outcome, sets, simulated, stage_of};
 use crate::robots::{Stage, free_port};
 
-/// Steps of a script of 75 KB, and robots that play it.
-const LONG: u32 = 1_000;
+/// Steps of a script of 15 KB, and robots that play it.
+const LONG: u32 = 200;
 const ROBOTS: usize = 8;
 
 /// A file of docs/zenoh with the places of this test, and the certificate of `name` instead of that of `of`.
@@ -43,7 +43,7 @@ fn certify(stage: &Stage, name: &str, file: &str, authority: &Issuer<'static, Ke
 #[test]
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
 fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
-    let stage = stage_of("20s", "without", LONG, 4);
+    let stage = stage_of("20s", "without", LONG, 10);
     let ((ca, site), (_, strange)) = (authority("site"), authority("elsewhere"));
     stage.file("ca.pem", ca.pem());
     for name in ["router", "robot", "scheduler"] {
