@@ -58,7 +58,8 @@ fn robots_that_play_different_scripts_are_sent_each_its_own() {
         format!("  - {{at: 0s, robots: r{robot}, tracks: {{d: [{track}]}}}}\n")
     };
     let cues: String = (0..4).map(own).collect();
-    let head = "scenario: own\nstart_tolerance: 2s\nstop_condition: {running: 20s}\ncues:\n";
+    let head =
+        "scenario: own\nstart_tolerance: 2s\nlead: 4s\nstop_condition: {pending: 2s, running: 20s}\ncues:\n";
     stage.file("play.yaml", head.to_owned() + &cues);
     let (_robots, relay) = direct(&stage, 4);
     let sent = played(&stage, 4, &relay);
