@@ -27,7 +27,8 @@ fn anna_plays(scheme: &'static str) -> (Site, Child) {
     playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem");
     let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let begun = Instant::now();
-    while site.moved() < 3 {
+    // Two lines of each robot, whose logs are written within 50 ms.
+    while site.moved() < 6 {
         assert!(begun.elapsed() < Duration::from_secs(30), "nothing moves");
         std::thread::sleep(Duration::from_millis(20));
     }
