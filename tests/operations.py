@@ -129,6 +129,8 @@ def main():
         await_that("robots are ready", lambda: get(f"http://127.0.0.1:{of_robots}/readyz")[0] == 200)
         prometheus = Prometheus(folder, of_prometheus, {"missions": of_mission, "robots": of_robots})
         processes.append(prometheus.process)
+        # Prometheus takes up its jobs one after another, seconds apart: without this the first mission ends before it asks the robots.
+        await_that("Prometheus asks the robots", lambda: prometheus.query('up{job="robots"}') == {(): 1.0})
         mission = start("run", "show.yaml", "--format", "json", "--metrics", str(of_mission), stdout=subprocess.PIPE)
         processes.append(mission)
         here = f"http://127.0.0.1:{of_mission}"
