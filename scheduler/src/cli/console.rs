@@ -184,7 +184,10 @@ pub(super) fn warn(line: &str) {
 /// Prints one JSON document, indented.
 pub(super) fn print_json(value: &impl Serialize) {
     match serde_json::to_string_pretty(value) {
-        Ok(text) => print(&format!("{}\n", shown::json(&text))),
+        Ok(mut text) => {
+            text.push('\n');
+            print(&shown::json(&text));
+        }
         Err(cause) => error(&format!("cannot write JSON: {cause}")),
     }
 }
