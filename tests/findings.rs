@@ -407,3 +407,23 @@ fn zones_and_rules_are_shared_by_very_many_acts() {
     session.file("test.yaml", yaml);
     check_in_memory(&session, 1_500_000, 1, &["DB0045", "too many rules for robots", "1 error,"]);
 }
+
+#[test]
+fn many_robots_at_one_place_of_a_zenoh_network_are_warned_of() {
+    let session = Session::new();
+    let robot =
+        |i: usize, place: usize| format!("  r{i}: {{init: arm.yaml, address: 'zenoh:hall/{place}/r{i}'}}\n");
+    let fleet = |robots: usize, places: usize| {
+        format!("robots:\n{}", (0..robots).map(|i| robot(i, i % places)).collect::<String>())
+    };
+    let scenario = "scenario: s\ncues: [{at: 0s, robots: r7, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
+    session.file("s.yaml", scenario).file("fleet.yaml", fleet(1_001, 1));
+    let says =
+        ["DB0080", "fleet.yaml:1002:", "1001 robots stand next to each other", "`zenoh:hall/0/row-1/r1000`"];
+    session.run(&["check", "s.yaml"]).says(0, &says);
+    for (robots, places) in [(1_000, 1), (1_001, 2)] {
+        session.file("fleet.yaml", fleet(robots, places));
+        let ran = session.run(&["check", "s.yaml"]);
+        assert!(ran.code() == 0 && !ran.text().contains("DB0080"), "{}", ran.text());
+    }
+}

@@ -130,6 +130,7 @@ codes! {
     UnknownSequence = "DB0077", Error, "no sequence of this name";
     WrongKind = "DB0078", Error, "a value of another kind than its parameter";
     UnknownPath = "DB0079", Error, "no path of this name";
+    CrowdedPlace = "DB0080", Warning, "many robots at one place of a Zenoh network";
 }
 
 impl Code {

@@ -43,6 +43,8 @@ const FLEET_KEYS: [&str; 10] =
     ["ntp", "handshake", "identity", "revoked", "zenoh", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
+/// With more, greeting them takes markedly longer than with the same number in several places (docs/zenoh.md).
+const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 const SIMULATE_KEYS: [&str; 8] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
@@ -336,6 +338,7 @@ impl FleetReader<'_> {
             none_open(&mut self.findings, &robots, &fleet.robots);
         }
         one_place_each(&mut self.findings, &robots, &fleet.robots);
+        none_crowded(&mut self.findings, &robots, &fleet.robots);
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
             self.findings.add(
                 Code::NothingToDo,
@@ -619,6 +622,28 @@ fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) 
                 Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
             );
         }
+    }
+}
+
+/// Robots whose keys differ in the last word only. Routers of Zenoh compare each key that is declared with all that stand next to it.
+fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
+    let mut crowds: BTreeMap<&str, Vec<&FleetRobot>> = BTreeMap::new();
+    for robot in fleet {
+        if let Address::Zenoh { key } = &robot.address {
+            let place = key.rsplit_once('/').map_or("", |(place, _)| place);
+            crowds.entry(place).or_default().push(robot);
+        }
+    }
+    for (place, crowd) in crowds {
+        let Some(first) = crowd.get(ROBOTS_AT_A_PLACE_MAX) else { continue };
+        let within = if place.is_empty() { String::new() } else { format!("{place}/") };
+        findings.add(
+            Code::CrowdedPlace,
+            robots.place().of_key(first.id.as_str()).of_key("address"),
+            format!("{} robots stand next to each other, at `zenoh:{within}...`", crowd.len()),
+            format!("at most {ROBOTS_AT_A_PLACE_MAX} robots whose keys differ in the last word only"),
+            Some(format!("give their keys one word more, as in `zenoh:{within}row-1/{}`", first.id)),
+        );
     }
 }
 
