@@ -24,7 +24,7 @@ use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::run::Operator;
 use downbeat::server_clock::ServerClock;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
-use downbeat_robot::zenoh::{Haste, Key, Listener, Network, connect};
+use downbeat_robot::zenoh::{Haste, Key, Listener, Network, Networks, connect};
 use downbeat_robot::{Host, HostOptions, serve, serve_zenoh};
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
@@ -138,16 +138,16 @@ fn key(id: usize) -> Key {
 async fn be_robots(count: usize, router: Option<u16>) {
     let machines = (0..count).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
     let host = Host::start(machines, HostOptions::default()).unwrap();
-    let network = router.map(|port| Network::open_with(&configuration(port)).unwrap());
+    let networks = router.map(|port| Networks::open_with(&configuration(port)).unwrap());
     for index in 0..count {
-        match &network {
+        match &networks {
             None => {
                 let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
                 println!("{}", listener.local_addr().unwrap().port());
                 tokio::spawn(serve(listener, host.handle(), index));
             }
-            Some(network) => {
-                let listener = Listener::bind(network, key(index)).await.unwrap();
+            Some(networks) => {
+                let listener = Listener::bind(&networks.for_one_more(), key(index)).await.unwrap();
                 println!("0");
                 tokio::spawn(serve_zenoh(listener, host.handle(), index));
             }
@@ -271,17 +271,19 @@ fn decision(
         options.patience = Span::from_millis(60_000);
         let mission =
             Mission::of_plan(plan(count, steps, scripts), participants, options, clock.now()).unwrap();
-        let network = through.map(|port| Network::open_with(&configuration(port)).unwrap());
-        let endpoint = |(id, port): (usize, &u16)| match &network {
+        let networks = through.map(|port| Networks::open_with(&configuration(port)).unwrap());
+        let endpoint = |(id, port): (usize, &u16)| match &networks {
             None => Endpoint::Tcp {
                 host: "127.0.0.1".into(),
                 port: *port,
                 encoding: LinkEncoding::default(),
                 security: Security::Plain,
             },
-            Some(network) => {
-                Endpoint::Zenoh { network: network.clone(), key: key(id), encoding: LinkEncoding::default() }
-            }
+            Some(networks) => Endpoint::Zenoh {
+                network: networks.for_one_more(),
+                key: key(id),
+                encoding: LinkEncoding::default(),
+            },
         };
         let endpoints = ports.iter().enumerate().map(endpoint).collect();
         let (operator, said) = tokio::sync::mpsc::channel(1);
@@ -307,11 +309,12 @@ fn relay(router: u16) -> (u16, Arc<AtomicU64>) {
     let (port, counted) = (listener.local_addr().unwrap().port(), Arc::new(AtomicU64::new(0)));
     let count = Arc::clone(&counted);
     std::thread::spawn(move || {
-        let (near, _) = listener.accept().unwrap();
-        let far = std::net::TcpStream::connect(("127.0.0.1", router)).unwrap();
-        let back = (far.try_clone().unwrap(), near.try_clone().unwrap());
-        std::thread::spawn(move || carry(back, &AtomicU64::new(0)));
-        carry((near, far), &count);
+        for near in listener.incoming().map_while(Result::ok) {
+            let far = std::net::TcpStream::connect(("127.0.0.1", router)).unwrap();
+            let (back, count) = ((far.try_clone().unwrap(), near.try_clone().unwrap()), Arc::clone(&count));
+            std::thread::spawn(move || carry(back, &AtomicU64::new(0)));
+            std::thread::spawn(move || carry((near, far), &count));
+        }
     });
     (port, counted)
 }

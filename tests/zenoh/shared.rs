@@ -1,5 +1,7 @@
 //! Scripts that go to several robots, which are published once: what the scheduler sends is counted on its way.
 
+use std::time::Duration;
+
 use crate::network::{
     Relay, Router, client, fleet, lies, listening, names, outcome, sets, simulated, stage_of, track,
 };
@@ -64,6 +66,44 @@ fn robots_that_play_different_scripts_are_sent_each_its_own() {
     let (_robots, relay) = direct(&stage, 4);
     let sent = played(&stage, 4, &relay);
     assert!(FOUND.contains(&(sent / 4)), "{sent} steps");
+}
+
+#[test]
+fn a_scheduler_that_is_killed_and_started_again_publishes_anew() {
+    let stage = stage_of("1s", "without", STEPS, EVERY_MS);
+    let (_robots, relay) = direct(&stage, 20);
+    let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
+    crate::robots::sleep_until(first.start().unwrap() + 500_000_000);
+    first.process.kill();
+    let before = relay.steps();
+    assert!(FOUND.contains(&before), "{before} steps");
+    // Their leases end, and with them the session that nobody renews.
+    std::thread::sleep(Duration::from_secs(2));
+    let again = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "30s"]);
+    assert_eq!((again.code, outcome(&again)), (Some(0), "done".into()), "{again}");
+    assert_eq!(again.report()["robots"][7]["steps_done"], STEPS);
+    let sent = relay.steps() - before;
+    assert!(FOUND.contains(&sent), "{sent} steps");
+}
+
+#[test]
+fn two_schedulers_publish_at_the_same_time_each_for_its_robots() {
+    let stage = long_stage();
+    let (_robots, relay) = direct(&stage, 20);
+    let runs = [("first", 0), ("second", 10)].map(|(name, first)| {
+        let file = format!("{name}.yaml");
+        stage.file(&file, fleet(&names(first, 10), "scheduler.json5"));
+        stage.start(&["run", "play.yaml", "--fleet", &file, "--format", "json", "--patience", "30s"])
+    });
+    let ended = runs.map(crate::robots::Running::ended);
+    let sets = sets(&stage, &["fleet.yaml"]);
+    assert!(sets.len() == 20 && sets.values().all(|sets| sets.len() == STEPS as usize));
+    for ended in &ended {
+        assert_eq!((ended.code, outcome(ended)), (Some(0), "done".into()), "{ended}");
+        assert_eq!(lies(ended, &sets), [""; 0]);
+    }
+    let sent = relay.steps();
+    assert!(FOUND.contains(&(sent / 2)), "{sent} steps");
 }
 
 /// A router with a rule against what schedulers publish for several robots.

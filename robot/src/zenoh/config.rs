@@ -36,9 +36,17 @@ pub enum NetworkError {
 }
 
 impl NetworkError {
-    pub(super) fn not_joined(named: &str, why: impl fmt::Display + Copy) -> Self {
-        Self::NotJoined { named: named.to_owned(), why: why.to_string() }
+    pub(super) fn not_joined(named: &str, why: impl fmt::Display) -> Self {
+        Self::NotJoined { named: named.to_owned(), why: without_places(&why.to_string()) }
     }
+}
+
+/// An error of Zenoh without the lines of its source in which it arose.
+fn without_places(error: &str) -> String {
+    let place_of = |part: &str| part.rfind(" at ").filter(|at| part[*at..].contains(".rs:"));
+    let causes = error.split(" - Caused by ");
+    let causes = causes.map(|part| part[..place_of(part).unwrap_or(part.len())].trim().trim_end_matches('!'));
+    causes.collect::<Vec<_>>().join(": ")
 }
 
 pub(super) fn read(file: &Path) -> Result<Config, NetworkError> {
@@ -68,6 +76,12 @@ pub(super) fn open_endpoint(config: &Config) -> Option<String> {
     let endpoints = endpoints.flat_map(|list| list.as_array().cloned().unwrap_or_default());
     let mut named = endpoints.filter_map(|endpoint| endpoint.as_str().map(str::to_owned));
     named.find(|endpoint| is_open(endpoint))
+}
+
+/// Whether a process may have several sessions by this configuration: it only connects, and no id is given.
+pub(super) fn may_be_joined_again(config: &Config) -> bool {
+    let said = |key: &str| config.get_json(key).unwrap_or_default();
+    said("mode") == "\"client\"" && matches!(said("id").as_str(), "" | "null")
 }
 
 fn is_open(endpoint: &str) -> bool {
@@ -100,6 +114,25 @@ mod tests {
         assert_eq!(enabled("{}"), "false");
         assert_eq!(enabled("{scouting: {multicast: {enabled: true}}}"), "true");
         assert_eq!(enabled("{scouting: {multicast: {enabled: false}}}"), "false");
+    }
+
+    #[test]
+    fn errors_of_zenoh_are_told_without_lines_of_its_source() {
+        let said = "Unable to connect to any of [a]!  at /x/orchestrator.rs:447. - Caused by refused at /x/link.rs:9.";
+        assert_eq!(without_places(said), "Unable to connect to any of [a]: refused");
+        assert_eq!(without_places("no router at hand"), "no router at hand");
+    }
+
+    #[test]
+    fn who_only_connects_may_do_so_several_times() {
+        let may = |json5: &str| may_be_joined_again(&parse(json5).unwrap());
+        assert!(may(r#"{mode: "client", connect: {endpoints: ["tcp/127.0.0.1:7447"]}}"#));
+        assert!(!may(r#"{mode: "client", id: "a1"}"#), "two members of one network have two ids");
+        assert!(
+            !may(r#"{mode: "peer", listen: {endpoints: ["tcp/127.0.0.1:7447"]}}"#),
+            "a port is taken once"
+        );
+        assert!(!may("{}"), "a peer by default");
     }
 
     #[test]

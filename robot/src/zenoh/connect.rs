@@ -43,6 +43,7 @@ async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32]))
     if network.tokens().have_left(key) {
         return Err(nobody());
     }
+    let being_opened = network.may_open(haste).await?;
     let (link, pipe) = (network.connection()?, Shared::default());
     let (answer, mut answers) = mpsc::unbounded_channel();
     let (told, opened) = oneshot::channel();
@@ -64,6 +65,7 @@ async fn open(network: &Network, key: &Key, (haste, audiences): (Haste, &[u32]))
     while let Some(answer) = answers.recv().await {
         robots.push(answer.map_err(|why| io::Error::new(io::ErrorKind::TimedOut, why))?);
     }
+    drop(being_opened);
     let (robot, hears) = match robots.as_slice() {
         [(robot, hears)] => (robot, *hears),
         [] => return Err(nobody()),

@@ -33,6 +33,7 @@ mod hearing;
 mod keys;
 mod listener;
 mod network;
+mod networks;
 mod offers;
 mod pipe;
 mod presence;
@@ -44,6 +45,7 @@ pub use connect::{connect, connect_sharing};
 pub use keys::{AUDIENCES_MAX, Key, NoKey};
 pub use listener::Listener;
 pub use network::{Haste, Network};
+pub use networks::Networks;
 pub use offers::Text;
 pub use stream::Stream;
 

@@ -1,4 +1,4 @@
-//! The Zenoh session of a process. Threads of its own speak on it, because Zenoh waits where its queues are full: one for what is
+//! A Zenoh session of a process. Threads of its own speak on it, because Zenoh waits where its queues are full: one for what is
 //! in haste, which nothing else keeps waiting, one for other frames, and one on which connections begin and end: a declaration
 //! takes the longer the more robots there are, and frames do not wait behind it.
 
@@ -15,6 +15,7 @@ use ::zenoh::qos::{CongestionControl, Priority};
 use ::zenoh::query::Query;
 use ::zenoh::sample::Sample;
 use ::zenoh::{Session, Wait};
+use tokio::sync::{Semaphore, SemaphorePermit};
 
 use super::config::{self, NetworkError};
 use super::hearing::Hearing;
@@ -51,9 +52,29 @@ pub(super) type Kept = Box<dyn Any + Send + Sync>;
 #[derive(Clone)]
 pub struct Network(Arc<Inner>);
 
+/// Connections that are being opened; others wait. If thousands were opened at once, each would take longer than the two seconds that it has,
+/// and what is said on those that are open already would wait behind them at the routers.
+#[derive(Debug)]
+pub(super) struct Opening {
+    calm: Semaphore,
+    /// No stop waits for others.
+    hasty: Semaphore,
+}
+
+/// How many connections are opened at the same time.
+pub(super) const OPENING_MAX: usize = 64;
+/// The same for stops, which go ahead of all others: most are opened in advance.
+const STOPS_OPENING_MAX: usize = 32;
+
+impl Default for Opening {
+    fn default() -> Self {
+        Self { calm: Semaphore::new(OPENING_MAX), hasty: Semaphore::new(STOPS_OPENING_MAX) }
+    }
+}
+
 struct Inner {
     id: String,
-    open_endpoint: Option<String>,
+    opening: Arc<Opening>,
     calm: flume::Sender<Call>,
     hasty: flume::Sender<Call>,
     declaring: flume::Sender<Call>,
@@ -92,7 +113,7 @@ impl Network {
     /// # Errors
     /// [`NetworkError`]: the file cannot be used, or no router of it answers.
     pub fn open(file: &Path) -> Result<Self, NetworkError> {
-        Self::with(config::read(file)?, &file.display().to_string())
+        Self::with(config::read(file)?, &file.display().to_string(), Arc::default())
     }
 
     /// The same with a configuration in JSON5.
@@ -100,11 +121,14 @@ impl Network {
     /// # Errors
     /// As [`Network::open`].
     pub fn open_with(json5: &str) -> Result<Self, NetworkError> {
-        Self::with(config::parse(json5)?, "the configuration")
+        Self::with(config::parse(json5)?, "the configuration", Arc::default())
     }
 
-    fn with(config: ::zenoh::Config, named: &str) -> Result<Self, NetworkError> {
-        let open_endpoint = config::open_endpoint(&config);
+    pub(super) fn with(
+        config: ::zenoh::Config,
+        named: &str,
+        opening: Arc<Opening>,
+    ) -> Result<Self, NetworkError> {
         let (tell, opened) = flume::bounded(1);
         let calm = speak("zenoh", move || {
             let session = ::zenoh::open(config).wait().map(|session| (session.clone(), session));
@@ -124,7 +148,7 @@ impl Network {
         let declaring = speak("zenoh-declare", move || Some(another))?;
         Ok(Self(Arc::new(Inner {
             id,
-            open_endpoint,
+            opening,
             calm,
             hasty,
             declaring,
@@ -142,10 +166,13 @@ impl Network {
         &self.0.id
     }
 
-    /// An endpoint of its configuration that is neither on this machine nor protected by TLS.
-    #[must_use]
-    pub fn open_endpoint(&self) -> Option<&str> {
-        self.0.open_endpoint.as_deref()
+    /// Waits until a connection may be opened, which is being opened as long as what this returns is kept.
+    pub(super) async fn may_open(&self, haste: Haste) -> io::Result<SemaphorePermit<'_>> {
+        let opening = match haste {
+            Haste::None => &self.0.opening.calm,
+            Haste::Stop => &self.0.opening.hasty,
+        };
+        opening.acquire().await.map_err(io::Error::other)
     }
 
     /// A name that no other connection has.

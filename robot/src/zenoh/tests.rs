@@ -1,6 +1,7 @@
 //! Connections over Zenoh between sessions of this process, from peer to peer over TCP on the loopback interface.
 
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -8,14 +9,25 @@ use ::zenoh::Wait;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use urrcp::ContentHash;
 
-use super::{Haste, Key, Listener, Network, Stream, Text, connect, connect_sharing};
+use super::network::OPENING_MAX;
+use super::{Haste, Key, Listener, Network, Networks, Stream, Text, connect, connect_sharing};
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn listening(port: u16) -> String {
+    format!(r#"{{mode: "peer", listen: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
+}
+
+fn connecting(port: u16) -> String {
+    format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#)
+}
 
 /// A network of two: one listens, the other connects.
 fn two() -> (Network, Network) {
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let here = format!(r#"{{mode: "peer", listen: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
-    let there = format!(r#"{{mode: "client", connect: {{endpoints: ["tcp/127.0.0.1:{port}"]}}}}"#);
-    (Network::open_with(&here).unwrap(), Network::open_with(&there).unwrap())
+    let port = free_port();
+    (Network::open_with(&listening(port)).unwrap(), Network::open_with(&connecting(port)).unwrap())
 }
 
 fn key(key: &str) -> Key {
@@ -54,6 +66,74 @@ async fn a_key_without_a_robot_and_a_key_with_another_are_told_apart() {
     Listener::bind(&schedulers, key("hall/other")).await.unwrap();
     let nobody = soon(connect(&schedulers, &key("hall/nobody"), Haste::None)).await.unwrap_err();
     assert_eq!(nobody.kind(), std::io::ErrorKind::NotFound);
+}
+
+#[tokio::test]
+async fn many_robots_are_shared_out_among_sessions_that_all_reach_them() {
+    let port = free_port();
+    let robots = Networks::open_with_sessions_of(&listening(port), 2).unwrap();
+    let listening: Vec<_> = (0..5).map(|_| robots.for_one_more()).collect();
+    assert!(listening.iter().all(|network| network.id() == listening[0].id()), "its port is taken once");
+    let schedulers = Networks::open_with_sessions_of(&connecting(port), 2).unwrap();
+    let sessions: Vec<_> = (0..5).map(|_| schedulers.for_one_more()).collect();
+    let ids: Vec<_> = sessions.iter().map(Network::id).collect();
+    let firsts: Vec<_> = ids.iter().map(|id| ids.iter().position(|one| one == id).unwrap()).collect();
+    assert_eq!(firsts, [0, 0, 2, 2, 4]);
+    let mut arm = Listener::bind(&listening[4], key("hall/arm")).await.unwrap();
+    for session in &sessions {
+        let mut near = soon(connect(session, &key("hall/arm"), Haste::None)).await.unwrap();
+        let mut far = soon(arm.accept()).await.unwrap();
+        near.write_all(b"x").await.unwrap();
+        assert_eq!(soon(far.read_u8()).await.unwrap(), b'x');
+    }
+}
+
+/// A way to a port for one connection; it counts those that come later, and shuts them out.
+fn way_for_one(port: u16) -> (u16, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let (way, turned_away) = (listener.local_addr().unwrap().port(), Arc::new(AtomicUsize::new(0)));
+    let counted = Arc::clone(&turned_away);
+    std::thread::spawn(move || {
+        let (near, _) = listener.accept().unwrap();
+        let far = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        for (mut from, mut to) in [(near.try_clone().unwrap(), far.try_clone().unwrap()), (far, near)] {
+            std::thread::spawn(move || std::io::copy(&mut from, &mut to));
+        }
+        for _ in listener.incoming() {
+            counted.fetch_add(1, Ordering::Relaxed);
+        }
+    });
+    (way, turned_away)
+}
+
+#[test]
+fn if_no_further_session_can_be_had_all_robots_share_the_last_and_none_waits_for_another() {
+    let port = free_port();
+    let _robots = Network::open_with(&listening(port)).unwrap();
+    let (way, turned_away) = way_for_one(port);
+    let schedulers = Networks::open_with_sessions_of(&connecting(way), 2).unwrap();
+    let sessions: Vec<_> = (0..9).map(|_| schedulers.for_one_more()).collect();
+    assert!(sessions.iter().all(|session| session.id() == sessions[0].id()));
+    assert_eq!(
+        turned_away.load(Ordering::Relaxed),
+        1,
+        "a network that does not answer may take ten seconds to say so"
+    );
+}
+
+#[tokio::test]
+async fn while_many_connections_are_being_opened_others_wait_but_no_stop_does() {
+    let (robots, schedulers) = two();
+    let (arm, _listener) = (key("a"), Listener::bind(&robots, key("a")).await.unwrap());
+    let mut opening = Vec::new();
+    for _ in 0..OPENING_MAX {
+        opening.push(soon(schedulers.may_open(Haste::None)).await.unwrap());
+    }
+    soon(connect(&schedulers, &arm, Haste::Stop)).await.unwrap();
+    let mut waiting = Box::pin(connect(&schedulers, &arm, Haste::None));
+    assert!(tokio::time::timeout(Duration::from_millis(300), &mut waiting).await.is_err());
+    drop(opening.pop());
+    soon(waiting).await.unwrap();
 }
 
 #[tokio::test]

@@ -41,7 +41,7 @@ pub(super) struct Way {
     #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "named, though this build has no Zenoh"))]
     file: Option<PathBuf>,
     #[cfg(feature = "zenoh")]
-    joined: Option<zenoh::Network>,
+    joined: Option<zenoh::Networks>,
 }
 
 /// A robot's place, not yet served.
@@ -102,8 +102,8 @@ impl Listening {
 impl Way {
     /// Takes a key. `anyone`: the operator knows that anyone who reaches the network could drive the robot.
     pub(super) async fn listen(&mut self, key: &str, anyone: bool) -> Result<Listening, String> {
-        let network = match &self.joined {
-            Some(network) => network.clone(),
+        let networks = match &self.joined {
+            Some(networks) => networks.clone(),
             None => {
                 let file = self.file.clone();
                 // It waits for routers.
@@ -111,13 +111,15 @@ impl Way {
                 joining.await.map_err(|error| error.to_string())??
             }
         };
-        if let Some(endpoint) = network.open_endpoint().filter(|_| !anyone) {
+        if let Some(endpoint) = networks.open_endpoint().filter(|_| !anyone) {
             return Err(format!(
                 "the configuration of Zenoh speaks with {endpoint}, where anyone in between could drive the robot; use tls/, or \
                  give --insecure in a network of its own"
             ));
         }
-        self.joined = Some(network.clone());
+        self.joined = Some(networks.clone());
+        let joining = tokio::task::spawn_blocking(move || networks.for_one_more());
+        let network = joining.await.map_err(|error| error.to_string())?;
         let key = key.parse().map_err(|error| format!("{ZENOH}{key}: {error}"))?;
         let place = format!("{ZENOH}{key}");
         let listener = zenoh::Listener::bind(&network, key).await;

@@ -24,7 +24,7 @@ pub(super) struct OfSite {
 /// A network that was joined.
 #[cfg(feature = "zenoh")]
 #[derive(Clone, Debug)]
-pub(crate) struct Network(downbeat_robot::zenoh::Network);
+pub(crate) struct Network(downbeat_robot::zenoh::Networks);
 
 /// There is none.
 #[cfg(not(feature = "zenoh"))]
@@ -47,12 +47,12 @@ impl OfSite {
 /// # Errors
 /// Why not, as a sentence.
 #[cfg(feature = "zenoh")]
-pub(crate) fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Network, String> {
+pub(crate) fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Networks, String> {
     let file = file.ok_or(
         "robots at `zenoh:` addresses are reached by a configuration of Zenoh: name its file by `zenoh:` in the fleet file, \
          or by DOWNBEAT_ZENOH (docs/zenoh.md)",
     )?;
-    downbeat_robot::zenoh::Network::open(file).map_err(|error| error.to_string())
+    downbeat_robot::zenoh::Networks::open(file).map_err(|error| error.to_string())
 }
 
 #[cfg(feature = "zenoh")]
@@ -60,7 +60,7 @@ impl Network {
     /// The robot at a key, which the fleet file has been read from.
     pub(crate) fn endpoint(&self, key: &str, encoding: LinkEncoding) -> Option<Endpoint> {
         let key = key.parse().ok()?;
-        Some(Endpoint::Zenoh { network: self.0.clone(), key, encoding })
+        Some(Endpoint::Zenoh { network: self.0.for_one_more(), key, encoding })
     }
 }
 
