@@ -89,8 +89,8 @@ struct Inner {
     hearings: Mutex<HashMap<String, Weak<Hearing>>>,
 }
 
-/// Schedulers of which a session hears what they publish for several robots; others send everything whole.
-const HEARINGS_MAX: usize = 16;
+/// Sessions of schedulers of which a session hears what they publish for several robots of one place; others send everything whole.
+pub(super) const HEARINGS_MAX: usize = 16;
 
 impl Drop for Inner {
     fn drop(&mut self) {
@@ -218,14 +218,16 @@ impl Network {
         Ok(offers)
     }
 
-    /// What this session hears of what a scheduler publishes for several robots; `None` where it hears too many already.
+    /// What this session hears of what a scheduler publishes at a key for several robots; `None` where it hears too many there already.
     pub(super) fn hearing(&self, key: String) -> Option<Arc<Hearing>> {
         let mut all = self.0.hearings.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = all.get(&key).and_then(Weak::upgrade) {
             return Some(known);
         }
         all.retain(|_, hearing| hearing.strong_count() > 0);
-        (all.len() < HEARINGS_MAX).then(|| {
+        let place = |key: &str| key.rsplit_once('/').map_or(0, |(place, _)| place.len());
+        let beside = all.keys().filter(|other| key[..place(&key)] == other[..place(other)]).count();
+        (beside < HEARINGS_MAX).then(|| {
             let hearing = Hearing::new(key.clone(), self.0.declaring.clone());
             all.insert(key, Arc::downgrade(&hearing));
             hearing

@@ -9,7 +9,7 @@ use ::zenoh::Wait;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use urrcp::ContentHash;
 
-use super::network::OPENING_MAX;
+use super::network::{HEARINGS_MAX, OPENING_MAX};
 use super::{Haste, Key, Listener, Network, Networks, Stream, Text, connect, connect_sharing};
 
 fn free_port() -> u16 {
@@ -119,6 +119,17 @@ fn if_no_further_session_can_be_had_all_robots_share_the_last_and_none_waits_for
         1,
         "a network that does not answer may take ten seconds to say so"
     );
+}
+
+#[test]
+fn a_session_hears_sixteen_schedulers_at_each_of_its_places() {
+    let network = Network::open_with(&listening(free_port())).unwrap();
+    let key_of = |place: usize, scheduler: usize| format!("hall/{place}/shared/{scheduler:x}");
+    let all = |place: usize| (0..HEARINGS_MAX).map(move |scheduler| key_of(place, scheduler));
+    let heard: Vec<_> = (0..3).flat_map(all).map(|key| network.hearing(key).unwrap()).collect();
+    assert!(network.hearing(key_of(1, HEARINGS_MAX)).is_none(), "one more at a place");
+    drop(heard);
+    assert!(network.hearing(key_of(1, HEARINGS_MAX)).is_some(), "those of before are gone");
 }
 
 #[tokio::test]
