@@ -427,3 +427,21 @@ fn many_robots_at_one_place_of_a_zenoh_network_are_warned_of() {
         assert!(ran.code() == 0 && !ran.text().contains("DB0080"), "{}", ran.text());
     }
 }
+
+#[test]
+fn a_device_that_takes_no_scripts_is_found_with_what_it_has_to_declare() {
+    let session = Session::new();
+    let init = "{id: r, api_version: '1', devices: [{id: d, name: d, available_control_types: {position: {min_value: 0, max_value: 9, \
+                granularity: 1}}}]}";
+    let scenario = "scenario: s\ncues: [{at: 0s, robots: r, tracks: {d: [{at: 0s, to: 5}]}}]\n";
+    session
+        .file("r.yaml", init)
+        .file("fleet.yaml", "robots: {r: {init: r.yaml, address: sim}}\n")
+        .file("s.yaml", scenario);
+    let ran = session.run(&["check", "s.yaml"]);
+    ran.says(
+        1,
+        &["DB0010", "device `d` of `r` does not support scripts", "expected a device that takes scripts\n"],
+    );
+    ran.says(1, &["help: if it does, declare `script` under its `available_control_types`"]);
+}

@@ -404,9 +404,14 @@ impl<'c, 'a> Performer<'c, 'a> {
         let available: Vec<_> = available.iter().map(ToString::to_string).collect();
         let message =
             format!("device `{}` of {} does not support {what}", device.id, on.cast.names(on.robots));
-        let expected =
-            format!("a device that takes scripts of {}", names(available.iter().map(String::as_str)));
-        self.findings.add(Code::ControlType, track.place.clone(), message, expected, None);
+        let (expected, hint) = if available.is_empty() {
+            let hint = "if it does, declare `script` under its `available_control_types`";
+            ("a device that takes scripts".to_owned(), Some(hint.to_owned()))
+        } else {
+            let named = names(available.iter().map(String::as_str));
+            (format!("a device that takes scripts of {named}"), None)
+        };
+        self.findings.add(Code::ControlType, track.place.clone(), message, expected, hint);
         None
     }
 
