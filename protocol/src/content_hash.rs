@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de, ser};
 use sha2::{Digest, Sha256};
 
 /// SHA-256 over the canonical JSON of a `control_value` (our extension): 64 hexadecimal digits in JSON, 32 bytes in a
@@ -30,14 +30,20 @@ impl From<[u8; 32]> for ContentHash {
     }
 }
 
-impl fmt::Display for ContentHash {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+impl ContentHash {
+    fn digits(&self) -> [u8; 64] {
         const DIGITS: &[u8; 16] = b"0123456789abcdef";
         let mut text = [0; 64];
         for (digits, byte) in text.chunks_exact_mut(2).zip(self.0) {
             digits.copy_from_slice(&[DIGITS[usize::from(byte >> 4)], DIGITS[usize::from(byte & 0xf)]]);
         }
-        f.write_str(std::str::from_utf8(&text).map_err(|_| fmt::Error)?)
+        text
+    }
+}
+
+impl fmt::Display for ContentHash {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(std::str::from_utf8(&self.digits()).map_err(|_| fmt::Error)?)
     }
 }
 
@@ -50,7 +56,9 @@ impl fmt::Debug for ContentHash {
 impl Serialize for ContentHash {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match serializer.is_human_readable() {
-            true => serializer.collect_str(self),
+            true => {
+                serializer.serialize_str(std::str::from_utf8(&self.digits()).map_err(ser::Error::custom)?)
+            }
             false => serializer.serialize_bytes(&self.0),
         }
     }
@@ -95,11 +103,50 @@ fn parse(text: &str) -> Option<ContentHash> {
     Some(ContentHash(bytes))
 }
 
-const fn digit(letter: u8) -> Option<u8> {
-    match letter {
-        b'0'..=b'9' => Some(letter - b'0'),
-        b'a'..=b'f' => Some(letter - b'a' + 10),
-        b'A'..=b'F' => Some(letter - b'A' + 10),
-        _ => None,
+/// By a table: whether a digit is a letter cannot be foreseen, and a processor that has guessed wrong 30 times takes longer for the
+/// digits of a hash than for the hash.
+fn digit(letter: u8) -> Option<u8> {
+    const NONE: u8 = 0xff;
+    const VALUES: [u8; 256] = {
+        let (mut values, mut value) = ([NONE; 256], 0);
+        while value < 16 {
+            values[b"0123456789abcdef"[value] as usize] = value as u8;
+            values[b"0123456789ABCDEF"[value] as usize] = value as u8;
+            value += 1;
+        }
+        values
+    };
+    Some(VALUES[usize::from(letter)]).filter(|value| *value != NONE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(digits: &str) -> Option<ContentHash> {
+        serde_json::from_str(&format!("\"{digits}\"")).ok()
+    }
+
+    #[test]
+    fn any_hash_is_read_back_in_small_and_in_large_letters() {
+        for byte in 0..=255 {
+            let hash = ContentHash([byte; 32]);
+            let text = format!("{byte:02x}").repeat(32);
+            assert_eq!(serde_json::to_string(&hash).unwrap(), format!("\"{text}\""));
+            assert_eq!((hash.to_string(), read(&text)), (text.clone(), Some(hash)));
+            assert_eq!(read(&text.to_ascii_uppercase()), Some(hash));
+        }
+    }
+
+    #[test]
+    fn sixty_four_digits_are_a_hash_and_nothing_else_is() {
+        for other in (1..128_u8).map(char::from).filter(|letter| !letter.is_ascii_hexdigit()) {
+            let mut digits = "0".repeat(63);
+            digits.insert(usize::from(other as u8) % 64, other);
+            assert_eq!(parse(&digits), None, "{other:?}");
+        }
+        for other in ["", "0", &"0".repeat(63), &"0".repeat(65), &"é".repeat(32)] {
+            assert_eq!(read(other), None, "{other}");
+        }
     }
 }

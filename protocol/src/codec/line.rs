@@ -2,11 +2,12 @@
 
 use std::fmt;
 
+use memchr::memmem;
 use serde::de::{IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::KnownScripts;
 use super::error::{DecodeError, DecodeErrorKind, Envelope, UnknownType};
+use super::{KnownScripts, carried};
 use crate::message::{Message, OnLine};
 use crate::text::shortened;
 
@@ -15,19 +16,34 @@ pub(super) const END: u8 = b'\n';
 
 /// Appends a message and its newline.
 pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
-    let message = OnLine(message);
-    line.reserve(message.length());
+    const WITHOUT_SCRIPT: usize = 512;
+    let written = match OnLine(message).gap() {
+        None => serde_json::to_writer(&mut *line, message),
+        Some((key, text)) => {
+            line.reserve(WITHOUT_SCRIPT + text.len());
+            let begin = line.len();
+            serde_json::to_writer(&mut *line, &OnLine(message)).map(|()| fill(line, begin, key, text))
+        }
+    };
     // Writing a message into memory cannot fail: keys are strings, numbers finite.
-    let written = serde_json::to_writer(&mut *line, &message);
     debug_assert!(written.is_ok(), "{written:?}");
     line.push(END);
+}
+
+/// Puts the text in the place of the empty list that is the value of this key. Nothing ahead of that looks like it, as the quotes
+/// in a string are escaped.
+fn fill(line: &mut Vec<u8>, begin: usize, key: &str, text: &str) {
+    let gap = memmem::find(&line[begin..], key.as_bytes()).map_or(line.len(), |at| begin + at + key.len());
+    let rest = line.split_off(gap);
+    line.extend_from_slice(text.as_bytes());
+    line.extend_from_slice(rest.strip_prefix(b"[]").unwrap_or_default());
 }
 
 /// Reads one line without its newline.
 pub(super) fn read(line: &[u8], known: Option<&KnownScripts>) -> Result<Message, DecodeError> {
     let text = std::str::from_utf8(line)
         .map_err(|e| DecodeError::bare(DecodeErrorKind::NotUtf8 { valid_up_to: e.valid_up_to() }))?;
-    if let Some(message) = known.and_then(|known| known.read(text)) {
+    if let Some(message) = carried::read(text, known) {
         return Ok(message);
     }
     serde_json::from_str(text).or_else(|error| match serde_json::from_str::<UnknownType>(text) {

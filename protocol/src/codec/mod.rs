@@ -2,17 +2,18 @@
 //! understands it, as a frame of MessagePack. Both may follow each other on one stream: each says by its first byte what
 //! it is.
 
+mod canonical;
+mod carried;
 mod decoder;
 mod error;
 mod frame;
-mod known_scripts;
 mod line;
 
 use std::fmt;
 
+pub use carried::KnownScripts;
 pub use decoder::{Decoder, Front};
 pub use error::{DecodeError, DecodeErrorKind};
-pub use known_scripts::KnownScripts;
 
 use crate::message::Message;
 

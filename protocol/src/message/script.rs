@@ -7,7 +7,6 @@ use std::sync::{Arc, OnceLock};
 use serde::de::{self, SeqAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use serde_json::value::{RawValue, to_raw_value};
 
 use super::Step;
 use crate::content_hash::ContentHash;
@@ -54,7 +53,14 @@ struct Shared {
 struct Hashed {
     hash: ContentHash,
     /// The canonical JSON, `None` where it is longer than [`KEPT_TEXT_MAX`].
-    text: Option<Box<RawValue>>,
+    text: Option<Box<str>>,
+}
+
+impl Hashed {
+    fn of(text: impl AsRef<str> + Into<Box<str>>) -> Self {
+        let hash = ContentHash::of(text.as_ref().as_bytes());
+        Self { hash, text: (text.as_ref().len() <= KEPT_TEXT_MAX).then(|| text.into()) }
+    }
 }
 
 /// The longest text that is kept, in bytes: about as much as its steps take in memory.
@@ -104,15 +110,20 @@ impl Script {
     /// SHA-256 over the canonical JSON of the steps.
     pub(super) fn content_hash(&self) -> ContentHash {
         let hashed = self.0.hashed.get_or_init(|| {
-            let text = to_raw_value(self).unwrap_or_default();
-            let hash = ContentHash::of(text.get().as_bytes());
-            Hashed { hash, text: (text.get().len() <= KEPT_TEXT_MAX).then_some(text) }
+            // Writing steps into memory cannot fail: keys are strings, numbers finite.
+            Hashed::of(serde_json::to_string(self).unwrap_or_default())
         });
         hashed.hash
     }
 
+    /// Hashes the canonical JSON of the steps, which is known, so that it need not be written for that.
+    pub(crate) fn hash_as(&self, canonical_json: &str) {
+        debug_assert_eq!(serde_json::to_string(self).ok().as_deref(), Some(canonical_json));
+        self.0.hashed.get_or_init(|| Hashed::of(canonical_json));
+    }
+
     /// The canonical JSON of the steps, if it is kept.
-    pub(crate) fn kept_text(&self) -> Option<&RawValue> {
+    pub(crate) fn kept_text(&self) -> Option<&str> {
         self.0.hashed.get()?.text.as_deref()
     }
 

@@ -1,11 +1,12 @@
-//! Scripts that went over the wire before: known by their text, so that their steps are not read one by one.
+//! Messages that carry a script: as a rule one that is known, or in its canonical text. Both are read in a faster way than any JSON.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use memchr::memmem;
 
-use crate::message::{Command, ControlRequest, Message, Script, StatusValue};
+use super::canonical;
+use crate::message::{Command, ControlRequest, ControlResponse, Message, Script, StatusValue};
 
 /// Scripts that are kept; older ones are read step by step when they come again.
 const KEPT: usize = 16;
@@ -33,34 +34,46 @@ impl KnownScripts {
         }
     }
 
-    /// The message on this line, if it carries one of the scripts; `None` for what has to be read as any other line.
-    pub(super) fn read(&self, line: &str) -> Option<Message> {
-        let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
-        let at = memmem::find(line.as_bytes(), key.as_bytes())?;
-        let (head, value) = line.split_at_checked(at + key.len())?;
-        let (script, rest) = self.scripts().iter().find_map(|script| {
-            let rest = value.strip_prefix(script.kept_text()?.get())?;
+    /// The one whose text is at the beginning of this, and what follows.
+    fn find<'a>(&self, value: &'a str) -> Option<(Script, &'a str)> {
+        self.scripts().iter().find_map(|script| {
+            let rest = value.strip_prefix(script.kept_text()?)?;
             Some((script.clone(), rest))
-        })?;
-        if !is_where_keys_of_a_message_are(&head[..at]) {
-            return None;
-        }
-        let mut message = serde_json::from_str(&[head, "[]", rest].concat()).ok()?;
-        let place = match &mut message {
-            Message::ControlRequest(ControlRequest { command: Command::Script(steps), .. }) => steps,
-            Message::ControlResponse(response) => match &mut response.status_value {
-                StatusValue::Script(steps) => steps,
-                _ => return None,
-            },
-            _ => return None,
-        };
-        *place = script;
-        Some(message)
+        })
     }
 
     fn scripts(&self) -> MutexGuard<'_, VecDeque<Script>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// The message on this line, if it carries a script that is known or in its canonical text; `None` for what has to be read as any
+/// other line.
+pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> {
+    let (_, key) = CARRIERS.iter().find(|(begin, _)| line.starts_with(begin))?;
+    let at = memmem::find(line.as_bytes(), key.as_bytes())?;
+    let (head, value) = line.split_at_checked(at + key.len())?;
+    if !is_where_keys_of_a_message_are(&head[..at]) {
+        return None;
+    }
+    let (script, text, rest) = match known.and_then(|known| known.find(value)) {
+        Some((script, rest)) => (script, None, rest),
+        None => canonical::read(value).map(|(script, text, rest)| (script, Some(text), rest))?,
+    };
+    let mut message = serde_json::from_str(&[head, "[]", rest].concat()).ok()?;
+    let place = match &mut message {
+        Message::ControlRequest(ControlRequest { command: Command::Script(steps), content_hash, .. }) => {
+            // Whoever sends a hash asks for it to be compared.
+            if let (Some(text), Some(_)) = (text, content_hash) {
+                script.hash_as(text);
+            }
+            steps
+        }
+        Message::ControlResponse(ControlResponse { status_value: StatusValue::Script(steps), .. }) => steps,
+        _ => return None,
+    };
+    *place = script;
+    Some(message)
 }
 
 /// Whether what follows this stands directly in the object that a message is, and in no string.
@@ -82,7 +95,7 @@ fn is_where_keys_of_a_message_are(head: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ControlResponse, ControlType, DeviceId, Millis, Setpoint, Step};
+    use crate::{ContentHash, ControlType, DeviceId, Millis, Setpoint, Step};
 
     fn script(values: &[f64]) -> Script {
         let step =
@@ -127,11 +140,39 @@ mod tests {
             for line in
                 lines(&format!(r#","stop_condition":{{"pending":5}},"status_value":{text},"request_id":"r""#))
             {
-                let read = known.read(&line).unwrap();
+                let read = read(&line, Some(&known)).unwrap();
                 assert_eq!(read, serde_json::from_str(&line).unwrap());
                 assert!(script_of(read).is_same(script));
             }
         }
+    }
+
+    #[test]
+    fn a_script_in_its_canonical_text_is_hashed_without_being_written() {
+        for (script, is_kept) in [(script(&[1.5, -2.0]), true), (script(&[0.5; 2_000]), false)] {
+            let text = serde_json::to_string(&script).unwrap();
+            let request =
+                ControlRequest::immediate(DeviceId::new("d").unwrap(), Command::Script(script.clone()));
+            let mut line = serde_json::to_string(&Message::ControlRequest(request.clone())).unwrap();
+            assert_eq!(script_of(read(&line, None).unwrap()).kept_text(), None, "nobody asks for its hash");
+            line = serde_json::to_string(&Message::ControlRequest(request.with_content_hash())).unwrap();
+            let came = script_of(read(&line, None).unwrap());
+            assert_eq!(came.kept_text(), is_kept.then_some(text.as_str()));
+            assert_eq!(Command::Script(came).content_hash(), ContentHash::of(text.as_bytes()));
+        }
+    }
+
+    #[test]
+    fn a_hash_is_that_of_what_is_read_and_not_what_a_line_says() {
+        let [response, request] = lines(&format!(
+            r#","status_value":{},"content_hash":"{}""#,
+            note(&KnownScripts::default(), &script(&[1.0])),
+            ContentHash::of(b"other")
+        ));
+        assert!(read(&response, None).is_some());
+        let Some(Message::ControlRequest(request)) = read(&request, None) else { panic!("{request}") };
+        assert_eq!(request.content_hash, Some(ContentHash::of(b"other")));
+        assert_eq!(request.command.content_hash(), Command::Script(script(&[1.0])).content_hash());
     }
 
     #[test]
@@ -140,7 +181,7 @@ mod tests {
         let scripts: Vec<_> = (0..=KEPT).map(|value| script(&[value as f64])).collect();
         let texts: Vec<_> = scripts.iter().map(|script| note(&known, script)).collect();
         note(&known, &scripts[KEPT]);
-        let is_known = |text: &String| known.read(&lines(&format!(r#","status_value":{text}"#))[0]).is_some();
+        let is_known = |text: &String| known.find(text).is_some();
         assert_eq!(texts.iter().map(is_known).collect::<Vec<_>>(), [&[false][..], &[true; KEPT]].concat());
     }
 
@@ -163,7 +204,9 @@ mod tests {
     fn check_as_any_other(keys: &str, known: &KnownScripts) {
         for line in lines(keys) {
             let without = serde_json::from_str::<Message>(&line).ok();
-            assert_eq!(known.read(&line).or_else(|| without.clone()), without, "{line}");
+            for known in [Some(known), None] {
+                assert_eq!(read(&line, known).or_else(|| without.clone()), without, "{line}");
+            }
         }
     }
 
@@ -197,7 +240,7 @@ mod tests {
         let other_type = format!(
             r#"{{"control_request":{{"device_id":"d","control_type":"spin","control_value":{text}}}}}"#
         );
-        assert_eq!(known.read(&other_type), None, "its values are not read");
+        assert_eq!(read(&other_type, Some(&known)), None, "its values are not read");
     }
 
     proptest::proptest! {
