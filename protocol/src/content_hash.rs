@@ -103,8 +103,7 @@ fn parse(text: &str) -> Option<ContentHash> {
     Some(ContentHash(bytes))
 }
 
-/// By a table: whether a digit is a letter cannot be foreseen, and a processor that has guessed wrong 30 times takes longer for the
-/// digits of a hash than for the hash.
+/// By a table: whether a digit is a letter cannot be foreseen, and a wrong guess takes a processor longer than the digit.
 fn digit(letter: u8) -> Option<u8> {
     const NONE: u8 = 0xff;
     const VALUES: [u8; 256] = {
