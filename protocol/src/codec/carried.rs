@@ -63,7 +63,7 @@ pub(super) fn read(line: &str, known: Option<&KnownScripts>) -> Option<Message> 
     let mut message = serde_json::from_str(&[head, "[]", rest].concat()).ok()?;
     let place = match &mut message {
         Message::ControlRequest(ControlRequest { command: Command::Script(steps), content_hash, .. }) => {
-            // Whoever sends a hash asks for it to be compared.
+            // A request with a hash asks the robot to compare it.
             if let (Some(text), Some(_)) = (text, content_hash) {
                 script.hash_as(text);
             }
