@@ -16,6 +16,7 @@ use urrcp::Span;
 
 use crate::robots::signal;
 use crate::session::{PROGRAM, Session, root};
+use crate::standstill::undisturbed;
 use faults::{Mutant, Robot};
 
 const ARM: &str = "id: arm
@@ -80,6 +81,11 @@ fn examined(address: SocketAddr, options: Options) -> Examined {
     examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap()
 }
 
+/// What a right robot is found to be.
+fn examined_undisturbed(robot: impl Fn() -> SocketAddr, options: Options) -> Examined {
+    undisturbed(|| examined(robot(), options.clone()), |examined| told(examined, Verdict::Fail).is_empty())
+}
+
 fn told(examined: &Examined, verdict: Verdict) -> String {
     let lines = examined.judged.iter().filter(|judged| judged.verdict == verdict);
     lines.map(|judged| format!("  {}: {}\n", judged.requirement, judged.why)).collect()
@@ -87,7 +93,7 @@ fn told(examined: &Examined, verdict: Verdict) -> String {
 
 #[track_caller]
 fn check_passes(robot: &str, not_applicable: &[&str]) {
-    let examined = examined(proxy::robot(robot, Settings::default()), options(&[]));
+    let examined = examined_undisturbed(|| proxy::robot(robot, Settings::default()), options(&[]));
     assert_eq!(told(&examined, Verdict::Fail), "");
     let open = examined.judged.iter().filter(|judged| judged.verdict == Verdict::NotApplicable);
     let open: Vec<_> = open.map(|judged| judged.requirement).collect();
@@ -107,7 +113,7 @@ fn a_rover_with_a_sensor_passes_everything() {
 
 #[test]
 fn what_a_robot_without_scripts_and_reports_does_not_declare_is_not_held_against_it() {
-    let examined = examined(proxy::robot(LAMP, Settings::default()), options(&[]));
+    let examined = examined_undisturbed(|| proxy::robot(LAMP, Settings::default()), options(&[]));
     assert_eq!(told(&examined, Verdict::Fail), "");
     let passed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Pass).count();
     assert!(passed > 30, "{}", told(&examined, Verdict::NotApplicable));
@@ -133,10 +139,9 @@ fn a_robot_that_answers_no_inquiries_is_asked_none() {
 
 #[test]
 fn a_clock_that_is_off_is_measured_when_asked_for() {
-    let robot = proxy::robot(ARM, ahead());
     let mut options = options(&["clock", "deferred-start", "late", "script-timing"]);
     options.clock_measured = true;
-    let examined = examined(robot, options);
+    let examined = examined_undisturbed(|| proxy::robot(ARM, ahead()), options);
     assert_eq!(told(&examined, Verdict::Fail), "");
 }
 
@@ -181,13 +186,13 @@ fn each_planted_fault_fails_what_it_breaks_and_nothing_else() {
             });
         }
     });
-    // A machine that is held up for long fails robots that are right: those get the machine for themselves.
+    // What is wrong while others are examined may be held up by them.
     let mut report = String::new();
     for mutant in wrong.into_inner().unwrap() {
-        let (failed, why) = failed_by(mutant);
-        if failed != mutant.fails.iter().copied().collect() {
-            report
-                .push_str(&format!("{}: expected {:?}, found {failed:?}\n{why}", mutant.name, mutant.fails));
+        let fails = mutant.fails.iter().copied().collect();
+        let (failed, why) = undisturbed(|| failed_by(mutant), |(failed, _)| *failed == fails);
+        if failed != fails {
+            report.push_str(&format!("{}: expected {fails:?}, found {failed:?}\n{why}", mutant.name));
         }
     }
     assert_eq!(report, "");

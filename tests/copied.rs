@@ -14,6 +14,7 @@ use urrcp::{
 };
 
 use crate::session::root;
+use crate::standstill::undisturbed;
 
 #[expect(dead_code, reason = "its main is not called")]
 #[path = "../robot/examples/driver.rs"]
@@ -50,9 +51,13 @@ fn the_robot_to_copy_does_what_the_protocol_demands() {
     let mut options = Options::default();
     options.device = Some("elbow".parse().unwrap());
     options.tolerance = Span::from_millis(150);
-    let examined = examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap();
-    let failed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Fail);
-    let failed: Vec<_> = failed.map(|judged| format!("{}: {}", judged.requirement, judged.why)).collect();
+    let failed = || {
+        let stop = Arc::new(AtomicBool::new(false));
+        let examined = examine(address, options.clone(), stop, &mut |_, _| {}).unwrap();
+        let failed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Fail);
+        failed.map(|judged| format!("{}: {}", judged.requirement, judged.why)).collect::<Vec<_>>()
+    };
+    let failed = undisturbed(failed, Vec::is_empty);
     assert!(failed.is_empty(), "{failed:#?}");
 }
 

@@ -54,6 +54,7 @@ mod schema;
 mod seize;
 mod session;
 mod silence;
+mod standstill;
 mod starters;
 mod stop_command;
 mod stops;
