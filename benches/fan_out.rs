@@ -33,7 +33,7 @@ use urrcp::{
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const STEPS: u32 = 20;
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 7;
 
 fn block(id: usize) -> InitializationBlock {
     let json = format!(
@@ -422,9 +422,21 @@ mod mqtt {
     }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
+/// In milliseconds.
+struct Times {
+    least: f64,
+    median: f64,
+    most: f64,
+}
+
+impl Times {
+    /// `None` where nothing was measured.
+    fn of(mut durations: Vec<Duration>) -> Option<Self> {
+        durations.sort();
+        let at = |index: usize| durations.get(index).map(|time| time.as_secs_f64() * 1e3);
+        let last = durations.len().checked_sub(1)?;
+        Some(Self { least: at(0)?, median: at(last / 2)?, most: at(last)? })
+    }
 }
 
 fn main() {
@@ -448,32 +460,46 @@ fn main() {
     }
     let asked: Vec<usize> = std::env::args().filter_map(|arg| arg.parse().ok()).collect();
     let fleets = if asked.is_empty() { vec![1_000, 4_000, 9_900] } else { asked };
-    println!("medians of {ROUNDS} rounds; requests of {} bytes, {STEPS} steps", request_line().len());
     println!(
-        "{:>7} {:>12} {:>11} {:>6} {:>11} {:>6} {:>14} {:>12}",
-        "robots", "raw tokio", "in unison", "ratio", "own scripts", "ratio", "read, written", "mosquitto"
+        "medians of {ROUNDS} rounds, least and most; requests of {} bytes, {STEPS} steps",
+        request_line().len()
     );
-    let millis = |duration: Duration| duration.as_secs_f64() * 1e3;
-    let mut times: Vec<(f64, f64)> = Vec::new();
+    let columns = ["raw tokio", "in unison", "own scripts", "read, written", "mosquitto"];
+    println!("{:>7}{}", "robots", columns.map(|column| format!(" {column:>22}")).concat());
+    let mut growth: Vec<(f64, f64)> = Vec::new();
     for count in fleets {
-        let mut rows = Vec::new();
+        let mut rows = [const { Vec::new() }; 5];
         for _ in 0..ROUNDS {
             // All in turn, so that all meet the same machine.
-            let (bytes, messages) = (raw(count, Carries::Bytes), raw(count, Carries::Messages));
-            let (unison, own) = (downbeat(count, Plays::InUnison), downbeat(count, Plays::ItsOwn));
-            rows.push([bytes, messages, unison, own].map(millis));
+            let times = [
+                Some(raw(count, Carries::Bytes)),
+                Some(downbeat(count, Plays::InUnison)),
+                Some(downbeat(count, Plays::ItsOwn)),
+                Some(raw(count, Carries::Messages)),
+                mqtt::exchange(count),
+            ];
+            for (row, time) in rows.iter_mut().zip(times) {
+                row.extend(time);
+            }
         }
-        let column = |index: usize| median(rows.iter().map(|row| row[index]).collect());
-        let [raw, messages, unison, own] = [0, 1, 2, 3].map(column);
-        let mqtt = mqtt::exchange(count).map_or_else(|| "-".to_owned(), |t| format!("{:.1} ms", millis(t)));
-        println!(
-            "{count:>7} {raw:>9.1} ms {unison:>8.1} ms {:>6.2} {own:>8.1} ms {:>6.2} {messages:>11.1} ms {mqtt:>12}",
-            unison / raw,
-            own / raw
-        );
-        times.push(((count as f64).ln(), own.ln()));
+        let times = rows.map(Times::of);
+        let told = times.each_ref().map(|times| {
+            times.as_ref().map_or_else(
+                || format!(" {:>22}", "-"),
+                |times| format!(" {:>6.1} ({:>5.1} to {:>5.1})", times.median, times.least, times.most),
+            )
+        });
+        println!("{count:>7}{}", told.concat());
+        let [Some(raw), Some(unison), Some(own), _, mosquitto] = &times else { continue };
+        let ratio = |name: &str, base: &Times| {
+            let (unison, own) = (unison.median / base.median, own.median / base.median);
+            format!("; of {name}: in unison {unison:.2}, own scripts {own:.2}")
+        };
+        let of_mosquitto = mosquitto.as_ref().map_or_else(String::new, |base| ratio("mosquitto", base));
+        println!("        ms{}{of_mosquitto}", ratio("raw", raw));
+        growth.push(((count as f64).ln(), own.median.ln()));
     }
-    if let [first, .., last] = times.as_slice() {
+    if let [first, .., last] = growth.as_slice() {
         println!("growth of the decision with the fleet: N^{:.2}", (last.1 - first.1) / (last.0 - first.0));
     }
 }
