@@ -3,8 +3,8 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// A shorter standstill explains no failure: simulated robots start a command that is up to 50 ms late.
-const EXPLAINS: Duration = Duration::from_millis(20);
+/// A shorter standstill explains no failure: a simulated robot starts a command that is up to 50 ms late.
+const EXPLAINS: Duration = Duration::from_millis(40);
 const MOST_TRIES: usize = 8;
 
 /// What the experiment gave when it was right, or else when this process was not held up meanwhile.
