@@ -14,16 +14,13 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
 
-#[path = "../tests/robots/mod.rs"]
-mod robots;
-
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use robots::busy::with_cores_busy;
-use robots::{Ended, Stage, Via, epoch_nanos, one_device, sleep_until};
+use stage::busy::with_cores_busy;
+use stage::{Ended, Stage, Via, epoch_nanos, one_device, sleep_until};
 
 const ROBOTS: usize = 6;
 const TRIALS: usize = 200;
@@ -283,7 +280,7 @@ fn false_withdrawals(missions: usize) {
         for number in 0..missions {
             let began = epoch_nanos();
             let ended = stage.run(&["run", "window.yaml", "--patience", "5s"]);
-            let moved = |robot: &&robots::Robot| robot.sets().iter().any(|set| set.at >= began);
+            let moved = |robot: &&stage::Robot| robot.sets().iter().any(|set| set.at >= began);
             let moved = stage.robots.iter().filter(moved).count();
             let outcome = ended.out.lines().take(2).collect::<Vec<_>>().join(";");
             if ended.code == Some(0) && moved == ROBOTS {

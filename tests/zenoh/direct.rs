@@ -3,7 +3,7 @@
 use std::process::Stdio;
 
 use crate::network::{STEPS, client, fleet, lies, listening, names, outcome, sets, simulated, stage, start};
-use crate::robots::{Process, Stage, free_port};
+use stage::{Process, Stage, free_port};
 
 /// Robots in one process and a fleet file by which schedulers reach them.
 fn set_up(count: usize, running: &str) -> (Stage, Process) {
@@ -86,7 +86,7 @@ fn what_is_wrong_with_a_place_is_said_with_what_to_do() {
 fn robots_whose_process_is_killed_are_missed_at_once_and_nothing_is_made_up() {
     let (stage, mut robots) = set_up(4, "2s");
     let run = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
-    crate::robots::sleep_until(start(&stage) + 1_000_000_000);
+    stage::sleep_until(start(&stage) + 1_000_000_000);
     robots.kill();
     let ended = run.ended();
     // Nobody can say whether what they move stands still.

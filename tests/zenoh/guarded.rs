@@ -5,7 +5,7 @@ use std::process::Stdio;
 use rcgen::{BasicConstraints, Certificate, CertificateParams, DnType, IsCa, Issuer, KeyPair};
 
 use crate::network::{Router, fleet, lies, names, outcome, sets, simulated, stage_of};
-use crate::robots::{Stage, free_port};
+use stage::{Stage, free_port};
 
 /// Steps of a script of 15 KB, and robots that play it.
 const LONG: u32 = 200;
@@ -94,7 +94,7 @@ fn the_documented_files_let_in_who_has_a_certificate_and_only_for_its_part() {
     let mut command =
         stage.command(&["robot", "--init", "robot.yaml", "--id", "r9", "--listen", "zenoh:hall/r9"]);
     let spawned = command.args(["--zenoh", "scheduler.json5"]).stdout(Stdio::null()).spawn().unwrap();
-    let _false_robot = crate::robots::Process(spawned);
+    let _false_robot = stage::Process(spawned);
     std::thread::sleep(std::time::Duration::from_secs(2));
     stage.file("fleet.yaml", fleet(&names(9, 1), "scheduler.json5"));
     let (code, told) = ping_by("scheduler.json5");

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use crate::robots::{Ended, Logged, Process, Stage, one_device};
+use stage::{Ended, Logged, Process, Stage, one_device};
 
 /// Steps of the scenario, and the time between two of them.
 pub const STEPS: u32 = 40;
@@ -104,7 +104,7 @@ pub fn recorded(stage: &Stage, record: &str) -> Value {
 
 /// When the one mission is to start, in nanoseconds since the epoch, as soon as its first request may be sent.
 pub fn start(stage: &Stage) -> i64 {
-    crate::robots::nanos(recorded(stage, "prepared")["start"].as_str().unwrap())
+    stage::nanos(recorded(stage, "prepared")["start"].as_str().unwrap())
 }
 
 /// What every robot of these fleets has set, by its name.
@@ -203,7 +203,7 @@ pub struct Router {
 impl Router {
     /// One that connects to others.
     pub fn start(stage: &Stage, name: &str, others: &[u16]) -> Self {
-        let port = crate::robots::free_port();
+        let port = stage::free_port();
         let others: Vec<_> = others.iter().map(|port| format!("\"tcp/127.0.0.1:{port}\"")).collect();
         let config = format!(
             "{{mode: \"router\", listen: {{endpoints: [\"tcp/127.0.0.1:{port}\"]}}, connect: {{endpoints: [{}]}},\n \

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use crate::network::{
     Router, STEPS, client, fleet, lies, names, outcome, sets, simulated, stage, stage_where, start,
 };
-use crate::robots::{Ended, Process, Stage};
+use stage::{Ended, Process, Stage};
 
 /// The fleet, and all that it takes to reach it.
 struct Hall {
@@ -39,7 +39,7 @@ impl Hall {
         Self { stage, count, routers: [a, b, c], _robots: robots }
     }
 
-    fn run(&self) -> crate::robots::Running {
+    fn run(&self) -> stage::Running {
         self.stage.start(&["run", "play.yaml", "--format", "json", "--patience", "60s"])
     }
 
@@ -112,7 +112,7 @@ fn a_router_that_is_killed_while_scripts_are_sent_costs_its_own_robots_at_most()
 fn a_router_that_is_back_within_the_lease_costs_nothing() {
     let mut hall = Hall::open("20s");
     let run = hall.run();
-    crate::robots::sleep_until(start(&hall.stage) + 1_000_000_000);
+    stage::sleep_until(start(&hall.stage) + 1_000_000_000);
     hall.routers[1].kill();
     std::thread::sleep(Duration::from_millis(300));
     hall.routers[1].restart();
@@ -126,7 +126,7 @@ fn a_router_that_is_back_within_the_lease_costs_nothing() {
 fn a_router_that_stays_away_ends_its_robots_with_their_lease_and_no_others() {
     let mut hall = Hall::open("1s");
     let run = hall.run();
-    crate::robots::sleep_until(start(&hall.stage) + 1_000_000_000);
+    stage::sleep_until(start(&hall.stage) + 1_000_000_000);
     hall.routers[1].kill();
     let ended = run.ended_within(Duration::from_secs(180)).unwrap();
     hall.agree(&ended, "killed for good while it played, under a lease of 1 s");

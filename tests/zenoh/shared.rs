@@ -5,7 +5,7 @@ use std::time::Duration;
 use crate::network::{
     Relay, Router, client, fleet, lies, listening, names, outcome, sets, simulated, stage_of, track,
 };
-use crate::robots::{Ended, Process, Stage, free_port};
+use stage::{Ended, Process, Stage, free_port};
 
 /// Steps of a script, and milliseconds between two of them.
 const STEPS: u32 = 1_000;
@@ -73,7 +73,7 @@ fn a_scheduler_that_is_killed_and_started_again_publishes_anew() {
     let stage = stage_of("1s", "without", STEPS, EVERY_MS);
     let (_robots, relay) = direct(&stage, 20);
     let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
-    crate::robots::sleep_until(first.start().unwrap() + 500_000_000);
+    stage::sleep_until(first.start().unwrap() + 500_000_000);
     first.process.kill();
     let before = relay.steps();
     assert!(FOUND.contains(&before), "{before} steps");
@@ -95,7 +95,7 @@ fn two_schedulers_publish_at_the_same_time_each_for_its_robots() {
         stage.file(&file, fleet(&names(first, 10), "scheduler.json5"));
         stage.start(&["run", "play.yaml", "--fleet", &file, "--format", "json", "--patience", "30s"])
     });
-    let ended = runs.map(crate::robots::Running::ended);
+    let ended = runs.map(stage::Running::ended);
     let sets = sets(&stage, &["fleet.yaml"]);
     assert!(sets.len() == 20 && sets.values().all(|sets| sets.len() == STEPS as usize));
     for ended in &ended {

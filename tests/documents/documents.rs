@@ -1,0 +1,220 @@
+//! The documents tell the truth about the program.
+
+use std::process::Command;
+
+use downbeat_robot::{Input, LinkId, Output, Robot};
+use urrcp::Timestamp;
+
+use stage::schema::validator;
+use stage::session::{Ran, Session, program, root};
+
+fn read(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// The blocks of a document that open with this line.
+fn blocks(text: &str, opening: &str) -> Vec<String> {
+    let mut blocks = Vec::new();
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        if line.trim() == opening {
+            blocks.push(
+                lines
+                    .by_ref()
+                    .take_while(|line| line.trim() != "```")
+                    .map(|line| format!("{line}\n"))
+                    .collect(),
+            );
+        }
+    }
+    blocks
+}
+
+/// The scenarios that a document shows.
+pub fn scenarios_of(document: &str) -> Vec<String> {
+    blocks(&read(document), "```yaml scenario")
+}
+
+/// Blocks that open with "```yaml file NAME": files that the scenarios of the document use.
+fn files(text: &str) -> Vec<(String, String)> {
+    let openings = text.lines().filter(|line| line.starts_with("```yaml file "));
+    openings
+        .map(|opening| {
+            let name = opening.trim_start_matches("```yaml file ").trim().to_owned();
+            (name, blocks(text, opening.trim()).concat())
+        })
+        .collect()
+}
+
+#[test]
+fn every_scenario_in_the_documents_is_sound() {
+    let document = read("docs/scenario.md");
+    let scenarios = blocks(&document, "```yaml scenario");
+    assert!(!scenarios.is_empty(), "it shows no scenario");
+    for scenario in scenarios {
+        let session = Session::new();
+        session.file("test.yaml", &scenario);
+        for (name, content) in files(&document) {
+            session.file(&name, content);
+        }
+        let fleet = root().join("fleet.yaml");
+        let ran = session.run(&["check", "test.yaml", "--fleet", fleet.to_str().unwrap()]);
+        assert_eq!(ran.code(), 0, "{scenario}\n{}", ran.text());
+    }
+}
+
+#[test]
+fn the_table_of_findings_lists_every_code_with_its_title() {
+    let table = read("docs/findings.md");
+    for code in downbeat_scripts::Code::ALL {
+        let row = format!("| {} | {} |", code.as_str(), code.title());
+        assert!(table.contains(&row), "`{row}` is missing in docs/findings.md");
+    }
+}
+
+#[test]
+fn the_messages_in_the_protocol_document_are_messages() {
+    let document = read("docs/protocol.md");
+    let mut messages: Vec<_> = blocks(&document, "```json");
+    for exchange in blocks(&document, "```exchange") {
+        messages.extend(exchange.lines().map(|line| format!("{}\n", &line[19..])));
+    }
+    let validator = validator("protocol");
+    let mut kinds = std::collections::BTreeSet::new();
+    for text in messages {
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        kinds.extend(json.as_object().unwrap().keys().cloned());
+        assert!(validator.is_valid(&json), "{text}");
+        let message: urrcp::Message = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}:\n{text}"));
+        let mut line = Vec::new();
+        urrcp::encode(&message, &mut line);
+        assert_eq!(String::from_utf8(line).unwrap(), text, "shown as it travels");
+    }
+    assert_eq!(kinds.len(), 8, "every message is shown");
+}
+
+/// The time of day of a line in an exchange, on the day of the examples.
+fn instant(time: &str) -> Timestamp<urrcp::Robot> {
+    serde_json::from_str(&format!("\"2026-11-20T{time}Z\"")).unwrap_or_else(|e| panic!("{time}: {e}"))
+}
+
+/// Lets a robot do what is due until then, each at its own time, and notes what it says.
+fn advance(robot: &mut Robot, until: Timestamp<urrcp::Robot>, said: &mut Vec<String>) {
+    while let Some(at) = robot.next_wakeup().filter(|at| *at <= until) {
+        let mut out = Vec::new();
+        robot.advance(at, &mut out);
+        note(at, out, said);
+    }
+}
+
+fn note(at: Timestamp<urrcp::Robot>, out: Vec<Output>, said: &mut Vec<String>) {
+    for output in out {
+        let Output::Send { link, message } = output else { continue };
+        let arrow = if link == LinkId(1) { "<-" } else { "<=" };
+        let mut line = Vec::new();
+        urrcp::encode(&message, &mut line);
+        let text = String::from_utf8(line).unwrap();
+        said.push(format!("{} {arrow} {}", &at.to_string()[11..26], text.trim_end()));
+    }
+}
+
+#[test]
+fn the_exchanges_in_the_protocol_document_are_what_the_robot_says() {
+    let document = read("docs/protocol.md");
+    let block = blocks(&document, "```json").into_iter().find_map(|text| match serde_json::from_str(&text) {
+        Ok(urrcp::Message::InitializationBlock(block)) => Some(block),
+        _ => None,
+    });
+    let exchanges = blocks(&document, "```exchange");
+    assert!(exchanges.len() >= 6, "found {}", exchanges.len());
+    for exchange in exchanges {
+        let mut robot = Robot::new(block.clone().unwrap());
+        let (mut said, mut told) = (Vec::new(), Vec::new());
+        for line in exchange.lines() {
+            let at = instant(&line[..15]);
+            advance(&mut robot, at, &mut said);
+            let link = match &line[16..18] {
+                "->" => LinkId(1),
+                "=>" => LinkId(2),
+                _ => {
+                    told.push(line.to_owned());
+                    continue;
+                }
+            };
+            let message = serde_json::from_str(&line[19..]).unwrap_or_else(|e| panic!("{e}: {line}"));
+            let mut out = Vec::new();
+            robot.handle(at, link, Input::Message(message), &mut out);
+            note(at, out, &mut said);
+        }
+        assert_eq!(told.join("\n"), said.join("\n"));
+    }
+}
+
+#[test]
+fn the_hashes_in_the_protocol_document_are_those_of_their_values() {
+    let document = read("docs/protocol.md");
+    let mut hashes = 0;
+    for text in blocks(&document, "```json") {
+        let Ok(urrcp::Message::ControlRequest(request)) = serde_json::from_str(&text) else { continue };
+        let Some(stated) = request.content_hash else { continue };
+        assert_eq!(stated, request.command.content_hash());
+        hashes += 1;
+    }
+    assert_eq!(hashes, 2);
+}
+
+#[test]
+fn the_frame_in_the_document_is_the_frame_of_its_message() {
+    let document = read("docs/encoding.md");
+    let [json, dump] = ["```json", "```hex"].map(|opening| blocks(&document, opening).concat());
+    let digits = dump.lines().flat_map(|line| {
+        let words = line.split_whitespace();
+        words.take_while(|word| word.bytes().all(|byte| byte.is_ascii_hexdigit())).flat_map(str::bytes)
+    });
+    let digits: Vec<u8> = digits.collect();
+    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    let frame: Vec<u8> = digits.chunks(2).map(byte).collect();
+    let message: urrcp::Message = serde_json::from_str(&json).unwrap();
+    let mut written = Vec::new();
+    urrcp::encode_as(urrcp::Encoding::MessagePack, &message, &mut written);
+    assert_eq!(written, frame);
+    let mut decoder = urrcp::Decoder::default();
+    decoder.push(&frame);
+    assert_eq!(decoder.next_message(), Some(Ok(message)));
+}
+
+#[test]
+fn every_command_of_the_readme_exists() {
+    for line in read("README.md").lines().filter(|line| line.starts_with("downbeat ")) {
+        let words: Vec<_> = line
+            .split_whitespace()
+            .skip(1)
+            .take_while(|word| !word.starts_with('-') && !word.contains('.'))
+            .collect();
+        let help = Ran(Command::new(program()).args(&words).arg("--help").output().unwrap());
+        assert_eq!(help.code(), 0, "{line}");
+    }
+}
+
+#[test]
+fn the_description_of_a_robot_behind_an_edge_is_one() {
+    let descriptions = blocks(&read("docs/edge.md"), "```yaml edge");
+    assert_eq!(descriptions.len(), 1);
+    let session = Session::new();
+    session.file("robot.yaml", &descriptions[0]);
+    session.file("fleet.yaml", "robots: {tank-1: {init: robot.yaml, address: sim}}\n");
+    let cue = "{cue: turn, at: 0s, robots: tank-1, tracks: {turret: [{at: 0s, to: 0}, {at: 1s, to: 45}]}, read: {turret_angle: 1s}}";
+    session.file("show.yaml", format!("scenario: show\ncues:\n  - {cue}\n"));
+    session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
+}
+
+#[test]
+fn every_page_is_in_the_table_of_contents_of_the_book() {
+    let contents = read("book/SUMMARY.md");
+    for entry in std::fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") {
+            assert!(contents.contains(&format!("(docs/{name})")), "{name}");
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! Help texts at any width of the terminal: no line is longer than the terminal, and no line ends before it is full.
+
+use std::process::Command;
+
+use stage::play::SOON;
+use stage::session::program;
+use stage::terminal::Terminal;
+
+const COMMANDS: [&str; 29] = [
+    "",
+    "check",
+    "completions",
+    "conformance",
+    "diff",
+    "dry-run",
+    "edge",
+    "explain",
+    "export",
+    "fleet",
+    "fleet describe",
+    "fleet ping",
+    "fleet show",
+    "go",
+    "graph",
+    "import",
+    "init",
+    "man",
+    "missions",
+    "moves",
+    "plan",
+    "preflight",
+    "resume",
+    "robot",
+    "run",
+    "schema",
+    "sim",
+    "stop",
+    "world",
+];
+
+/// Wider terminals get no longer lines: those are hard to read.
+const WIDEST: usize = 100;
+
+/// What a command's help looks like in a terminal of so many columns.
+fn help(command: &str, option: &str, columns: u16) -> String {
+    let terminal = Terminal::new(columns, 50);
+    let watched = terminal.watch();
+    let mut program = Command::new(program());
+    program.args(command.split_whitespace()).arg(option);
+    terminal.attach(&mut program);
+    // What is read ends with a line that no help has.
+    assert!(program.env("NO_COLOR", "1").status().unwrap().success(), "{command}");
+    Command::new("echo").arg("THE END").stdout(terminal.end()).status().unwrap();
+    watched.shows("THE END", SOON);
+    let text = watched.raw().replace('\r', "");
+    text.split("THE END").next().unwrap().to_owned()
+}
+
+fn indentation(line: &str) -> usize {
+    line.len() - line.trim_start().len()
+}
+
+/// Lines of which each says something of its own: headings, lists, examples, defaults.
+fn stands_alone(line: &str) -> bool {
+    let text = line.trim_start();
+    let listed = ["- ", "[", "downbeat ", "Usage: ", "-"].iter().any(|start| text.starts_with(start));
+    listed || text.ends_with(':') || text.split("  ").count() > 1
+}
+
+#[track_caller]
+fn check_that_it_fills(command: &str, option: &str, columns: u16) {
+    let text = help(command, option, columns);
+    let width = usize::from(columns);
+    assert!(text.contains("Usage: downbeat"), "{command}: {text}");
+    for line in text.lines() {
+        // A usage is one piece.
+        let words = if line.starts_with("Usage: ") { 1 } else { line.split_whitespace().count() };
+        assert!(line.chars().count() <= width || words <= 1, "{command} at {columns}: `{line}`\n{text}");
+    }
+    let lines: Vec<&str> = text.lines().collect();
+    for pair in lines.windows(2) {
+        let (line, next) = (pair[0], pair[1]);
+        let together = !line.trim().is_empty() && !next.trim().is_empty();
+        // Within examples and lists, which are indented by two, each line is an entry.
+        let paragraph = indentation(line) == indentation(next) && indentation(line) != 2;
+        if !together || !paragraph || stands_alone(line) || stands_alone(next) {
+            continue;
+        }
+        let word = next.split_whitespace().next().unwrap_or_default();
+        let full = line.chars().count() + 1 + word.chars().count() > width.min(WIDEST);
+        assert!(full, "{command} {option} at {columns}: `{word}` would fit behind `{line}`\n{text}");
+    }
+}
+
+#[test]
+fn help_fills_the_terminal_and_goes_no_further() {
+    let left = std::sync::Mutex::new(COMMANDS.iter());
+    let work = || {
+        while let Some(command) = { left.lock().unwrap().next() } {
+            for columns in [40, 60, 80, 100, 200] {
+                check_that_it_fills(command, "--help", columns);
+                check_that_it_fills(command, "-h", columns);
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..4).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().for_each(|worker| worker.join().unwrap());
+    });
+}

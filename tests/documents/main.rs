@@ -1,0 +1,11 @@
+//! README, docs, schemas, examples and vectors are true.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+mod documents;
+mod examples;
+mod first_steps;
+mod help;
+mod schema;
+mod tied;
+mod vectors;

@@ -1,0 +1,163 @@
+//! The vectors of the protocol, through our own decoder, encoder and robot, and through the published schema.
+
+use std::fs;
+
+use downbeat_robot::{Input, LinkId, Output, Robot};
+use serde::Deserialize;
+use serde_json::Value;
+use urrcp::{ControlError, DecodeError, Decoder, Encoding, Message, Status, Timestamp};
+
+use stage::schema::validator;
+use stage::session::root;
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Vector {
+    file: String,
+    verdict: String,
+    code: Option<String>,
+    written: Option<String>,
+    device_id: Option<String>,
+    request_id: Option<String>,
+    schema: Option<String>,
+    why: String,
+}
+
+impl Vector {
+    fn bytes(&self) -> Vec<u8> {
+        fs::read(root().join("tests/vectors").join(&self.file))
+            .unwrap_or_else(|e| panic!("{}: {e}", self.file))
+    }
+
+    #[track_caller]
+    fn message(&self) -> Message {
+        decode(&self.bytes()).unwrap_or_else(|error| panic!("{}: {error}", self.file))
+    }
+}
+
+fn vectors() -> Vec<Vector> {
+    let index = fs::read_to_string(root().join("tests/vectors/index.json")).unwrap();
+    serde_json::from_str(&index).unwrap()
+}
+
+fn decode(bytes: &[u8]) -> Result<Message, DecodeError> {
+    let mut decoder = Decoder::default();
+    decoder.push(bytes);
+    let decoded = decoder.next_message().unwrap();
+    assert!(decoder.next_message().is_none(), "one line");
+    decoded
+}
+
+fn written(message: &Message) -> String {
+    let mut line = Vec::new();
+    urrcp::encode(message, &mut line);
+    String::from_utf8(line).unwrap()
+}
+
+#[test]
+fn every_file_is_listed_once() {
+    let mut listed: Vec<String> = vectors().into_iter().map(|vector| vector.file).collect();
+    let mut found = vec!["robot.json".to_owned()];
+    for folder in ["valid", "invalid", "requests"] {
+        for entry in fs::read_dir(root().join("tests/vectors").join(folder)).unwrap() {
+            found.push(format!("{folder}/{}", entry.unwrap().file_name().display()));
+        }
+    }
+    listed.sort();
+    found.sort();
+    assert_eq!(listed, found);
+}
+
+#[test]
+fn valid_messages_are_read_and_written_again() {
+    for vector in vectors().into_iter().filter(|vector| vector.verdict == "valid") {
+        let text = written(&vector.message());
+        let expected = match &vector.written {
+            Some(written) => format!("{written}\n").into_bytes(),
+            None => vector.bytes(),
+        };
+        assert_eq!(text, String::from_utf8(expected).unwrap(), "{}: {}", vector.file, vector.why);
+    }
+}
+
+#[test]
+fn valid_messages_are_the_same_in_the_compact_encoding() {
+    for vector in vectors().into_iter().filter(|vector| vector.code.is_none()) {
+        let message = vector.message();
+        let mut frame = Vec::new();
+        urrcp::encode_as(Encoding::MessagePack, &message, &mut frame);
+        assert_eq!(frame[0], 0xC1, "{}", vector.file);
+        assert_eq!(decode(&frame), Ok(message), "{}: {}", vector.file, vector.why);
+    }
+}
+
+#[test]
+fn invalid_lines_are_refused_and_say_whom_an_answer_concerns() {
+    let mut wrong = Vec::new();
+    for vector in vectors().into_iter().filter(|vector| vector.verdict == "invalid") {
+        let (file, why) = (&vector.file, &vector.why);
+        assert_eq!(vector.code.as_deref(), Some("malformed"), "{file}");
+        match decode(&vector.bytes()) {
+            Ok(message) => wrong.push(format!("{file}, {why}: read as {message:?}")),
+            Err(error) => {
+                let device_id = error.device_id.as_ref().map(ToString::to_string);
+                let request_id = error.request_id.as_ref().map(ToString::to_string);
+                if (device_id, request_id) != (vector.device_id.clone(), vector.request_id.clone()) {
+                    wrong.push(format!("{file}, {why}: {error:?}"));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn the_schema_agrees() {
+    let validator = validator("protocol");
+    let mut wrong = Vec::new();
+    for vector in vectors() {
+        let expected = vector.schema.as_deref().unwrap_or("accepts");
+        let verdict = match serde_json::from_slice::<Value>(&vector.bytes()) {
+            Err(_) => "unreadable",
+            Ok(document) if validator.is_valid(&document) => "accepts",
+            Ok(_) => "refuses",
+        };
+        if verdict != expected {
+            wrong.push(format!("{}, {}: {verdict}, not {expected}", vector.file, vector.why));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn the_robot_answers_the_requests_as_listed() {
+    let robot = vectors().into_iter().find(|vector| vector.file == "robot.json").unwrap();
+    let Message::InitializationBlock(block) = robot.message() else { panic!("robot.json is no block") };
+    let now: Timestamp<urrcp::Robot> = serde_json::from_str("\"2026-11-20T19:00:00.001Z\"").unwrap();
+    for vector in vectors().into_iter().filter(|vector| vector.file.starts_with("requests/")) {
+        let mut out = Vec::new();
+        Robot::new(block.clone()).handle(now, LinkId(1), Input::Message(vector.message()), &mut out);
+        let (status, error) = first_answer(&out);
+        let code = error.as_ref().map(|error| error.code.to_string());
+        assert_eq!(
+            (status.to_string(), code),
+            (vector.verdict, vector.code),
+            "{}: {}",
+            vector.file,
+            vector.why
+        );
+    }
+}
+
+fn first_answer(out: &[Output]) -> (&Status, &Option<ControlError>) {
+    let mut answers = out.iter().filter_map(|output| match output {
+        Output::Send { message: Message::ControlResponse(response), .. } => {
+            Some((&response.status, &response.error))
+        }
+        Output::Send { message: Message::InquiryResponse(response), .. } => {
+            Some((&response.status, &response.error))
+        }
+        _ => None,
+    });
+    answers.next().unwrap()
+}

@@ -1,0 +1,138 @@
+//! Worlds and trials as a user meets them: what they print, their exit codes, and mistakes in world files.
+
+use serde_json::Value;
+
+use stage::session::Session;
+
+const WORLD: &str = "world: friday
+links: {all: {delay: 0.5ms, jitter: 0.3ms}}
+clocks: {arms: {error: 1ms}}
+incidents: [{robot: left, what: refuses, probability: 20%}]
+";
+
+fn session(require: &str) -> Session {
+    let session = Session::new();
+    session.file(
+        "fleet.yaml",
+        "robots: {left: {init: arm.yaml, address: sim}, right: {init: arm.yaml, address: sim}}
+groups: {arms: [left, right]}\n",
+    );
+    session.file(
+        "show.yaml",
+        format!("scenario: show\n{require}start_tolerance: 20ms\ncues: [{{robots: arms, tracks: {{shoulder: [{{at: 1s, to: 45}}]}}}}]\n"),
+    );
+    session.file("world.yaml", WORLD);
+    session
+}
+
+const TRIALS: [&str; 7] =
+    ["dry-run", "show.yaml", "--world", "world.yaml", "--trials", "100", "--format=json"];
+
+#[test]
+fn trials_say_how_likely_the_mission_starts_and_what_keeps_it_from_that() {
+    let session = session("");
+    let ran = session.run(&TRIALS[..6]);
+    ran.says(0, &["100 trials in the world `friday`, seed 0: show", "start", "busy", "weakest robot: left"]);
+    let results = session.run(&TRIALS).json();
+    let (starts, aborts) = (&results["starts"]["count"], &results["aborts"]["count"]);
+    assert_eq!(starts.as_u64().unwrap() + aborts.as_u64().unwrap(), 100);
+    assert!((5..=40).contains(&aborts.as_u64().unwrap()), "{aborts}");
+    assert_eq!(results["each"].as_array().unwrap().len(), 100);
+    assert_eq!(results["weakest_robot"], "left");
+}
+
+#[test]
+fn the_same_seed_prints_the_same_bytes_and_another_one_others() {
+    let session = session("");
+    let printed = |seed: &str| session.run(&[&TRIALS[..], &["--seed", seed]].concat()).out();
+    assert_eq!(printed("7"), printed("7"));
+    assert_ne!(printed("7"), printed("8"));
+}
+
+#[test]
+fn a_trial_that_failed_is_played_again_alone_with_a_page() {
+    let session = session("");
+    let results = session.run(&TRIALS).json();
+    let of = |outcome: &str| {
+        let each = results["each"].as_array().unwrap();
+        let trial = each.iter().find(|trial| trial["outcome"] == outcome).unwrap();
+        (trial["trial"].to_string(), trial["spread_ms"].clone())
+    };
+    let again = |trial: &str| {
+        session.run(&[
+            "dry-run",
+            "show.yaml",
+            "--world",
+            "world.yaml",
+            "--trial",
+            trial,
+            "--html",
+            "t.html",
+            "--format=json",
+        ])
+    };
+    let (done, spread) = of("done");
+    let ran = again(&done);
+    assert_eq!((ran.code(), &ran.json()["true_spread_ms"]), (0, &spread));
+    let (failed, _) = of("not_started");
+    let ran = again(&failed);
+    assert_eq!((ran.code(), &ran.json()["outcome"]), (1, &Value::from("not_started")));
+    assert!(session.path("t.html").is_file());
+}
+
+#[test]
+fn what_is_required_of_trials_decides_the_exit_code() {
+    let strict = session("require: {finishes: above 99%, spread_p99: below 5ms}\n");
+    strict.run(&TRIALS[..6]).says(1, &["finishes", "NOT MET", "1 of 2 requirements NOT met"]);
+    let mild = session("require: {finishes: above 50%, spread_p99: below 5ms}\n");
+    mild.run(&TRIALS[..6]).says(0, &["finishes", "met", "spread_p99"]);
+}
+
+#[test]
+fn without_a_world_trials_meet_what_the_fleet_file_says() {
+    let session = session("");
+    let ran = session.run(&["dry-run", "show.yaml", "--trials", "20"]);
+    ran.says(0, &["20 trials in the world of the fleet file", "100 %"]);
+}
+
+#[test]
+fn mistakes_in_a_world_are_findings_with_their_place() {
+    let session = session("");
+    session.file(
+        "world.yaml",
+        "world: w\nlinks:\n  lefty: {delay: 1ms}\n  right: {delay: -3ms, loss: 150%}\nincidents: [{robot: left, what: dies, act: second}]\n",
+    );
+    let ran = session.run(&TRIALS[..6]);
+    ran.says(
+        1,
+        &[
+            "world.yaml:3:3",
+            "no robot or group `lefty` in the fleet",
+            "did you mean `left`?",
+            "world.yaml:4:18",
+            "found `150%`",
+            "a probability from 0% to 100%",
+            "no act `second`",
+        ],
+    );
+    session.run(&["dry-run", "show.yaml", "--world", "none.yaml"]).says(2, &["none.yaml"]);
+    session
+        .run(&["dry-run", "show.yaml", "--world", "fleet.yaml"])
+        .says(1, &["this is a fleet file, not a world file"]);
+    session.run(&["dry-run", "show.yaml", "--trials", "0"]).says(2, &["--trials"]);
+}
+
+#[test]
+fn files_that_are_no_worlds_are_refused_in_a_sentence() {
+    let session = session("");
+    for (content, says) in [
+        (b"\xff\xfe\x00binary".as_slice(), "UTF-8"),
+        (b"", "world"),
+        (b"[1, 2]", "world"),
+        (b"world: w\nlinks: [", "world.yaml:2"),
+    ] {
+        session.file("world.yaml", content);
+        let ran = session.run(&TRIALS[..6]);
+        assert!([1, 2].contains(&ran.code()) && ran.text().contains(says), "{says}: {}", ran.text());
+    }
+}

@@ -1,0 +1,504 @@
+//! `downbeat import`, from other people's files to a scenario that passes `downbeat check`.
+
+use stage::session::{Ran, Session, program, root};
+
+fn fixture(name: &str) -> String {
+    root().join("tests/fixtures/import").join(name).display().to_string()
+}
+
+fn import(session: &Session, args: &[&str]) -> Ran {
+    session.run(&[&["import"], args].concat())
+}
+
+/// Imports a text and expects a finding.
+#[track_caller]
+fn check(format: &str, text: impl AsRef<[u8]>, code: i32, parts: &[&str]) {
+    let session = Session::new();
+    session.file("test.csv", text);
+    let ran = import(&session, &[format, "test.csv"]);
+    ran.says(code, parts);
+    assert_eq!(ran.out(), "", "nothing is half imported");
+}
+
+#[track_caller]
+fn check_csv(text: &str, parts: &[&str]) {
+    let session = Session::new();
+    session.file("test.csv", text);
+    import(&session, &["csv", "test.csv", "--time-unit", "s", "--map", "arm/a=a"]).says(1, parts);
+}
+
+/// Imports into a folder, and checks what is there.
+#[track_caller]
+fn check_round_trip(args: &[&str], figures: &str) {
+    let session = Session::new();
+    import(&session, &[args, &["--output", "out"]].concat()).says(0, &["wrote out/scenario.yaml"]);
+    session.run(&["check", "out/scenario.yaml"]).says(0, &[figures]);
+}
+
+#[test]
+fn polynomial_pieces_become_a_scenario_that_passes() {
+    let swap = fixture("swap");
+    check_round_trip(&["crazyswarm", &swap], "no errors, 2 robots, 8 devices, ");
+    check_round_trip(&["crazyswarm", &swap, "--rate", "50"], "1712 steps, 4.25 s");
+    let session = Session::new();
+    let ran = import(&session, &["crazyswarm", &swap, "--robots", "left,right"]);
+    ran.says(
+        0,
+        &[
+            "# Imported from crazyswarm swap.",
+            "scenario: swap",
+            "robots: left",
+            "x:\n        polynomial:\n          - {for: 250ms, coefficients: [",
+        ],
+    );
+    let sampled = import(&session, &["crazyswarm", &swap, "--rate", "4"]);
+    sampled.says(0, &["- {at: 250ms, to: -3.300855}", "without --rate the curve itself is kept"]);
+}
+
+/// Every number of a line.
+fn numbers(line: &str, separators: &[char]) -> Vec<f64> {
+    line.split(separators).filter_map(|cell| cell.trim().parse().ok()).collect()
+}
+
+#[test]
+fn a_curve_arrives_with_the_coefficients_of_its_file() {
+    let file = fixture("swap/pp1.csv");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let written = import(&Session::new(), &["crazyswarm", &file]).out();
+    let mut pieces: Vec<Vec<f64>> = Vec::new();
+    for axis in 0..4 {
+        for line in text.lines().skip(1) {
+            let cells = numbers(line, &[',']);
+            let mut own = cells[1 + 8 * axis..9 + 8 * axis].to_vec();
+            while own.len() > 1 && own.last() == Some(&0.0) {
+                own.pop();
+            }
+            pieces.push(own);
+        }
+    }
+    let lines = written.lines().filter_map(|line| line.trim().strip_prefix("- {for: 250ms, coefficients: "));
+    let found: Vec<_> = lines.map(|line| numbers(line, &['[', ']', '}', ','])).collect();
+    assert_eq!(found, pieces);
+}
+
+#[test]
+fn the_steps_of_a_curve_stay_within_its_tolerance() {
+    let session = Session::new();
+    import(&session, &["crazyswarm", &fixture("swap"), "--output", "out"]).says(0, &[]);
+    let plan = session.run(&["plan", "out/scenario.yaml", "--format", "json"]);
+    plan.says(0, &[]);
+    let worst = largest(&plan.json(), "worst_error");
+    assert!(worst > 0.0 && worst <= 0.001 + 1e-9, "{worst}");
+}
+
+/// The largest number under a key, anywhere in a document.
+fn largest(node: &serde_json::Value, key: &str) -> f64 {
+    let inner = |value: &serde_json::Value| largest(value, key);
+    match node {
+        serde_json::Value::Array(items) => items.iter().map(inner).fold(0.0, f64::max),
+        serde_json::Value::Object(entries) => {
+            let own = entries.get(key).and_then(serde_json::Value::as_f64).unwrap_or(0.0);
+            entries.values().map(inner).fold(own, f64::max)
+        }
+        _ => 0.0,
+    }
+}
+
+#[test]
+fn the_unit_of_times_is_read_or_asked_for() {
+    let session = Session::new();
+    let millis = ["Time [msec]", "time (ms)", "t_ms", "t/ms", "timeMs", "milliseconds"];
+    for header in millis {
+        session.file("log.csv", format!("{header},a\n0,1\n95750,2\n"));
+        import(&session, &["csv", "log.csv", "--time", "1", "--map", "arm/a=a"]).says(0, &["at: 95750ms"]);
+    }
+    for (header, part) in
+        [("t", "nothing says in which unit"), ("t [jiffies]", "not known"), ("sec.nsec", "not known")]
+    {
+        session.file("log.csv", format!("{header},a\n0,1\n2,2\n"));
+        let args = ["csv", "log.csv", "--time", "1", "--map", "arm/a=a"];
+        import(&session, &args).says(1, &["DB0062", "log.csv:1:1", part, "--time-unit s"]);
+        import(&session, &[&args[..], &["--time-unit", "min"]].concat()).says(0, &["at: 120s"]);
+        import(&session, &[&args[..], &["--time-unit", "4fps"]].concat()).says(0, &["at: 500ms"]);
+        import(&session, &[&args[..], &["--time-unit", "furlongs"]].concat()).says(2, &["hh:mm:ss"]);
+    }
+}
+
+#[test]
+fn a_drone_show_becomes_a_scenario_that_passes() {
+    let show = fixture("two_drones.skyc");
+    check_round_trip(&["skybrush", &show], "no errors, 2 robots, 9 devices, ");
+    import(&Session::new(), &["skybrush", &fixture("cheering.json")])
+        .says(2, &["DB0001", "this is not a ZIP archive"]);
+}
+
+#[test]
+fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
+    check_round_trip(
+        &["webots", &fixture("hand_high.motion")],
+        "no errors, 1 robot, 3 devices, 18 steps, 6 s",
+    );
+    check_round_trip(&["bvh", &fixture("nod.bvh")], "no errors, 1 robot, 9 devices, 549 steps, 2 s");
+    check_round_trip(&["midi", &fixture("beat.mid")], "no errors, 1 robot, 3 devices, 22 steps, 3.929 s");
+    check_round_trip(&["mcap", &fixture("arm.mcap")], "no errors, 1 robot, 2 devices, 202 steps, 2 s");
+    let star = fixture("star.fseq");
+    check_round_trip(
+        &["fseq", &star, "--map", "star/lamp=1,2,3"],
+        "no errors, 1 robot, 1 device, 40 steps, 975 ms",
+    );
+    import(&Session::new(), &["webots", &star, "--map", "a/b=c"])
+        .says(2, &["--map is an option of csv and fseq only"]);
+}
+
+#[test]
+fn a_description_becomes_a_robot_that_a_scenario_can_use() {
+    let session = Session::new();
+    let urdf = fixture("06-flexible.urdf");
+    import(&session, &["urdf", &urdf])
+        .says(0, &["id: visual", "  - id: gripper_extension", "min_value: -0.38", "8 devices"]);
+    import(&session, &["urdf", &urdf, "--kind", "r2d2", "--output", "out"])
+        .says(0, &["wrote out/robots/r2d2.yaml"]);
+    session.file("out/scenario.yaml", "scenario: s\nfleet: fleet.yaml\ncues:\n  - robots: r2d2\n    tracks: {gripper_extension: [{at: 0s, to: 0}, {at: 500ms, to: -0.3}]}\n");
+    session.run(&["check", "out/scenario.yaml"]).says(1, &["0.6", "0.5"]);
+    session.file("out/scenario.yaml", "scenario: s\nfleet: fleet.yaml\ncues:\n  - robots: r2d2\n    tracks: {gripper_extension: [{at: 0s, to: 0}, {at: 1s, to: -0.3}]}\n");
+    session.run(&["check", "out/scenario.yaml"]).says(0, &["no errors"]);
+    let json = import(&session, &["urdf", &urdf, "--format", "json"]).json();
+    assert_eq!((&json["devices"], json["text"].is_string()), (&8.into(), true));
+    import(&session, &["urdf", &urdf, &urdf]).says(2, &["one file at a time"]);
+}
+
+#[test]
+fn clock_times_are_read_where_only_one_reading_fits() {
+    let session = Session::new();
+    let args = ["csv", "log.csv", "--time", "t", "--map", "arm/a=a"];
+    session.file("log.csv", "t,a\n00:00:000,1\n01:02:345,2\n");
+    import(&session, &args).says(0, &["at: 62345ms"]);
+    session.file("log.csv", "t,a\n00:00:00.000,1\n01:00:01.500,2\n");
+    import(&session, &args).says(0, &["at: 3601500ms"]);
+    session.file("log.csv", "t,a\n00:00:00,1\n00:01:30,2\n");
+    import(&session, &args).says(1, &["DB0062", "hh:mm:ss or mm:ss:ms", "--time-unit"]);
+    import(&session, &[&args[..], &["--time-unit", "mm:ss:ms"]].concat()).says(0, &["at: 1030ms"]);
+    session.file("log.csv", "t,a\n00:00:00.5,1\n00:61:30.0,2\n");
+    import(&session, &args).says(1, &["DB0061", "log.csv:3:1", "the time is `00:61:30.0`"]);
+}
+
+#[test]
+fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
+    let session = Session::new();
+    std::fs::create_dir(session.path("show")).unwrap();
+    for drone in [1, 2, 10] {
+        let text = format!(
+            "Time [msec],x [m],y [m],z [m],Red,Green,Blue\n0,{drone},0,0,0,0,0\n500,{drone},0,1,255,0,0\n1000,{drone},0,2,255,0,0\n1500,{drone},1,2,0,0,255\n"
+        );
+        session.file(&format!("show/Drone {drone}.csv"), text);
+    }
+    let maps = ["--map", "x=x", "--map", "y=y", "--map", "z=z", "--map", "lamp=Red,Green,Blue"];
+    let args = [&["csv", "show", "--time", "Time"][..], &maps].concat();
+    let ran = import(&session, &args);
+    let all =
+        ["3 files, a robot each", "3 robots, 1 scene", "- cue: Drone 1\n", "- {at: 500ms, to: [255, 0, 0]}"];
+    ran.says(0, &all);
+    ran.says(0, &["`lamp` of `Drone 2` does not change in 1 line: left out"]);
+    assert!(ran.out().find("- cue: Drone 2\n") < ran.out().find("- cue: Drone 10\n"));
+    assert!(!ran.out().contains("at: 1s, to: [255, 0, 0]"));
+    import(&session, &[&args[..], &["--output", "out"]].concat()).says(0, &[]);
+    session
+        .run(&["check", "out/scenario.yaml"])
+        .says(0, &["no errors, 3 robots, 12 devices, 45 steps, 1.5 s"]);
+    import(&session, &[&args[..6], &["--map", "arm/y=y"]].concat())
+        .says(2, &["name a robot in every --map, or in none"]);
+}
+
+#[test]
+fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
+    let session = Session::new();
+    session.file("log.csv", "t [s],channel 1,channel 2,note\n0,1,350,5\n1,2,10,6\n");
+    let args = ["csv", "log.csv", "--map", "arm/ch*=channel *", "--unwrap", "ch2=360", "--hold", "ch1"];
+    import(&session, &args).says(
+        0,
+        &[
+            "ch1:\n        - {at: 0s, to: 1, ease: step}",
+            "ch2:\n        - {at: 0s, to: 350}\n        - {at: 1s, to: 370}",
+            "left out 1 column that nothing maps: `note`",
+            "`ch2` goes on past 360: 1 turn",
+        ],
+    );
+    import(&session, &["csv", "log.csv", "--map", "arm/ch*=canal *"])
+        .says(1, &["DB0060", "no column `canal *`"]);
+    import(&session, &["csv", "log.csv", "--map", "arm/ch*=note"]).says(1, &["DB0060", "no column `note`"]);
+}
+
+#[test]
+fn a_star_alone_takes_every_column_that_is_not_named_and_its_robot_from_the_name() {
+    let session = Session::new();
+    session.file(
+        "show.csv",
+        "Time [ms],a/x [m],a/Red,a/Green,a/Blue,b/x [m],b/lid.rx [deg]\n0,0,1,2,3,4,5\n500,1,2,3,4,5,6\n",
+    );
+    let args = ["csv", "show.csv", "--time", "Time [ms]", "--map", "*=*"];
+    let lamp = ["--map", "*/lamp=*/Red,*/Green,*/Blue", "--output", "out"];
+    import(&session, &[&args[..], &lamp].concat()).says(0, &["2 robots, 1 scene, 8 steps"]);
+    let text = std::fs::read_to_string(session.path("out/scenario.yaml")).unwrap();
+    assert!(text.contains("lamp:\n        - {at: 0s, to: [1, 2, 3]}"), "{text}");
+    assert!(text.contains("lid.rx:\n        - {at: 0s, to: 5}"), "{text}");
+    assert!(!text.contains("Red"), "{text}");
+    session.run(&["check", "out/scenario.yaml"]).says(0, &["no errors, 2 robots, 4 devices"]);
+}
+
+#[test]
+fn a_table_with_too_many_columns_is_only_told_that() {
+    let session = Session::new();
+    let header: Vec<String> = (0..40_000).map(|index| format!("ch{index}")).collect();
+    let row = vec!["1"; 40_000].join(",");
+    session.file("wide.csv", format!("t [s],{}\n0,{row}\n1,{row}\n", header.join(",")));
+    let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=ch*"]);
+    ran.says(1, &["DB0068", "up to 40000 devices", "at most 10000 robots of 1000 devices"]);
+    assert!(!ran.text().contains("left out"), "{}", ran.text());
+    let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=chan*"]);
+    assert!(!ran.text().contains("left out"), "{}", ran.text());
+}
+
+#[test]
+fn json_of_millions_of_short_values_is_refused_before_it_takes_any_memory() {
+    let text = |count: usize| format!("{{\"keyframes\": [{}1]}}", "1,".repeat(count));
+    check(
+        "bitbots",
+        text(3_000_000),
+        1,
+        &["DB0068", "the file has 3000000 commas", "at most 1000000 values"],
+    );
+    check("bitbots", text(10_000), 1, &["DB0003", "found the number 1"]);
+}
+
+#[test]
+fn folders_become_acts_in_numerical_order_or_one_list() {
+    let session = Session::new();
+    let sequence = fixture("sequence");
+    let ran = import(&session, &["crazyswarm", &sequence]);
+    ran.says(0, &["sorted 2 scenes by number", "  - act: scene 9\n    cues:\n      - cue: cf1"]);
+    assert!(ran.out().find("act: scene 9") < ran.out().find("act: scene 18"));
+    check_round_trip(&["crazyswarm", &sequence, "--join"], "2 robots, 8 devices");
+}
+
+#[test]
+fn a_trajectory_with_more_pieces_than_a_robot_holds_is_found() {
+    let session = Session::new();
+    let traj0 = fixture("traj0.csv");
+    import(&session, &["crazyswarm", &traj0]).says(
+        1,
+        &["DB0065", "traj0.csv:33:1", "has 32 pieces", "at most 31 pieces", "4 KB for pieces of 132 bytes"],
+    );
+    import(&session, &["crazyswarm", &traj0, "--max-pieces", "32"])
+        .says(0, &["note: ", "`x` jumps by 0.2943 m where two pieces meet"]);
+}
+
+#[test]
+fn waypoints_may_leave_lines_out() {
+    check_round_trip(&["waypoints", &fixture("waypoints.csv")], "3 robots, 9 devices, 24 steps, 4 s");
+    let ran = import(&Session::new(), &["waypoints", &fixture("waypoints.csv")]);
+    ran.says(0, &["`cf2` has 2 waypoints where others have 3"]);
+}
+
+#[test]
+fn keyframes_of_humanoids_are_held_for_their_pauses_and_where_joints_are_left_out() {
+    let cheering = fixture("cheering.json");
+    check_round_trip(&["bitbots", &cheering], "1 robot, 20 devices, 240 steps, 12 s");
+    let json = import(&Session::new(), &["bitbots", &cheering, "--format", "json"]).json();
+    assert_eq!(
+        (&json["steps"], &json["held"], &json["duration_ms"]),
+        (&240.into(), &120.into(), &12_000.into())
+    );
+    assert!(json["notes"][0].as_str().unwrap().ends_with("cheering.json: held 6 pauses"));
+    import(&Session::new(), &["bitbots", &fixture("turning_front_left.json")]).says(
+        0,
+        &["not in the first keyframe, so on their way from the start: `RShoulderPitch`, `RShoulderRoll`"],
+    );
+}
+
+#[test]
+fn every_motion_of_a_file_is_a_scene() {
+    let motions = fixture("tiago_motions_no-arm.yaml");
+    check_round_trip(&["play-motion2", &motions, "--join"], "1 robot, 3 devices, 17 steps, 24 s");
+    check_round_trip(&["play-motion2", &motions, "--only", "head_tour"], "2 devices, 16 steps, 21 s");
+    import(&Session::new(), &["play-motion2", &motions, "--only", "head_tuor"])
+        .says(1, &["DB0067", "no scene `head_tuor`", "did you mean `head_tour`?"]);
+}
+
+#[test]
+fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
+    let session = Session::new();
+    let yaml = "joint_names: [elbow]\npoints:\n- {positions: [0], velocities: [0], time_from_start: 0}\n- {positions: [1], velocities: [0], time_from_start: {sec: 1, nanosec: 0}}\n";
+    session.file("move.yaml", yaml);
+    let straight = import(&session, &["joint-trajectory", "move.yaml"]);
+    straight
+        .says(0, &["the cubic of its positions and velocities", "the robot must be there when it starts"]);
+    straight.says(0, &["polynomial:\n          - {for: 1s, coefficients: [0, 0, 3, -2]}"]);
+    session
+        .file("late.yaml", yaml.replace("time_from_start: 0}", "time_from_start: 0.5, accelerations: [1]}"));
+    let late = import(&session, &["joint-trajectory", "late.yaml"]);
+    late.says(0, &["velocities are left out", "left out accelerations and efforts of 1 point"]);
+    let curved = import(&session, &["joint-trajectory", "move.yaml", "--rate", "4"]);
+    curved.says(0, &["- {at: 250ms, to: 0.15625}", "- {at: 500ms, to: 0.5}", "- {at: 750ms, to: 0.84375}"]);
+    session.file("move.json", "{\"joint_names\": [\"elbow\"], \"points\": [{\"positions\": [0.5], \"time_from_start\": {\"secs\": 1, \"nsecs\": 500000000}}]}");
+    import(&session, &["joint-trajectory", "move.json"]).says(0, &["- {at: 1500ms, to: 0.5}"]);
+}
+
+#[test]
+fn any_csv_is_read_through_a_map_of_columns() {
+    let session = Session::new();
+    session.file("log.csv", "ms;elbow[rad];x\n0;0.5;1\n100;;2\n200;1.5;3\n");
+    let args = ["csv", "log.csv", "--time", "ms", "--map", "arm/elbow=elbow", "--map", "arm/x=3"];
+    let scaled = ["--scale", "x=0.001", "--scale", "elbow=2"];
+    import(&session, &[&args[..], &scaled].concat()).says(
+        0,
+        &[
+            "`elbow` of `arm` moves straight through 1 empty cell",
+            "{at: 200ms, to: 3}",
+            "{at: 200ms, to: 0.003}",
+        ],
+    );
+    import(&session, &["csv", "log.csv", "--time", "sm", "--map", "arm/x=x"])
+        .says(1, &["DB0060", "log.csv:1:1", "no column `sm`", "did you mean `ms`?"]);
+    import(&session, &["csv", "log.csv"]).says(2, &["add --map"]);
+}
+
+#[test]
+fn times_that_collide_are_found_with_both() {
+    // The times of moveit's issue 3583.
+    let times = ["0", "0.076080427", "0.207295897", "0.331884750", "0.372734245", "0.372734245"];
+    let points: String =
+        times.iter().map(|t| format!("- {{positions: [1], time_from_start: {t}}}\n")).collect();
+    let text = format!("joint_names: [a]\npoints:\n{points}");
+    check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "the time 0.372734245 s appears twice"]);
+    check_csv("t,a\n0.3727,1\n0.3731,2\n", &["DB0063", "test.csv:3:1", "both are 373 ms"]);
+    check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s comes after 2 s"]);
+    let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
+    check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has the duration 0"]);
+}
+
+#[test]
+fn wrong_tables_are_found_all_at_once() {
+    let text = "id,x[m],y[m],z[m],t[s]\n1,0,nan,1,0\n1,0,1\n1,zero,1,1,2\n1,inf,1,1,-3\n";
+    let parts = [
+        "DB0061",
+        "test.csv:2:5",
+        "`y` is NaN",
+        "DB0060",
+        "test.csv:3:6",
+        "line 3 has 3 columns, not 5",
+        "test.csv:4:3",
+        "`x` is the text `zero`",
+        "`x` is inf",
+        "DB0062",
+        "the time is -3 s",
+        "5 errors",
+    ];
+    check("waypoints", text, 1, &parts);
+    check(
+        "waypoints",
+        "id,x[m],y[m],z[K],t[s]\n",
+        1,
+        &["DB0060", "test.csv:1:14", "column 4 of the header is `z[K]`"],
+    );
+    check("crazyswarm", "a,b\n1,2\n", 1, &["DB0060", "test.csv:1:1", "expected `duration`"]);
+    check("crazyswarm", [0u8, 159, 146, 150], 2, &["DB0001", "not a text file"]);
+    for format in ["crazyswarm", "waypoints"] {
+        check(format, "", 1, &["DB0060", "the file is empty"]);
+    }
+    for format in ["joint-trajectory", "play-motion2", "bitbots"] {
+        check(format, "", 1, &["DB0002", "the file is empty", "docs/import.md"]);
+    }
+    let junk = format!("id,x[m],y[m],z[m],t[s]\n{}", "a\n".repeat(5_000));
+    check("waypoints", junk, 1, &["more than 100 findings", "101 errors"]);
+}
+
+#[test]
+fn wrong_trees_are_found_in_their_lines() {
+    let lists =
+        "motions:\n  up:\n    joints: [a, b]\n    positions: [1, 2, 3]\n    times_from_start: [1, 2]\n";
+    check(
+        "play-motion2",
+        lists,
+        1,
+        &["DB0066", "test.csv:4:16", "3 positions for 2 joints at 2 times", "2 x 2 = 4"],
+    );
+    let tags = "joint_names: !!python/tuple [a]\npoints: [{positions: [!degrees 90], time_from_start: 1}]\n";
+    check(
+        "joint-trajectory",
+        tags,
+        1,
+        &["DB0064", "test.csv:1:14", "`!python/tuple`", "`!degrees`", "2 errors"],
+    );
+    let infinite = "joint_names: [a]\npoints: [{positions: [.inf], time_from_start: 1}]\n";
+    check("joint-trajectory", infinite, 1, &["DB0061", "test.csv:2:23", "a finite number"]);
+    check("bitbots", "{\"keyframes\": [{\"goals\": {}}]}", 1, &["DB0006", "keyframe 1 has no `duration`"]);
+}
+
+#[test]
+fn devices_that_the_robot_lacks_are_found() {
+    let session = Session::new();
+    session.file("log.csv", "t[s],a\n0,1\n1,2\n");
+    import(&session, &["csv", "log.csv", "--map", "left/sholder=a", "--init", "arm.yaml"])
+        .says(1, &["DB0009", "`arm` has no device `sholder`", "did you mean `shoulder`?"]);
+    import(
+        &session,
+        &["csv", "log.csv", "--map", "left/shoulder=a", "--init", "arm.yaml", "--output", "out"],
+    )
+    .says(0, &["`shoulder` is taken to be in deg"]);
+    assert_eq!(std::fs::read_to_string(session.path("out/robots/arm.yaml")).unwrap(), stage::session::ARM);
+    session.run(&["check", "out/scenario.yaml"]).says(0, &["1 robot, 1 device, 2 steps, 1 s"]);
+    import(&session, &["csv", "log.csv", "--map", "left/shoulder=a", "--init", "none.yaml"])
+        .says(2, &["DB0001"]);
+}
+
+#[test]
+fn values_off_the_grid_are_to_be_snapped() {
+    let session = Session::new();
+    session.file("log.csv", "t[s],a\n0,1\n1,2.25\n");
+    let args = ["csv", "log.csv", "--map", "left/shoulder=a"];
+    import(&session, &[&args[..], &["--init", "arm.yaml"]].concat()).says(0, &["\noff_grid: snap"]);
+    assert!(!import(&session, &args).out().contains("off_grid"));
+}
+
+#[test]
+fn files_that_are_there_stay_unless_forced() {
+    let session = Session::new();
+    let swap = fixture("swap");
+    let args = ["crazyswarm", swap.as_str(), "--output", "out"];
+    import(&session, &args).says(0, &[]);
+    session.file("out/fleet.yaml", "mine");
+    import(&session, &args).says(2, &["DB0069", "out/scenario.yaml", "out/fleet.yaml", "--force"]);
+    assert_eq!(std::fs::read_to_string(session.path("out/fleet.yaml")).unwrap(), "mine");
+    import(&session, &[&args[..], &["--force"]].concat()).says(0, &[]);
+    assert!(std::fs::read_to_string(session.path("out/fleet.yaml")).unwrap().contains("cf1"));
+    let left = std::fs::read_dir(session.path("out")).unwrap().count();
+    assert_eq!(left, 3, "no temporary files stay");
+    session.file("blocked", "");
+    import(&session, &["crazyswarm", &swap, "--output", "blocked"]).says(2, &["DB0001", "cannot write"]);
+}
+
+#[test]
+fn imports_stay_within_their_limits() {
+    let session = Session::new();
+    let long = std::fs::read_to_string(fixture("swap/pp1.csv")).unwrap().replacen("0.250000", "9000000", 1);
+    session.file("long.csv", long);
+    import(&session, &["crazyswarm", "long.csv", "--rate", "1000"])
+        .says(1, &["DB0068", "at most 2000000 keyframes"]);
+    std::fs::File::create(session.path("huge.csv")).unwrap().set_len(200_000_000).unwrap();
+    let line = format!("ulimit -v 204800; exec {} import waypoints huge.csv", program());
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", &line]).current_dir(session.path(""));
+    Ran(shell.output().unwrap()).says(2, &["DB0001", "200000000 bytes, the limit is"]);
+}
+
+#[test]
+fn wrong_usage_is_told() {
+    let session = Session::new();
+    import(&session, &["crazyswarm"]).says(2, &["Usage"]);
+    import(&session, &["skyblush", "x"]).says(2, &["crazyswarm", "waypoints", "csv"]);
+    import(&session, &["crazyswarm", "none.csv"]).says(2, &["DB0001", "none.csv"]);
+    import(&session, &["crazyswarm", "none.csv", "--rate", "0"]).says(2, &["0.001 to 1000 Hz"]);
+    import(&session, &["waypoints", &fixture("waypoints.csv"), "--robots", "a,b"])
+        .says(1, &["DB0067", "2 names for 3 robots"]);
+    import(&session, &["--help"]).says(0, &["Examples:", "downbeat import crazyswarm pp*.csv"]);
+}

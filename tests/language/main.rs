@@ -1,0 +1,6 @@
+//! Scenarios through the whole program: the language, its findings, real choreographies.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+
+mod findings;
+mod language;
+mod real_scenarios;

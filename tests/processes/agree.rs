@@ -1,0 +1,294 @@
+//! A dry run tells the truth: each example is played by processes over TCP and recorded, `downbeat world` measures the links and
+//! clocks of that very mission, and a dry run in that world decides the same and sets the same.
+//!
+//! How late a busy machine wakes a robot up is judged by what the real mission reports of itself: its largest start error, the
+//! allowance for wake-ups, and the steps that its robots count as late. A clock may be off by as much as the world says. So a slow
+//! machine makes figures larger and no test fail.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use downbeat::dry_run::{Logs, Played};
+use downbeat::mission::MissionOptions;
+use downbeat::trials::Trials;
+use downbeat_scripts::{ClockWorld, Folder, Project, Source, World, compile, read_fleet_within, read_world};
+use serde_json::{Value, json};
+use urrcp::Span;
+
+use stage::session::root;
+use stage::{Logged, Stage, nanos};
+
+/// A robot counts a step as late from here on, in milliseconds (`late_steps` in docs/protocol.md).
+const LATE_MS: f64 = 1.0;
+/// What a report rounds times to, in milliseconds.
+const ROUNDED_MS: f64 = 0.001;
+
+struct Show {
+    name: &'static str,
+    robots: &'static [&'static str],
+    /// An operator says go.
+    attended: bool,
+}
+
+const SHOWS: [Show; 6] = [
+    Show { name: "wave", robots: &["arm-1", "arm-2"], attended: false },
+    Show { name: "swap", robots: &["cf1", "cf2", "cf3", "cf4", "cf5", "cf6"], attended: false },
+    Show { name: "tank", robots: &["tank-1"], attended: false },
+    Show { name: "meeting", robots: &["arm-1", "arm-2", "rover-1"], attended: false },
+    Show { name: "dance", robots: &["wolf-1", "wolf-2", "wolf-3"], attended: false },
+    Show { name: "cue", robots: &["tank-1"], attended: true },
+];
+
+/// None of the examples waits for an operator.
+const CUE: &str = "scenario: cue
+stop_condition: {running: 1s}
+acts:
+  - act: there
+    cues: [{at: 0s, robots: tank-1, tracks: {left_engine: [{at: 0s, to: 20}, {at: 400ms, to: 0}]}}]
+  - act: back
+    wait: operator
+    cues: [{at: 0s, robots: tank-1, tracks: {left_engine: [{at: 0s, to: -20}, {at: 400ms, to: 0}]}}]
+";
+
+/// The description of a robot of the demo fleet.
+fn init_of(robot: &str) -> String {
+    let name = match robot.split(['-', '1', '2', '3', '4', '5', '6']).next() {
+        Some("arm") => "ur5e",
+        Some("cf") => "crazyflie",
+        Some("rover") => "rover",
+        Some("tank") => "tank",
+        Some("wolf") => "wolfgang",
+        _ => panic!("no description of {robot}"),
+    };
+    root().join(format!("scripts/examples/robots/{name}.yaml")).display().to_string()
+}
+
+impl Show {
+    /// Starts its robots, and writes the demo fleet with their addresses, and the scenario. A busy machine may start a robot later than the
+    /// example tolerates, which would be another outcome.
+    fn stage(&self) -> Stage {
+        let mut stage = Stage::new();
+        let scripts = format!("init: {}/scripts/", root().display());
+        let mut fleet =
+            std::fs::read_to_string(root().join("fleet.yaml")).unwrap().replace("init: scripts/", &scripts);
+        for id in self.robots {
+            let readings: &[&str] = match *id {
+                "rover-1" => &["--reading", "range=0.4", "--reading", "battery=80"],
+                _ => &[],
+            };
+            let args = readings.iter().map(|arg| (*arg).to_owned()).collect();
+            let port = stage.robot_called(id, &init_of(id), args);
+            let row = fleet.find(&format!("\n  {id}:")).unwrap();
+            let rest = fleet.split_off(row);
+            fleet += &rest.replacen("address: sim", &format!("address: \"tcp://127.0.0.1:{port}\""), 1);
+        }
+        let scenario = match self.name {
+            "cue" => CUE.to_owned(),
+            name => std::fs::read_to_string(root().join(format!("scripts/examples/{name}.yaml"))).unwrap(),
+        };
+        let scenario = scenario.replace("start_tolerance: 5ms\n", "");
+        stage.file("fleet.yaml", fleet).file("show.yaml", format!("start_tolerance: 1s\n{scenario}"));
+        stage
+    }
+
+    /// Plays it with the processes, and measures the world in which that was.
+    fn play(&self, stage: &Stage) -> Value {
+        // The descriptions of the robots are in the repository, and the stage is not.
+        let run = ["run", "show.yaml", "--project", "/", "--record", "real.mcap", "--format", "json"];
+        let running = stage.start(&run);
+        while self.attended && stage.run(&["go"]).code != Some(0) {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let ended = running.ended_within(Duration::from_secs(120));
+        let ended = ended.unwrap_or_else(|told| panic!("{} hangs: {told}", self.name));
+        let measured = stage.run(&["world", "real.mcap", "--output", "world.yaml"]);
+        assert_eq!(measured.code, Some(0), "{}: {ended}{measured}", self.name);
+        let measured = stage.run(&["world", "real.mcap", "--format", "json"]).report();
+        let surely_off = largest(&measured, "surely_off_ms");
+        assert!(surely_off < 1.0, "{}: all read one clock, and one is {surely_off} ms off", self.name);
+        ended.report()
+    }
+
+    /// Plays it in that world in virtual time.
+    fn rehearse(&self, stage: &Stage) -> (Played, World) {
+        let (fleet, findings) =
+            read_fleet_within(&stage.path("fleet.yaml"), &Project::within(Path::new("/")).unwrap());
+        let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
+        let source = Source::read(&stage.path("show.yaml")).unwrap();
+        let compiled = compile(&source, &fleet, &Folder::new(stage.path("")));
+        let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:?}", compiled.findings));
+        let acts: Vec<_> = choreography.acts.iter().map(|act| act.called()).collect();
+        let (world, findings) = read_world(&stage.path("world.yaml"), &fleet, &acts);
+        let world = world.unwrap_or_else(|| panic!("{findings:?}"));
+        let mut options = MissionOptions::default();
+        options.greeting = downbeat::fleet::greeting(&fleet);
+        let trials = Trials::new(&choreography, &fleet, &world, options, 0);
+        let played = trials.play_one(0, Logs::Kept, &mut ()).unwrap();
+        (played, world)
+    }
+}
+
+/// Of some rows of a report these keys alone.
+fn only(rows: &Value, keys: &[&str]) -> Value {
+    let row = |row: &Value| keys.iter().map(|key| ((*key).to_owned(), row[*key].clone())).collect();
+    rows.as_array().into_iter().flatten().map(row).map(Value::Object).collect()
+}
+
+/// What of a report is the same in any run of the same plan: everything but times, names of sessions and repetitions.
+fn decided(report: &Value) -> Value {
+    let robot = |robot: &Value| json!([robot["robot"], robot["left_out"], only(&robot["devices"], &DEVICE)]);
+    let act = |act: &Value| {
+        let robots: Vec<_> = act["robots"].as_array().unwrap().iter().map(robot).collect();
+        json!([act["act"], act["number"], robots, only(&act["readings"], &["robot", "sensor", "value"])])
+    };
+    let acts: Vec<_> = report["acts"].as_array().unwrap().iter().map(act).collect();
+    json!({
+        "outcome": report["outcome"],
+        "course": report["course"],
+        "acts": acts,
+        "robots": only(&report["robots"], &ROBOT),
+        "failures": report["failures"],
+    })
+}
+
+const DEVICE: [&str; 4] = ["device", "state", "steps_done", "steps_planned"];
+const ROBOT: [&str; 8] =
+    ["robot", "standing", "accepted", "started", "scripts", "steps_done", "steps_planned", "unaccounted"];
+
+/// A value that a device was set to.
+#[derive(Debug)]
+struct Set {
+    /// Motion, act and script, step, value.
+    what: (String, String, Option<u64>, f64),
+    /// Number of the act; `None`: it is of none.
+    act: Option<u64>,
+    /// By the true clock.
+    at: i64,
+}
+
+impl Set {
+    fn new(motion: &str, request: &str, step: Option<u64>, value: f64, at: i64) -> Self {
+        // Ids end with act, robot and script; sessions and times precede them.
+        let mut parts = request.rsplitn(4, '/');
+        let (script, robot, act) = (parts.next(), parts.next(), parts.next());
+        let of = [act, robot, script].map(Option::unwrap_or_default).join("/");
+        let act = act.and_then(|act| act.parse().ok());
+        Self { what: (motion.to_owned(), of, step, value), act, at }
+    }
+}
+
+/// What each device was set to, in order. A robot that is late leaves out a ramp whose time is over.
+fn by_device(sets: impl Iterator<Item = (String, Set)>) -> BTreeMap<String, Vec<Set>> {
+    let mut devices: BTreeMap<String, Vec<Set>> = BTreeMap::new();
+    for (device, set) in sets.filter(|(_, set)| set.what.0 != "ramp") {
+        devices.entry(device).or_default().push(set);
+    }
+    devices
+}
+
+fn really_set(log: Vec<Logged>) -> BTreeMap<String, Vec<Set>> {
+    let set = |entry: &Logged| Set::new(&entry.motion, &entry.request, entry.step, entry.value, entry.at);
+    by_device(log.iter().map(|entry| (entry.device.clone(), set(entry))))
+}
+
+fn set_in_dry_run(played: &Played, robot: &str) -> BTreeMap<String, Vec<Set>> {
+    let log = played.log_of(&robot.parse().unwrap()).unwrap();
+    by_device(log.iter().map(|entry| {
+        let request = entry.request_id.as_deref().unwrap_or_default();
+        let step = entry.step.map(u64::from);
+        (entry.device.to_string(), Set::new(entry.motion, request, step, entry.value, entry.true_ns))
+    }))
+}
+
+/// The largest number under this key, anywhere in a report.
+fn largest(value: &Value, key: &str) -> f64 {
+    let inside = |value: &Value| largest(value, key);
+    match value {
+        Value::Object(map) => {
+            let own = map.get(key).and_then(Value::as_f64).map_or(0.0, f64::abs);
+            map.values().map(inside).fold(own, f64::max)
+        }
+        Value::Array(values) => values.iter().map(inside).fold(0.0, f64::max),
+        _ => 0.0,
+    }
+}
+
+/// After the planned start of its act, in milliseconds.
+fn after_start(set: &Set, report: &Value) -> f64 {
+    let acts = report["acts"].as_array().unwrap();
+    let act = acts.iter().find(|act| act["number"].as_u64() == set.act).unwrap();
+    (set.at - nanos(act["start"].as_str().unwrap())) as f64 / 1e6
+}
+
+/// How far a clock may be off in a world, in milliseconds: what its recording cannot exclude.
+fn clock_error(world: &World) -> f64 {
+    let error = |clock: &ClockWorld| clock.error.unwrap_or(Span::ZERO).as_millis_f64();
+    world.clocks.iter().flatten().map(error).fold(0.0, f64::max)
+}
+
+/// How far apart times were.
+#[derive(Default)]
+struct Apart {
+    steps: usize,
+    /// Milliseconds, of first steps of scripts, and of all others.
+    starts: f64,
+    others: f64,
+    /// Steps that were further apart than those of a robot that is not late.
+    beyond: u64,
+}
+
+#[track_caller]
+#[expect(clippy::print_stdout, reason = "the figures that docs/rehearse.md shows")]
+fn agree(show: &Show, stage: &Stage, real: &Value, (dry, world): &(Played, World)) {
+    let name = show.name;
+    let report = serde_json::to_value(&dry.report).unwrap();
+    assert_eq!(decided(real), decided(&report), "{name}: what was decided");
+    assert_eq!(real["outcome"], "done", "{name}");
+    let (start_error, clock) = (largest(real, "start_error_ms"), clock_error(world));
+    let within = largest(real, "wake_up_ms") + clock;
+    let mut apart = Apart::default();
+    for (robot, process) in show.robots.iter().zip(&stage.robots) {
+        let (really, dry) = (really_set(process.log()), set_in_dry_run(dry, robot));
+        assert!(really.keys().eq(dry.keys()) && !really.is_empty(), "{name}: devices of {robot}");
+        for ((device, really), dry) in really.iter().zip(dry.values()) {
+            let what = |sets: &[Set]| sets.iter().map(|set| set.what.clone()).collect::<Vec<_>>();
+            assert_eq!(what(really), what(dry), "{name}: {robot}/{device}");
+            for (really, dry) in really.iter().zip(dry).filter(|(really, _)| really.act.is_some()) {
+                let by = (after_start(really, real) - after_start(dry, &report)).abs();
+                apart.steps += 1;
+                if really.what.2 == Some(0) {
+                    apart.starts = apart.starts.max(by);
+                } else {
+                    apart.others = apart.others.max(by);
+                    apart.beyond += u64::from(by > LATE_MS + within);
+                }
+            }
+        }
+    }
+    let Apart { steps, starts, others, beyond } = apart;
+    let rows = real["robots"].as_array().unwrap().iter();
+    let late: u64 = rows.map(|robot| robot["late_steps"].as_u64().unwrap()).sum();
+    println!(
+        "{name}: {steps} steps the same; starts at most {starts:.3} ms apart, other steps {others:.3} ms (start error {start_error:.3} ms, \
+         clocks {clock:.3} ms); {beyond} steps more than {:.3} ms apart, {late} reported late",
+        LATE_MS + within
+    );
+    assert!(starts <= start_error + within + ROUNDED_MS, "{name}: a start {starts} ms apart");
+    assert!(beyond <= late, "{name}: {beyond} steps apart, and only {late} were late");
+}
+
+#[test]
+fn dry_runs_in_the_measured_world_agree_with_the_missions_of_processes_in_decisions_steps_and_times() {
+    std::thread::scope(|scope| {
+        for show in &SHOWS {
+            scope.spawn(move || {
+                let stage = show.stage();
+                let real = show.play(&stage);
+                agree(show, &stage, &real, &show.rehearse(&stage));
+            });
+        }
+    });
+}

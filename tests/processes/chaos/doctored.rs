@@ -1,0 +1,133 @@
+//! The judge can find what is wrong: one faultless mission, told otherwise in one point after another.
+
+use serde_json::{Value, json};
+
+use super::draw::{Clock, Drawn, Fault, Tells};
+use super::judge::judge;
+use super::play::{Kind, Played, Struck, Told, What, play};
+use stage::Ended;
+
+const SECOND: i64 = 1_000_000_000;
+
+/// Two robots, two acts, two scripts each, and nothing befalls them.
+fn faultless() -> Played {
+    play(Drawn {
+        seed: 0,
+        clocks: vec![Clock::Ntp(1_000), Clock::Measured(1_000)],
+        tells: vec![Tells::Everything, Tells::WhenAsked],
+        queue: 2,
+        on_failure: "abort",
+        on_doubt: "start",
+        acts: vec![2, 2],
+        every_ms: 150,
+        lease_ms: 700,
+        patience_ms: 2_000,
+        strikes: Vec::new(),
+    })
+}
+
+fn of_run(played: &mut Played) -> &mut Ended {
+    played.told[0].ended.as_mut().unwrap()
+}
+
+fn reported(played: &mut Played, change: impl FnOnce(&mut Value)) {
+    let mut report = of_run(played).report();
+    change(&mut report);
+    of_run(played).out = report.to_string();
+}
+
+fn struck(played: &mut Played, robot: Option<usize>, what: What) {
+    let from = played.sets[0][2].at;
+    played.struck.push(Struck { robot, what, from, until: i64::MAX });
+}
+
+/// What is changed in what was said and done, and under which name it is found.
+type Doctored = (&'static str, fn(&mut Played));
+
+const DOCTORED: &[Doctored] = &[
+    ("(hang)", |played| played.told[0].ended = Err("waits".to_owned())),
+    ("(code)", |played| of_run(played).code = Some(5)),
+    ("(code)", |played| reported(played, |report| report["outcome"] = json!("failed"))),
+    ("(code)", |played| of_run(played).out.clear()),
+    ("(mixed)", |played| played.sets[1].truncate(8)),
+    ("(mixed)", |played| played.sets[0].retain(|set| set.value < 21.0)),
+    ("(done)", |played| drop(played.sets[1].pop())),
+    ("(more)", |played| drop(played.sets[1].remove(3))),
+    ("(script)", |played| drop(played.sets[1].remove(3))),
+    ("(order)", |played| played.sets[0].swap(2, 3)),
+    ("(twice)", |played| {
+        let again = played.sets[0][5].clone();
+        played.sets[0].insert(6, again);
+    }),
+    ("(foreign)", |played| played.sets[0][15].value = 89.0),
+    ("(promise)", |played| played.sets[0][3].request = "another/1".to_owned()),
+    ("(stranger)", |played| played.strangers = 1),
+    ("(early)", |played| played.sets[0][0].at -= 30_000_000),
+    ("(late)", |played| played.sets[0][0].at += 90_000_000),
+    ("(late)", |played| played.sets[0][6].at += SECOND),
+    ("(lease)", |played| struck(played, Some(0), What::Robot(Fault::Cut))),
+    ("(lease)", |played| struck(played, Some(0), What::Robot(Fault::Deaf))),
+    ("(lease)", |played| struck(played, None, What::SchedulerKilled)),
+    ("(stop)", |played| {
+        let at = played.sets[1][9].at;
+        played.journal.push((at, json!({"record": "stop_confirmed", "robot": "r1"})));
+    }),
+    ("(stop)", |played| {
+        // As if all of it were later than what was asked for so long ago.
+        let (began, code) = (played.sets[0][0].at - 3 * SECOND, Some(0));
+        let ended =
+            Ok(Ended { code, out: r#"{"outcome":"stopped","robots":[]}"#.to_owned(), told: String::new() });
+        played.told.push(Told { kind: Kind::Stop, began, gone: began + SECOND / 5, ended });
+    }),
+    ("(named)", |played| played.told[0].gone = played.sets[0][9].at),
+    ("(named)", |played| {
+        let at = played.sets[0][9].at;
+        played.told[0].gone = at;
+        let ends = chrono::DateTime::from_timestamp_nanos(at).to_rfc3339();
+        reported(played, |report| {
+            report["robots"][0]["stop"] = json!({"state": "unconfirmed", "lease_ends": ends})
+        });
+    }),
+    ("(fewer)", |played| reported(played, |report| report["robots"][0]["steps_done"] = json!(15))),
+    ("(moved)", |played| reported(played, |report| report["robots"][0]["started"] = json!(0))),
+    ("(moved)", |played| reported(played, |report| report["outcome"] = json!("not_started"))),
+    ("(more)", |played| reported(played, |report| report["robots"][0]["late_steps"] = json!(17))),
+    ("(script)", |played| {
+        reported(played, |r| r["acts"][0]["robots"][0]["devices"][0]["state"] = json!("planned"))
+    }),
+    ("(script)", |played| {
+        reported(played, |r| r["acts"][1]["robots"][1]["devices"][1]["steps_done"] = json!(3))
+    }),
+    ("(blame)", |played| {
+        reported(played, |report| report["failures"] = json!([{"robot": "r1", "failure": "link_down"}]));
+    }),
+    ("(blame)", |played| {
+        struck(played, None, What::SchedulerFrozen);
+        reported(played, |report| report["failures"] = json!([{"robot": "r1", "failure": "silent"}]));
+    }),
+];
+
+#[test]
+fn the_judge_finds_every_lie_and_every_wrong_movement() {
+    super::held_up::watch();
+    let mut played = faultless();
+    let found = judge(&played).wrong;
+    assert!(found.is_empty(), "{found:#?}");
+    let mut missed = Vec::new();
+    for (which, (name, doctor)) in DOCTORED.iter().enumerate() {
+        let whole = played.clone();
+        doctor(&mut played);
+        let verdict = judge(&played);
+        // On a busy machine the judge sees that a robot is blamed, or has not started, and excuses it.
+        let excused = match *name {
+            "(blame)" => !verdict.busy.is_empty(),
+            "(mixed)" => verdict.acts.contains(&"the machine was busy"),
+            _ => false,
+        };
+        if !excused && !verdict.wrong.iter().any(|wrong| wrong.starts_with(name)) {
+            missed.push(format!("{which} {name}: {:?}, busy {:?}", verdict.wrong, verdict.busy));
+        }
+        played = whole;
+    }
+    assert!(missed.is_empty(), "{missed:#?}");
+}

@@ -1,0 +1,285 @@
+//! A mission and what befalls it, all drawn from one seed.
+
+use std::time::Duration;
+
+/// Steps of one script.
+pub const STEPS: usize = 4;
+/// Values that one act has to itself.
+pub const VALUES: usize = 20;
+/// Largest delay that a robot adds to each message, each way.
+pub const DELAY_MS: u64 = 20;
+
+/// What befalls a robot.
+#[derive(Clone, Copy, Debug)]
+pub enum Fault {
+    /// SIGSTOP.
+    Frozen,
+    /// SIGKILL.
+    Killed,
+    /// SIGKILL, and started again on the same port.
+    Restarted(Back),
+    /// Its link is closed, and further ones are refused.
+    Cut,
+    /// Its link is closed, and further ones stand and carry nothing.
+    Interrupted,
+    /// Its link stands and carries nothing; it is delivered later.
+    Muted,
+    /// Its link stands, and nothing reaches it.
+    Deaf,
+    /// Its link stands, and nothing that it says passes.
+    Dumb,
+    /// Its link stands and is dead for good; another one would do.
+    Stranded,
+    /// Each message takes so much longer.
+    Slow(Duration),
+}
+
+/// As what a robot is started again.
+#[derive(Clone, Copy, Debug)]
+pub enum Back {
+    Same,
+    /// Its clock shows something else.
+    OtherClock,
+    /// Under another id.
+    Stranger,
+}
+
+/// What another process does after the scheduler was killed, and how long after.
+#[derive(Clone, Copy, Debug)]
+pub enum Then {
+    Nothing,
+    Resume(Duration),
+    Stop(Duration),
+    ResumeAndStop(Duration, Duration),
+}
+
+/// Something that befalls a mission.
+#[derive(Clone, Copy, Debug)]
+pub enum Strike {
+    Robot {
+        robot: usize,
+        fault: Fault,
+        lasts: Option<Duration>,
+    },
+    SchedulerFrozen(Duration),
+    SchedulerKilled(Then),
+    /// `downbeat stop`, and perhaps once more.
+    Stop {
+        again: Option<Duration>,
+    },
+    /// `downbeat resume` while the scheduler lives.
+    ResumeTooSoon,
+    /// `downbeat stop` while the scheduler is frozen, so long after and for so long.
+    StopWhileFrozen(Duration, Duration),
+}
+
+#[derive(Clone, Copy, Debug)]
+pub enum When {
+    /// So long after the scheduler was started.
+    After(Duration),
+    /// So long before the start of an act; negative: after it.
+    Before { act: usize, millis: i64 },
+}
+
+/// A robot's clock.
+#[derive(Clone, Copy, Debug)]
+pub enum Clock {
+    /// It follows NTP up to so much, in microseconds.
+    Ntp(u64),
+    /// It shows so many milliseconds more, and is not corrected.
+    Measured(u64),
+}
+
+/// What a robot tells of its scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tells {
+    Everything,
+    /// It answers inquiries, and reports nothing by itself.
+    WhenAsked,
+    /// It reports, and answers no inquiries.
+    ByItself,
+    Nothing,
+}
+
+impl Tells {
+    pub const fn reports(self) -> bool {
+        matches!(self, Self::Everything | Self::ByItself)
+    }
+
+    pub const fn answers_inquiries(self) -> bool {
+        matches!(self, Self::Everything | Self::WhenAsked)
+    }
+}
+
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    pub seed: u64,
+    pub clocks: Vec<Clock>,
+    pub tells: Vec<Tells>,
+    pub queue: usize,
+    pub on_failure: &'static str,
+    pub on_doubt: &'static str,
+    /// Scripts of each act.
+    pub acts: Vec<usize>,
+    /// Between two steps.
+    pub every_ms: usize,
+    /// Under which scripts run, in milliseconds.
+    pub lease_ms: u64,
+    /// Of the mission, in milliseconds: a shorter one ends while leases may still run.
+    pub patience_ms: u64,
+    pub strikes: Vec<(When, Strike)>,
+}
+
+impl Drawn {
+    pub fn of(seed: u64) -> Self {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let queue = rng.usize(1..=3);
+        // A chain needs a device that holds two scripts.
+        let (acts, scripts) = if queue == 1 { (2..=3, 1..=1) } else { (2..=3, 2..=3) };
+        let acts: Vec<usize> = (0..rng.usize(acts)).map(|_| rng.usize(scripts.clone())).collect();
+        // One that is sent a chain bit by bit needs scripts of a second.
+        let every_ms = if queue > 1 && acts.iter().all(|scripts| *scripts <= queue) { 150 } else { 260 };
+        let robots = rng.usize(2..=4);
+        let clock = |rng: &mut fastrand::Rng| match rng.u8(0..4) {
+            0 => Clock::Measured(rng.u64(700..3_000)),
+            _ => Clock::Ntp(rng.u64(0..4_000)),
+        };
+        let clocks: Vec<Clock> = (0..robots).map(|_| clock(&mut rng)).collect();
+        let on_failure = *rng.choice(&["abort", "abort", "without", "hold"]).unwrap_or(&"abort");
+        let on_doubt = if rng.u8(0..3) == 0 { "withdraw" } else { "start" };
+        let mut drawn = Self {
+            seed,
+            tells: vec![Tells::Everything; clocks.len()],
+            clocks,
+            queue,
+            on_failure,
+            on_doubt,
+            acts,
+            every_ms,
+            lease_ms: if rng.u8(0..3) == 0 { 1_500 } else { 700 },
+            patience_ms: if rng.u8(0..3) == 0 { 600 } else { 2_000 },
+            strikes: Vec::new(),
+        };
+        drawn.strikes = drawn.draw_strikes(&mut rng);
+        if rng.u8(0..3) == 0 {
+            let odd = rng.usize(0..robots);
+            drawn.tells[odd] = *rng.choice(&[Tells::WhenAsked, Tells::ByItself, Tells::Nothing]).unwrap();
+        }
+        drawn
+    }
+
+    fn draw_strikes(&self, rng: &mut fastrand::Rng) -> Vec<(When, Strike)> {
+        let mut strikes = Vec::new();
+        let first = rng.usize(0..self.robots());
+        for next in 0..*rng.choice(&[0, 1, 1, 1, 2]).unwrap_or(&1) {
+            let robot = (first + next) % self.robots();
+            let fault = draw_fault(rng);
+            let ends = matches!(fault, Fault::Restarted(_) | Fault::Slow(_)) || rng.u8(0..3) > 0;
+            let lasts = ends.then(|| millis(rng, 20..1_500));
+            strikes.push((self.draw_when(rng), Strike::Robot { robot, fault, lasts }));
+        }
+        if rng.u8(0..5) < 3 {
+            strikes.push((self.draw_when(rng), draw_scheduler(rng)));
+        }
+        strikes
+    }
+
+    fn draw_when(&self, rng: &mut fastrand::Rng) -> When {
+        match rng.bool() {
+            true => When::Before { act: rng.usize(0..self.acts.len()), millis: rng.i64(-80..320) },
+            false => When::After(millis(rng, 0..900 + self.plays_ms() as u64)),
+        }
+    }
+
+    pub const fn robots(&self) -> usize {
+        self.clocks.len()
+    }
+
+    /// How long it plays without any fault, in milliseconds, with what it takes before the first act.
+    pub fn plays_ms(&self) -> usize {
+        let steps: usize = self.acts.iter().map(|scripts| scripts * STEPS).sum();
+        900 + 300 * self.acts.len() + steps * self.every_ms
+    }
+
+    /// Everything that a robot is to be set to, in order.
+    pub fn values(&self) -> Vec<f64> {
+        let of_act = |(act, scripts): (usize, &usize)| (0..scripts * STEPS).map(move |step| value(act, step));
+        self.acts.iter().enumerate().flat_map(of_act).collect()
+    }
+
+    /// What a robot says of itself.
+    pub fn init(&self, robot: usize) -> String {
+        let init = stage::one_device(self.queue, 90, STEPS);
+        init.replace("reports: true", &format!("reports: {}", self.tells[robot].reports()))
+    }
+
+    pub fn scenario(&self) -> String {
+        let Self { on_failure, on_doubt, every_ms, lease_ms, .. } = self;
+        let act = |(act, scripts): (usize, &usize)| {
+            let keyframe = |step| format!("{{at: {}ms, to: {}}}", step * every_ms, value(act, step));
+            let track = (0..scripts * STEPS).map(keyframe).collect::<Vec<_>>().join(", ");
+            format!(
+                "  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {{d: [{track}]}}}}\n"
+            )
+        };
+        let acts: String = self.acts.iter().enumerate().map(act).collect();
+        format!(
+            "scenario: chaos\nstart_tolerance: 1s\non_failure: {on_failure}\non_doubt: {on_doubt}\nstop_condition: {{running: {lease_ms}ms}}\nacts:\n{acts}"
+        )
+    }
+
+    /// What a robot's process is told, and what the fleet file says of it. `other`: its clock is another one.
+    pub fn setup(&self, robot: usize, other: bool) -> (Vec<String>, &'static str) {
+        let seed = self.seed * 8 + robot as u64;
+        let (clock, keys) = match self.clocks[robot] {
+            Clock::Ntp(micros) => {
+                let micros = if other { micros + 30_000 } else { micros };
+                (format!("--ntp-error {micros}us"), "")
+            }
+            Clock::Measured(millis) => {
+                let millis = if other { (millis + 1_000) % 3_000 } else { millis };
+                (format!("--no-ntp --clock-offset {millis}ms"), ", clock: measured")
+            }
+        };
+        let args = format!("{clock} --delay-max {DELAY_MS}ms --seed {seed}");
+        (args.split(' ').map(str::to_owned).collect(), keys)
+    }
+}
+
+fn millis(rng: &mut fastrand::Rng, range: std::ops::Range<u64>) -> Duration {
+    Duration::from_millis(rng.u64(range))
+}
+
+fn draw_fault(rng: &mut fastrand::Rng) -> Fault {
+    match rng.u8(0..12) {
+        0 | 1 => Fault::Frozen,
+        2 => Fault::Killed,
+        3 => Fault::Restarted(Back::Same),
+        4 => Fault::Restarted(Back::OtherClock),
+        5 => Fault::Restarted(Back::Stranger),
+        6 => Fault::Cut,
+        7 => Fault::Interrupted,
+        8 => Fault::Muted,
+        9 => *rng.choice(&[Fault::Deaf, Fault::Dumb]).unwrap_or(&Fault::Deaf),
+        10 => Fault::Stranded,
+        _ => Fault::Slow(millis(rng, 20..500)),
+    }
+}
+
+fn draw_scheduler(rng: &mut fastrand::Rng) -> Strike {
+    let soon = |rng: &mut fastrand::Rng| millis(rng, 0..600);
+    match rng.u8(0..9) {
+        0 | 1 => Strike::SchedulerFrozen(millis(rng, 50..1_500)),
+        2 => Strike::SchedulerKilled(Then::Nothing),
+        3 => Strike::SchedulerKilled(Then::Resume(soon(rng))),
+        4 => Strike::SchedulerKilled(Then::Stop(soon(rng))),
+        5 => Strike::SchedulerKilled(Then::ResumeAndStop(soon(rng), millis(rng, 100..2_000))),
+        6 => Strike::StopWhileFrozen(soon(rng), millis(rng, 500..3_500)),
+        7 => Strike::ResumeTooSoon,
+        _ => Strike::Stop { again: rng.bool().then(|| soon(rng)) },
+    }
+}
+
+pub fn value(act: usize, step: usize) -> f64 {
+    (1 + VALUES * act + step) as f64
+}

@@ -1,0 +1,553 @@
+//! Whether what was said of a mission is what the robots' logs say, and whether they did what they may.
+
+use std::collections::{BTreeMap, HashSet};
+
+use serde_json::Value;
+
+use super::draw::{DELAY_MS, Fault, STEPS, VALUES, value};
+use super::held_up;
+use super::play::{Kind, Played, Struck, Told, What};
+use stage::{Logged, nanos};
+
+const MILLIS: i64 = 1_000_000;
+/// A robot that is held up longer over a start does not start.
+const START_LATE: i64 = 51 * MILLIS;
+/// A step that comes so late on a busy machine, and is reported as late, is excused and counted.
+const STEP_LATE: i64 = 500 * MILLIS;
+/// Messages that are under way, both ways, and what a process takes to handle them.
+const UNDER_WAY: i64 = (2 * DELAY_MS as i64 + 20) * MILLIS;
+/// A message that is later than so much before the start may take back the start of some robots and not of others: three
+/// round trips, 20 ms, and what its sending takes.
+const NO_RETURN: i64 = 3 * UNDER_WAY + 40 * MILLIS;
+/// Within which an operator's stop reaches every robot that can be reached, however busy the machine is.
+const AT_REST: i64 = 3_000 * MILLIS;
+/// When a scheduler that does not answer is given up by `downbeat stop`.
+const GIVEN_UP: i64 = 1_000 * MILLIS;
+/// A machine that was busy for so long, and so shortly before the end, may make a robot seem silent.
+const HELD_UP: i64 = 30 * MILLIS;
+const SHORTLY: i64 = 3_000 * MILLIS;
+/// What starting a process takes on a busy machine.
+const PROCESS: i64 = 500 * MILLIS;
+
+/// What is found of a mission.
+#[derive(Default)]
+pub struct Verdict {
+    pub wrong: Vec<String>,
+    /// Of each act that was promised: `all`, `none` or why it was mixed.
+    pub acts: Vec<&'static str>,
+    /// What the machine's being busy excused otherwise.
+    pub busy: Vec<String>,
+    /// How many robots were blamed because the scheduler stood still before anything was promised.
+    pub greetings: u32,
+}
+
+pub fn judge(played: &Played) -> Verdict {
+    let mut judge = Judge { played, promises: promises(&played.journal), verdict: Verdict::default() };
+    judge.programs();
+    judge.starts();
+    for robot in 0..played.drawn.robots() {
+        judge.log(robot);
+        judge.in_time(robot);
+        judge.leases(robot);
+        judge.confirmed(robot);
+    }
+    judge.operators_stop();
+    for told in &played.told {
+        if let Some(report) = told.report() {
+            judge.report(told, &report);
+        }
+    }
+    judge.verdict
+}
+
+/// Of a direct stop, which knows nothing of what was played before.
+fn is_withdrawal(report: &Value) -> bool {
+    report["acts"].is_null()
+}
+
+/// An act as it was promised.
+struct Promise {
+    act: usize,
+    sent: i64,
+    start: i64,
+    lease: i64,
+    /// Before the start: silence that begins later may be noticed too late.
+    doubt: i64,
+    /// Robots, and when each was left out.
+    members: BTreeMap<usize, Option<i64>>,
+    /// The names of their requests.
+    scripts: HashSet<String>,
+}
+
+fn index(robot: &Value) -> usize {
+    robot.as_str().and_then(|id| id[1..].parse().ok()).unwrap()
+}
+
+fn span(millis: &Value) -> i64 {
+    (millis.as_f64().unwrap_or(0.0) * 1e6) as i64
+}
+
+fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
+    let of = |kind: &'static str| journal.iter().filter(move |(_, record)| record["record"] == kind);
+    let dropped: BTreeMap<usize, i64> =
+        of("dropped").map(|(at, record)| (index(&record["robot"]), *at)).collect();
+    let promise = |(_, record): &(i64, Value)| {
+        let decided = of("decided").find(|(_, decided)| decided["number"] == record["number"]);
+        let (start, lease) = (nanos(record["start"].as_str().unwrap()), span(&record["lease_ms"]));
+        let scripts = record["scripts"].as_array().unwrap();
+        Promise {
+            act: record["act"].as_u64().unwrap() as usize,
+            sent: nanos(record["timestamp"].as_str().unwrap()),
+            start,
+            lease,
+            doubt: decided.map_or(lease, |(_, decided)| span(&decided["doubt_ms"])),
+            members: scripts
+                .iter()
+                .map(|script| index(&script["robot"]))
+                .map(|robot| (robot, dropped.get(&robot).copied()))
+                .collect(),
+            scripts: scripts.iter().map(|script| script["request_id"].as_str().unwrap().to_owned()).collect(),
+        }
+    };
+    of("prepared").map(promise).collect()
+}
+
+/// Collects what is wrong.
+struct Judge<'a> {
+    played: &'a Played,
+    promises: Vec<Promise>,
+    verdict: Verdict,
+}
+
+impl Judge<'_> {
+    const fn lease(&self) -> i64 {
+        self.played.drawn.lease_ms as i64 * MILLIS
+    }
+
+    fn say(&mut self, is_wrong: bool, what: impl FnOnce() -> String) {
+        if is_wrong {
+            self.verdict.wrong.push(what());
+        }
+    }
+
+    fn faults(&self, robot: Option<usize>) -> impl Iterator<Item = &Struck> {
+        self.played.struck.iter().filter(move |struck| struck.robot == robot)
+    }
+
+    fn struck_within(&self, robot: Option<usize>, from: i64, until: i64) -> bool {
+        self.faults(robot).any(|struck| struck.from <= until && struck.until >= from)
+    }
+
+    /// Its process was killed: what it set last may be missing in its log.
+    fn lost_its_memory(&self, robot: usize) -> bool {
+        self.faults(Some(robot))
+            .any(|struck| matches!(struck.what, What::Robot(Fault::Killed | Fault::Restarted(_))))
+    }
+
+    /// Every program ends, with the exit code that its report stands for.
+    fn programs(&mut self) {
+        for told in &self.played.told {
+            let killed =
+                told.kind == Kind::Run && self.faults(None).any(|s| matches!(s.what, What::SchedulerKilled));
+            let Ok(ended) = &told.ended else {
+                let text =
+                    format!("(hang) {:?} never ends: {}", told.kind, told.ended.as_ref().err().unwrap());
+                self.verdict.wrong.push(text);
+                continue;
+            };
+            if killed && ended.code.is_none() {
+                continue;
+            }
+            let fits = match told.report() {
+                Some(report) => self.code_fits(told, &report),
+                None => self.may_have_no_report(told),
+            };
+            self.say(!fits, || format!("(code) {:?}: {ended}", told.kind));
+        }
+    }
+
+    fn code_fits(&self, told: &Told, report: &Value) -> bool {
+        let rows = report["robots"].as_array().into_iter().flatten();
+        let unconfirmed = rows.clone().any(|row| row["stop"]["state"] == "unconfirmed");
+        let outcome =
+            report["outcome"].as_str().or_else(|| report["outcome"].as_object()?.keys().next().map(|k| &**k));
+        let stopped = told.kind == Kind::Stop || is_withdrawal(report);
+        let expected = match (outcome, unconfirmed) {
+            (None, _) => return false,
+            (Some("done"), _) => 0,
+            (_, true) => 4,
+            _ if stopped => 0,
+            (Some("done_without" | "done_skipping"), _) => 5,
+            (Some("stopped"), _) => 3,
+            (Some("out_of_tolerance" | "unknown"), _) => 6,
+            _ => 1,
+        };
+        told.code() == Some(expected)
+    }
+
+    /// Nothing is there to be stopped or resumed before the mission has its journal, and once it has ended.
+    fn may_have_no_report(&self, told: &Told) -> bool {
+        let record = |kind: &str| self.played.journal.iter().find(|(_, record)| record["record"] == kind);
+        let before = record("opened").is_none_or(|(at, _)| *at >= told.began);
+        let over = record("ended").is_some_and(|(at, _)| *at <= told.gone);
+        match told.kind {
+            // Stopped before anything was sent.
+            Kind::Run => told.code() == Some(3),
+            Kind::Stop | Kind::Resume => {
+                matches!(told.code(), Some(1 | 2))
+                    && (before || over || (told.kind == Kind::Resume && self.lives(told)))
+            }
+        }
+    }
+
+    /// A mission whose scheduler lives is not there to be resumed. One that was killed lives until it is gone, which takes
+    /// some time on a busy machine.
+    fn lives(&self, resume: &Told) -> bool {
+        let run = self.played.told.iter().find(|told| told.kind == Kind::Run);
+        run.is_none_or(|run| resume.began < run.gone)
+    }
+
+    /// All robots of an act start, or none does.
+    fn starts(&mut self) {
+        for which in 0..self.promises.len() {
+            let cause = self.how_it_started(which);
+            match cause {
+                Ok(how) => self.verdict.acts.push(how),
+                Err(what) => self.verdict.wrong.push(what),
+            }
+        }
+    }
+
+    fn how_it_started(&self, which: usize) -> Result<&'static str, String> {
+        let promise = &self.promises[which];
+        let first = value(promise.act, 0);
+        let started = |robot: usize| self.played.sets[robot].iter().any(|entry| entry.value == first);
+        let (starters, missing): (Vec<_>, Vec<_>) =
+            promise.members.iter().map(|(robot, out)| (*robot, *out)).partition(|(robot, _)| started(*robot));
+        if missing.is_empty() {
+            return Ok("all");
+        }
+        if starters.is_empty() {
+            return Ok("none");
+        }
+        let left_out = |out: Option<i64>| out.is_some_and(|at| at < promise.start);
+        let missed: Vec<usize> =
+            missing.iter().filter(|(_, out)| !left_out(*out)).map(|(robot, _)| *robot).collect();
+        if missed.is_empty() {
+            return Ok("left out before the start, as on_failure says");
+        }
+        let (from, until) = (promise.start - promise.doubt - UNDER_WAY / 2, promise.start + START_LATE);
+        // Where a robot answers no inquiries, that it has restarted goes unnoticed.
+        let forgot = |robot: usize| {
+            !self.played.drawn.tells[robot].answers_inquiries()
+                && self.lost_its_memory(robot)
+                && self.struck_within(Some(robot), promise.sent, until)
+        };
+        let own = |robot: usize| self.struck_within(Some(robot), from, until) || forgot(robot);
+        if missed.iter().all(|robot| own(*robot)) {
+            return Ok("a fault of the robots that did not start");
+        }
+        if starters.iter().all(|(robot, _)| own(*robot)) {
+            return Ok("a fault of the robots that started");
+        }
+        if self.struck_within(None, from, until) {
+            return Ok("a fault of the scheduler");
+        }
+        if self.stopped_within(promise.start - NO_RETURN - held_up::longest(from, until), until) {
+            return Ok("a stop after the point of no return");
+        }
+        if held_up::longest(from, until) > 0 {
+            return Ok("the machine was busy");
+        }
+        let starters: Vec<_> = starters.iter().map(|(robot, _)| *robot).collect();
+        Err(format!("(mixed) act {}: {starters:?} started, {missed:?} did not", promise.act))
+    }
+
+    /// Stops were sent for whatever reason.
+    fn stopped_within(&self, from: i64, until: i64) -> bool {
+        let recorded = self
+            .played
+            .journal
+            .iter()
+            .any(|(at, record)| record["record"] == "stopping" && (from..=until).contains(at));
+        let asked = |told: &&Told| told.kind == Kind::Stop && (from - PROCESS..=until).contains(&told.began);
+        recorded || self.played.told.iter().any(|told| asked(&told))
+    }
+
+    /// Nothing twice, everything in order, and nothing that another robot was sent.
+    fn log(&mut self, robot: usize) {
+        let sets = &self.played.sets[robot];
+        let values: Vec<f64> = sets.iter().map(|entry| entry.value).collect();
+        self.say(!values.windows(2).all(|pair| pair[0] < pair[1]), || {
+            format!("(order) r{robot} set {values:?}")
+        });
+        let mut seen = HashSet::new();
+        let twice = sets.iter().any(|entry| !seen.insert((&entry.request, entry.step)));
+        self.say(twice, || format!("(twice) r{robot} did a step twice: {values:?}"));
+        let planned = self.played.drawn.values();
+        let foreign = values.iter().any(|value| !planned.contains(value));
+        self.say(foreign, || format!("(foreign) r{robot} set {values:?}"));
+        let unpromised =
+            sets.iter().find(|entry| !self.promises.iter().any(|p| p.scripts.contains(&entry.request)));
+        self.say(unpromised.is_some(), || {
+            format!("(promise) r{robot} did what the journal does not promise: {unpromised:?}")
+        });
+        self.say(robot == 0 && self.played.strangers > 0, || "(stranger) another robot was moved".to_owned());
+    }
+
+    /// When a step was planned, by the one true clock.
+    fn due(&self, entry: &Logged) -> Option<i64> {
+        let promise = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request))?;
+        let step = step_of(entry) * self.played.drawn.every_ms;
+        Some(promise.start + i64::try_from(step).unwrap() * MILLIS)
+    }
+
+    /// Steps come when they were planned, by the one true clock, as far as the skew budget says.
+    fn in_time(&mut self, robot: usize) {
+        for entry in self.played.sets[robot].clone() {
+            let Some(due) = self.due(&entry) else { continue };
+            let (early, late) = self.budget(robot, &entry);
+            let off = entry.at - due;
+            let what = || {
+                format!("r{robot} set {} {} us off its plan, {early} to {late} ns", entry.value, off / 1_000)
+            };
+            self.say(off < early - 2 * MILLIS, || format!("(early) {}", what()));
+            let starts = step_of(&entry) == 0;
+            self.say(starts && off > late + START_LATE, || format!("(late) {}", what()));
+            let frozen = self.faults(Some(robot)).any(|struck| {
+                matches!(struck.what, What::Robot(Fault::Frozen))
+                    && struck.from <= entry.at
+                    && struck.until >= due
+            });
+            let behind = off > late + 10 * MILLIS && !frozen;
+            match behind && off > late + held_up::longest(due, entry.at) + STEP_LATE {
+                true => self.say(true, || format!("(late) {}", what())),
+                false if behind => self.verdict.busy.push(what()),
+                false => {}
+            }
+        }
+    }
+
+    /// How early and how late a robot may start an act, as was stated before; where no report has it, any tolerated error.
+    fn budget(&self, robot: usize, entry: &Logged) -> (i64, i64) {
+        let unknown = (-60 * MILLIS, 60 * MILLIS);
+        let Some(promise) = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request))
+        else {
+            return unknown;
+        };
+        let reports = self.played.told.iter().filter_map(Told::report);
+        let acts = reports.flat_map(|report| report["acts"].as_array().cloned().unwrap_or_default());
+        let mut of_act = acts.filter(|act| act["act"] == format!("act-{}", promise.act));
+        let robots = of_act.find_map(|act| act["skew"]["robots"].as_array().cloned());
+        let of_robot =
+            robots.and_then(|robots| robots.into_iter().find(|skew| skew["robot"] == format!("r{robot}")));
+        of_robot.map_or(unknown, |skew| {
+            let (offset, uncertainty) = (span(&skew["offset_ms"]), span(&skew["uncertainty_ms"]));
+            (-offset - uncertainty, -offset + uncertainty + span(&skew["wake_up_ms"]))
+        })
+    }
+
+    /// Times in which nothing that the mission says reaches a robot.
+    fn unheard(&self, robot: usize) -> Vec<(i64, i64)> {
+        let own = self.faults(Some(robot)).filter(|struck| {
+            let deaf = [Fault::Cut, Fault::Interrupted, Fault::Muted, Fault::Deaf, Fault::Frozen];
+            matches!(struck.what, What::Robot(fault) if deaf.iter().any(|d| std::mem::discriminant(d) == std::mem::discriminant(&fault)))
+        });
+        let scheduler = self.faults(None);
+        // Another process speaks for the mission.
+        let heard = |from: i64| {
+            let others = self.played.told.iter().filter(|told| told.kind != Kind::Run);
+            others.map(|told| told.began).filter(|at| *at >= from).min().unwrap_or(i64::MAX)
+        };
+        let silent = scheduler.map(|struck| (struck.from, struck.until.min(heard(struck.from))));
+        own.map(|struck| (struck.from, struck.until)).chain(silent).collect()
+    }
+
+    /// Nothing is done by a robot that has heard nothing for longer than its lease.
+    fn leases(&mut self, robot: usize) {
+        for (from, until) in self.unheard(robot) {
+            let slow = self.faults(Some(robot)).filter_map(|struck| match struck.what {
+                What::Robot(Fault::Slow(delay)) => i64::try_from(delay.as_nanos()).ok(),
+                _ => None,
+            });
+            let under_way = UNDER_WAY + slow.max().unwrap_or(0);
+            let beyond = self.played.sets[robot].iter().find(|entry| {
+                let due = entry.at - (entry.set_at - entry.due).max(0);
+                let pending = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request));
+                let pending = pending.map_or(0, |promise| promise.lease).max(self.lease());
+                let lease = if entry.step == Some(0) { pending } else { self.lease() };
+                due > from + lease + under_way && due < until
+            });
+            let beyond = beyond.map(|entry| ((entry.at - from) / MILLIS, entry.clone()));
+            self.say(beyond.is_some(), || {
+                format!("(lease) r{robot} moved after its lease had run out: {beyond:?}")
+            });
+        }
+    }
+
+    /// Nothing is done after a confirmed stop.
+    fn confirmed(&mut self, robot: usize) {
+        let confirmed = self
+            .played
+            .journal
+            .iter()
+            .find(|(_, record)| record["record"] == "stop_confirmed" && index(&record["robot"]) == robot);
+        let Some((at, _)) = confirmed else { return };
+        let after = self.played.sets[robot].iter().filter(|entry| entry.at > *at).count();
+        self.say(after > 0, || format!("(stop) r{robot} did {after} steps after it had confirmed its stop"));
+    }
+
+    /// `downbeat stop` brings every robot that it can reach to rest within its bound.
+    fn operators_stop(&mut self) {
+        for told in self.played.told.iter().filter(|told| told.kind == Kind::Stop && told.code() != Some(2)) {
+            let frozen = self.struck_within(None, told.began, told.began + GIVEN_UP);
+            let rest = told.began
+                + AT_REST
+                + if frozen { GIVEN_UP } else { 0 }
+                + held_up::longest(told.began, told.gone);
+            for robot in 0..self.played.drawn.robots() {
+                if self.struck_within(Some(robot), told.began - 2 * self.lease(), rest) {
+                    continue;
+                }
+                let after = self.played.sets[robot].iter().filter(|entry| entry.at > rest).count();
+                self.say(after > 0, || {
+                    format!("(stop) r{robot} did {after} steps long after `downbeat stop`")
+                });
+            }
+        }
+    }
+
+    fn report(&mut self, told: &Told, report: &Value) {
+        let outcome = report["outcome"].as_str().unwrap_or_default().to_owned();
+        for row in report["robots"].as_array().into_iter().flatten() {
+            self.at_rest(told, row);
+            if !is_withdrawal(report) {
+                self.row(&outcome, report, row);
+            }
+        }
+        for act in report["acts"].as_array().into_iter().flatten() {
+            for said in act["robots"].as_array().into_iter().flatten() {
+                let devices = said["devices"].as_array().into_iter().flatten().enumerate();
+                devices.for_each(|(script, device)| self.script(act, index(&said["robot"]), script, device));
+            }
+        }
+        for failure in report["failures"].as_array().into_iter().flatten() {
+            self.blame(told, failure);
+        }
+        if report["outcome"] == "done" || report["outcome"] == "done_without" {
+            self.done(report);
+        }
+    }
+
+    /// A robot that still moves when this was said is named, with an instant by which it is at rest.
+    fn at_rest(&mut self, told: &Told, row: &Value) {
+        let robot = index(&row["robot"]);
+        let moves: Vec<i64> =
+            self.played.sets[robot].iter().map(|entry| entry.at).filter(|at| *at > told.gone).collect();
+        let stop = &row["stop"];
+        self.say(!moves.is_empty() && stop["state"] != "unconfirmed", || {
+            format!("(named) r{robot} did {} steps after {:?} had said of it {stop}", moves.len(), told.kind)
+        });
+        // What was under way, or lay in a link that stood, renews a lease that still runs when it arrives.
+        let held = self.faults(Some(robot)).map(|struck| match struck.what {
+            What::Robot(Fault::Muted | Fault::Deaf) => (struck.until - struck.from).min(self.lease()),
+            What::Robot(Fault::Slow(delay)) => i64::try_from(delay.as_nanos()).unwrap(),
+            _ => 0,
+        });
+        let held = held.max().unwrap_or(0) + UNDER_WAY;
+        let ends = stop["lease_ends"].as_str().map(nanos);
+        let beyond = ends.map(|ends| moves.iter().filter(|at| **at > ends + held).count()).unwrap_or(0);
+        self.say(beyond > 0, || {
+            format!("(named) r{robot} did {beyond} steps after the end of its lease as told: {stop}")
+        });
+    }
+
+    /// What is said of one robot, of the acts that this report tells of.
+    fn row(&mut self, outcome: &str, report: &Value, row: &Value) {
+        let robot = index(&row["robot"]);
+        let acts = report["acts"].as_array().into_iter().flatten();
+        let numbers: Vec<usize> = acts.filter_map(|act| act["number"].as_u64()).map(|n| n as usize).collect();
+        let of_acts = |entry: &&Logged| numbers.iter().any(|act| act_of(entry) == *act);
+        let sets: Vec<&Logged> = self.played.sets[robot].iter().filter(of_acts).collect();
+        let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64);
+        let late = sets.iter().filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
+        let torn = u64::from(self.lost_its_memory(robot));
+        let certain = row["stop"]["state"] != "unconfirmed" && row["unaccounted"] == 0;
+        self.say(said > set + torn, || {
+            format!("(more) r{robot} is said to have done {said} steps, and did {set}")
+        });
+        self.say(certain && said < set, || {
+            format!("(fewer) r{robot} is said for certain to have done {said} steps, and did {set}")
+        });
+        self.say(certain && row["started"] == 0 && set > 0, || {
+            format!("(moved) r{robot} is said not to have started, and did {set} steps")
+        });
+        self.say(outcome == "not_started" && certain && set > 0, || {
+            format!("(moved) not started, and r{robot} did {set} steps")
+        });
+        let claimed = row["late_steps"].as_u64().unwrap();
+        self.say(claimed > late + torn, || {
+            format!("(more) r{robot} is said to be late {claimed} times, and was {late}")
+        });
+    }
+
+    fn script(&mut self, act: &Value, robot: usize, script: usize, device: &Value) {
+        let act = act["number"].as_u64().unwrap() as usize;
+        let first = value(act, script * STEPS);
+        let own = first..first + STEPS as f64;
+        let set = self.played.sets[robot].iter().filter(|entry| own.contains(&entry.value)).count() as u64;
+        let (state, said) = (device["state"].as_str().unwrap(), device["steps_done"].as_u64().unwrap());
+        let torn = u64::from(self.lost_its_memory(robot));
+        let ended = state == "ended" && (said != STEPS as u64 || set + torn < STEPS as u64);
+        let never = matches!(state, "planned") && set > 0;
+        self.say(said > set + torn || ended || never, || {
+            format!("(script) act {act}, r{robot}, script {script}: `{state}` with {said} steps, did {set}")
+        });
+    }
+
+    /// Only robots that something befell have failed, or lost their scripts with the scheduler; all may seem to when this
+    /// machine stood still.
+    fn blame(&mut self, told: &Told, failure: &Value) {
+        let robot = index(&failure["robot"]);
+        let struck = self.faults(Some(robot)).any(|struck| struck.from <= told.gone);
+        let scheduler = self.faults(None).any(|struck| struck.from <= told.gone);
+        // Leases run out while the scheduler stands still.
+        if struck || (scheduler && failure["failure"] == "script") {
+            return;
+        }
+        // Before anything was promised the scheduler's own standing still counts as the robots' silence.
+        let promised = self.promises.iter().any(|promise| promise.sent <= told.gone);
+        if scheduler && !promised {
+            self.verdict.greetings += 1;
+            return;
+        }
+        match held_up::longest(told.gone - SHORTLY, told.gone) > HELD_UP {
+            true => self.verdict.busy.push(format!("r{robot} was blamed")),
+            false => self.verdict.wrong.push(format!("(blame) nothing befell it: {failure}")),
+        }
+    }
+
+    /// It says that all was played: by everybody, but for those that failed.
+    fn done(&mut self, report: &Value) {
+        let failures = report["failures"].as_array().unwrap();
+        let rows = report["robots"].as_array().unwrap();
+        for robot in 0..self.played.drawn.robots() {
+            let failed = failures.iter().any(|failure| index(&failure["robot"]) == robot)
+                || rows.iter().any(|row| index(&row["robot"]) == robot && row["standing"] == "out");
+            let set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
+            let planned = self.played.drawn.values();
+            let torn = usize::from(self.lost_its_memory(robot));
+            let all = set == planned || (torn > 0 && set.len() + torn >= planned.len());
+            self.say(!failed && !all, || format!("(done) {}, and r{robot} set {set:?}", report["outcome"]));
+        }
+    }
+}
+
+fn act_of(entry: &Logged) -> usize {
+    (entry.value as usize - 1) / VALUES
+}
+
+/// Which of its act.
+fn step_of(entry: &Logged) -> usize {
+    (entry.value as usize - 1) % VALUES
+}

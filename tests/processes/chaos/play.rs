@@ -1,0 +1,350 @@
+//! Plays a mission with real processes, lets befall it what was drawn, and keeps what everybody said and did.
+
+use std::path::Path;
+use std::sync::Mutex;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
+use serde_json::Value;
+
+use super::draw::{Back, Drawn, Fault, Strike, Then, When};
+use stage::{Ended, Logged, Running, Stage, Via, epoch_nanos, nanos, sleep_until};
+
+/// A program may take so much longer than the mission and its faults.
+const SLACK: Duration = Duration::from_secs(25);
+/// An act whose start is awaited longer does not come.
+const COMES: Duration = Duration::from_secs(15);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    Run,
+    Resume,
+    Stop,
+}
+
+/// A program that was started, and how it ended.
+#[derive(Clone)]
+pub struct Told {
+    pub kind: Kind,
+    pub began: i64,
+    /// When its process had ended, by the host's clock.
+    pub gone: i64,
+    /// What it had said until then, if it hung.
+    pub ended: Result<Ended, String>,
+}
+
+impl Told {
+    /// What it said of robots; where there was nothing to do it says that alone.
+    pub fn report(&self) -> Option<Value> {
+        let said: Value = serde_json::from_str(&self.ended.as_ref().ok()?.out).ok()?;
+        Some(said).filter(|said| said["robots"].is_array())
+    }
+
+    pub fn code(&self) -> Option<i32> {
+        self.ended.as_ref().ok().and_then(|ended| ended.code)
+    }
+}
+
+/// What befell whom, and from when to when.
+#[derive(Clone, Debug)]
+pub struct Struck {
+    /// `None`: the scheduler.
+    pub robot: Option<usize>,
+    pub what: What,
+    pub from: i64,
+    /// `i64::MAX`: for good.
+    pub until: i64,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub enum What {
+    Robot(Fault),
+    SchedulerFrozen,
+    SchedulerKilled,
+}
+
+#[derive(Clone)]
+pub struct Played {
+    pub drawn: Drawn,
+    pub struck: Vec<Struck>,
+    pub told: Vec<Told>,
+    /// The values of scripts that each robot set.
+    pub sets: Vec<Vec<Logged>>,
+    /// Those that robots of other ids set at its address.
+    pub strangers: usize,
+    pub journal: Vec<(i64, Value)>,
+}
+
+/// A program that runs. Only its owner reaps it, so its process id stays its own.
+struct Program {
+    kind: Kind,
+    began: i64,
+    running: Running,
+    gone: JoinHandle<i64>,
+}
+
+impl Program {
+    fn start(kind: Kind, stage: &Stage, drawn: &Drawn, args: &[&str]) -> Self {
+        let began = epoch_nanos();
+        let patience = format!("{}ms", drawn.patience_ms);
+        let running = stage.start(&[args, &["--format", "json", "--patience", &patience]].concat());
+        let pid = Pid::from_child(&running.process.0);
+        let gone = std::thread::spawn(move || {
+            let _status = waitid(WaitId::Pid(pid), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
+            epoch_nanos()
+        });
+        Self { kind, began, running, gone }
+    }
+
+    fn told(self, bound: Duration) -> Told {
+        let ended = self.running.ended_within(bound);
+        Told { kind: self.kind, began: self.began, gone: self.gone.join().unwrap(), ended }
+    }
+}
+
+/// What the threads of one mission share.
+struct Show<'a> {
+    drawn: &'a Drawn,
+    stage: Mutex<Stage>,
+    /// In the order in which they were started.
+    programs: Mutex<Vec<Program>>,
+    struck: Mutex<Vec<Struck>>,
+    scheduler: Pid,
+    began: Instant,
+    state: std::path::PathBuf,
+}
+
+pub fn play(drawn: Drawn) -> Played {
+    let mut stage = Stage::new();
+    stage.file("chaos.yaml", drawn.scenario());
+    for robot in 0..drawn.robots() {
+        let (args, keys) = drawn.setup(robot, false);
+        let init = format!("robot-{robot}.yaml");
+        stage.file(&init, drawn.init(robot));
+        stage.robot_with(&init, Via::Proxy, args, keys);
+        let link = stage.robots[robot].link.as_ref().unwrap();
+        if !drawn.tells[robot].answers_inquiries() && link.reads() {
+            link.leave_out(&["inquiry"]);
+        }
+    }
+    let began = Instant::now();
+    let run = Program::start(Kind::Run, &stage, &drawn, &["run", "chaos.yaml"]);
+    let scheduler = Pid::from_child(&run.running.process.0);
+    let state = stage.path("state");
+    let mut show = Show {
+        drawn: &drawn,
+        stage: Mutex::new(stage),
+        programs: Mutex::new(vec![run]),
+        struck: Mutex::new(Vec::new()),
+        scheduler,
+        began,
+        state,
+    };
+    std::thread::scope(|scope| {
+        for (when, strike) in &drawn.strikes {
+            let show = &show;
+            scope.spawn(move || {
+                if show.awaits(*when) {
+                    show.strike(*strike);
+                }
+            });
+        }
+    });
+    let bound = Duration::from_millis(drawn.plays_ms() as u64) + SLACK;
+    let programs = std::mem::take(show.programs.get_mut().unwrap());
+    let told: Vec<Told> = programs.into_iter().map(|program| program.told(bound)).collect();
+    show.end_all_faults();
+    // Whatever a lease still allows is over then.
+    std::thread::sleep(Duration::from_millis(drawn.lease_ms + 300));
+    let stage = show.stage.into_inner().unwrap();
+    let (mut sets, mut strangers) = (Vec::new(), 0);
+    for robot in &stage.robots {
+        let (own, foreign): (Vec<_>, Vec<_>) =
+            robot.sets().into_iter().partition(|set| set.robot == robot.id);
+        sets.push(own);
+        strangers += foreign.len();
+    }
+    let journal = journal(&show.state);
+    let struck = show.struck.into_inner().unwrap();
+    Played { drawn, struck, told, sets, strangers, journal }
+}
+
+impl Show<'_> {
+    /// Whether it comes.
+    fn awaits(&self, when: When) -> bool {
+        match when {
+            When::After(after) => std::thread::sleep(after.saturating_sub(self.began.elapsed())),
+            When::Before { act, millis } => {
+                let Some(start) = self.start_of(act) else { return false };
+                sleep_until(start - millis * 1_000_000);
+            }
+        }
+        true
+    }
+
+    /// Of an act, once that is promised.
+    fn start_of(&self, act: usize) -> Option<i64> {
+        while self.began.elapsed() < COMES {
+            let journal = journal(&self.state);
+            let of_act =
+                |(_, record): &&(i64, Value)| record["record"] == "prepared" && record["number"] == act;
+            if let Some((_, promise)) = journal.iter().find(of_act) {
+                return promise["start"].as_str().map(nanos);
+            }
+            if journal.iter().any(|(_, record)| record["record"] == "ended") {
+                return None;
+            }
+            std::thread::sleep(Duration::from_millis(15));
+        }
+        None
+    }
+
+    fn note(&self, robot: Option<usize>, what: What, from: i64, until: i64) {
+        self.struck.lock().unwrap().push(Struck { robot, what, from, until });
+    }
+
+    fn begin(&self, kind: Kind, word: &str) {
+        let program = Program::start(kind, &self.stage.lock().unwrap(), self.drawn, &[word]);
+        self.programs.lock().unwrap().push(program);
+    }
+
+    fn signal(&self, signal: Signal) {
+        // It is not reaped before all strikes are over.
+        let _gone = kill_process(self.scheduler, signal);
+    }
+
+    fn strike(&self, strike: Strike) {
+        match strike {
+            Strike::Robot { robot, fault, lasts } => self.befall(robot, fault, lasts),
+            Strike::SchedulerFrozen(lasts) => self.freeze(lasts, |_| {}),
+            Strike::StopWhileFrozen(after, lasts) => self.freeze(lasts, |show| {
+                std::thread::sleep(after);
+                show.begin(Kind::Stop, "stop");
+            }),
+            Strike::SchedulerKilled(then) => {
+                let at = epoch_nanos();
+                self.signal(Signal::KILL);
+                self.note(None, What::SchedulerKilled, at, i64::MAX);
+                self.follow(then);
+            }
+            Strike::ResumeTooSoon => self.begin(Kind::Resume, "resume"),
+            Strike::Stop { again } => {
+                self.begin(Kind::Stop, "stop");
+                if let Some(after) = again {
+                    std::thread::sleep(after);
+                    self.begin(Kind::Stop, "stop");
+                }
+            }
+        }
+    }
+
+    fn freeze(&self, lasts: Duration, meanwhile: impl FnOnce(&Self)) {
+        let from = epoch_nanos();
+        self.signal(Signal::STOP);
+        meanwhile(self);
+        std::thread::sleep(lasts);
+        self.signal(Signal::CONT);
+        self.note(None, What::SchedulerFrozen, from, epoch_nanos());
+    }
+
+    fn follow(&self, then: Then) {
+        match then {
+            Then::Nothing => {}
+            Then::Resume(after) => {
+                std::thread::sleep(after);
+                self.begin(Kind::Resume, "resume");
+            }
+            Then::Stop(after) => {
+                std::thread::sleep(after);
+                self.begin(Kind::Stop, "stop");
+            }
+            Then::ResumeAndStop(after, later) => {
+                std::thread::sleep(after);
+                self.begin(Kind::Resume, "resume");
+                std::thread::sleep(later);
+                self.begin(Kind::Stop, "stop");
+            }
+        }
+    }
+
+    fn befall(&self, robot: usize, fault: Fault, lasts: Option<Duration>) {
+        let from = epoch_nanos();
+        self.fault_begins(robot, fault);
+        let until = match lasts {
+            Some(lasts) => {
+                std::thread::sleep(lasts);
+                self.fault_ends(robot, fault);
+                let still = if let Fault::Slow(delay) = fault { delay } else { Duration::ZERO };
+                epoch_nanos() + i64::try_from(still.as_nanos()).unwrap()
+            }
+            None => i64::MAX,
+        };
+        let until = if matches!(fault, Fault::Killed | Fault::Stranded) { i64::MAX } else { until };
+        self.note(Some(robot), What::Robot(fault), from, until);
+    }
+
+    /// When all has been said, who was cut off or frozen for good goes on: with what it still may do.
+    fn end_all_faults(&mut self) {
+        let lasting = |struck: &Struck| match struck.what {
+            What::Robot(fault) if struck.until == i64::MAX => Some((struck.robot?, fault)),
+            _ => None,
+        };
+        let lasting: Vec<_> = self.struck.get_mut().unwrap().iter().filter_map(lasting).collect();
+        lasting.into_iter().for_each(|(robot, fault)| self.fault_ends(robot, fault));
+        let now = epoch_nanos();
+        let ends = |struck: &&mut Struck| {
+            struck.until == i64::MAX
+                && !matches!(
+                    struck.what,
+                    What::Robot(Fault::Killed | Fault::Stranded) | What::SchedulerKilled
+                )
+        };
+        self.struck.get_mut().unwrap().iter_mut().filter(ends).for_each(|struck| struck.until = now);
+    }
+
+    fn fault_begins(&self, robot: usize, fault: Fault) {
+        let robot = &mut self.stage.lock().unwrap().robots[robot];
+        let link = robot.link.as_ref().unwrap();
+        match fault {
+            Fault::Frozen => robot.freeze(),
+            Fault::Killed | Fault::Restarted(_) => robot.kill(),
+            Fault::Cut => link.cut(),
+            Fault::Interrupted => link.interrupt(),
+            Fault::Muted => link.freeze(),
+            Fault::Deaf => link.deafen(),
+            Fault::Dumb => link.silence(),
+            Fault::Stranded => link.strand(),
+            Fault::Slow(delay) => link.delay(delay),
+        }
+    }
+
+    fn fault_ends(&self, robot: usize, fault: Fault) {
+        let mut stage = self.stage.lock().unwrap();
+        match fault {
+            Fault::Frozen => stage.robots[robot].thaw(),
+            Fault::Slow(_) => stage.robots[robot].link.as_ref().unwrap().delay(Duration::ZERO),
+            Fault::Killed | Fault::Stranded => {}
+            Fault::Restarted(back) => {
+                let id = match back {
+                    Back::Same | Back::OtherClock => stage.robots[robot].id.clone(),
+                    Back::Stranger => "stranger".to_owned(),
+                };
+                let (args, _) = self.drawn.setup(robot, matches!(back, Back::OtherClock));
+                stage.replace_with(robot, &id, args);
+            }
+            _ => stage.robots[robot].link.as_ref().unwrap().open(),
+        }
+    }
+}
+
+/// Every record of the mission's journal, with its instant.
+fn journal(state: &Path) -> Vec<(i64, Value)> {
+    let entries = std::fs::read_dir(state).into_iter().flatten().flatten();
+    let texts = entries.filter_map(|entry| std::fs::read_to_string(entry.path().join("journal")).ok());
+    let record = |line: &str| {
+        let record: Value = serde_json::from_str(line.get(9..)?).ok()?;
+        Some((nanos(record["at"].as_str()?), record))
+    };
+    texts.flat_map(|text| text.lines().filter_map(record).collect::<Vec<_>>()).collect()
+}

@@ -1,0 +1,178 @@
+//! Real-time scheduling: taken where it is permitted, told where it is not, and nothing moves where it is required in vain.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, Command, Stdio};
+
+use rustix::process::{Pid, Signal};
+
+use stage::session::{ARM, Ran, Session, program};
+
+const SCENARIO: &str = "scenario: test
+cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 100ms, to: 0}]}}]
+";
+
+/// What no permission sounds like.
+const REFUSED: [&str; 5] = [
+    "no real-time scheduling (Operation not permitted",
+    "LimitRTPRIO=50",
+    "LimitMEMLOCK=infinity",
+    "setcap cap_sys_nice,cap_ipc_lock+ep",
+    "/etc/security/limits.conf",
+];
+
+fn session() -> Session {
+    let session = Session::new();
+    session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+    session.file(
+        "tcp.yaml",
+        "robots:\n  left: {init: arm.yaml, address: 'tcp://127.0.0.1:9'}\ngroups: {arms: [left]}\n",
+    );
+    session
+}
+
+/// The program without the right to real-time scheduling and locked memory, also when root runs the tests.
+fn without_permission(session: &Session, args: &[&str]) -> Command {
+    let mut command = Command::new("prlimit");
+    command.args(["--rtprio=0:0", "--memlock=65536:65536"]);
+    if rustix::process::geteuid().is_root() {
+        command.args(["setpriv", "--bounding-set=-sys_nice,-ipc_lock"]);
+    }
+    command
+        .arg(program())
+        .args(args)
+        .current_dir(session.path("."))
+        .env("DOWNBEAT_STATE", session.path("state"));
+    command
+}
+
+/// A robot that listens; ends with the value.
+struct Robot {
+    child: Child,
+}
+
+impl Robot {
+    fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        assert!(line.contains("listens on"), "{line}");
+        Self { child }
+    }
+
+    /// Policy of the thread that wakes robots, as the kernel numbers them, and the locked memory in kB.
+    fn granted(&self) -> (u32, u64) {
+        let of = |path: &str| std::fs::read_to_string(format!("/proc/{}/{path}", self.child.id())).unwrap();
+        let locked = of("status");
+        let locked = locked.lines().find_map(|line| line.strip_prefix("VmLck:")).unwrap();
+        let locked = locked.trim().trim_end_matches(" kB").parse().unwrap();
+        let tasks = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
+        let policy = tasks.into_iter().find_map(|task| {
+            let stat = of(&format!("task/{}/stat", task.unwrap().file_name().display()));
+            // The name in parentheses is the second word, the policy the 41st.
+            let rest = stat.split_once("(robots) ")?.1;
+            rest.split(' ').nth(38)?.parse().ok()
+        });
+        (policy.unwrap(), locked)
+    }
+
+    /// Ends it, as a service manager does; returns what it wrote to standard error.
+    fn said(mut self) -> String {
+        rustix::process::kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
+        let mut said = String::new();
+        self.child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        said
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        let _gone = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}
+
+const ROBOT: [&str; 5] = ["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0"];
+
+#[test]
+fn a_robot_without_permission_says_so_in_one_line_with_what_would_allow_it_and_goes_on() {
+    let session = session();
+    for format in ["text", "json"] {
+        let mut command = without_permission(&session, &ROBOT);
+        command.args(["--format", format]);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let robot = Robot { child };
+        let (policy, locked) = robot.granted();
+        assert_eq!((policy, locked), (0, 0));
+        let said = robot.said();
+        assert_eq!(said.lines().count(), 1, "{said}");
+        REFUSED.iter().for_each(|part| assert!(said.contains(part), "no `{part}`: {said}"));
+    }
+}
+
+#[test]
+fn a_robot_takes_what_is_permitted_and_says_what_it_got() {
+    let permitted = Command::new("chrt").args(["-f", "50", "true"]).stderr(Stdio::null()).status();
+    let permitted = permitted.is_ok_and(|status| status.success());
+    let session = session();
+    let robot = Robot::start(session.command(&ROBOT));
+    let (policy, locked) = robot.granted();
+    let said = robot.said();
+    assert_eq!(said.lines().count(), 1, "{said}");
+    assert_eq!(policy == 1, permitted, "{said}");
+    assert_eq!(said.contains("real-time scheduling (SCHED_FIFO, priority 50)"), permitted, "{said}");
+    assert_eq!(said.contains(", memory locked"), locked > 0, "{locked} kB: {said}");
+}
+
+#[test]
+fn real_time_scheduling_that_is_off_is_neither_asked_for_nor_told() {
+    let session = session();
+    let mut command = session.command(&ROBOT);
+    command.args(["--realtime", "off"]);
+    let robot = Robot::start(command);
+    assert_eq!(robot.granted(), (0, 0));
+    assert_eq!(robot.said(), "");
+}
+
+#[test]
+fn real_time_scheduling_that_is_required_and_not_to_be_had_is_told_of_and_nothing_starts() {
+    let session = session();
+    session.file("edge.sh", "touch moved; cat > /dev/null");
+    let edge = ["edge", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--driver", "program:sh edge.sh"];
+    let commands: [&[&str]; 5] =
+        [&ROBOT, &edge, &["sim", "tcp.yaml"], &["run", "test.yaml"], &["preflight", "test.yaml"]];
+    for command in commands {
+        let mut refused = without_permission(&session, command);
+        let ran = Ran(refused.args(["--realtime", "required"]).output().unwrap());
+        ran.says(2, &REFUSED);
+        assert!(!ran.out().contains("listens on"), "{}", ran.text());
+    }
+    assert!(!session.path("moved").exists(), "the driver was started");
+}
+
+#[test]
+fn a_mission_says_what_its_own_robots_got_and_plays_without_permission() {
+    let session = session();
+    let ran = Ran(without_permission(&session, &["run", "test.yaml"]).output().unwrap());
+    ran.says(0, &REFUSED);
+    let ran = session.run(&["run", "test.yaml", "--realtime", "off"]);
+    assert!(!ran.text().contains("real-time"), "{}", ran.text());
+}
+
+#[test]
+fn a_word_that_is_no_choice_is_refused_with_the_choices() {
+    let session = session();
+    session.run(&["robot", "--init", "arm.yaml", "--realtime", "on"]).says(2, &["auto, off, required"]);
+}
+
+#[test]
+fn preflight_tells_how_late_this_host_wakes_up_and_what_it_was_granted() {
+    let session = session();
+    let ran = Ran(without_permission(&session, &["preflight", "test.yaml"]).output().unwrap());
+    ran.says(0, &["this host wakes up", "(median)", "(p99)", "no real-time scheduling", "LimitRTPRIO=50"]);
+    let report = session.run(&["preflight", "test.yaml", "--realtime", "off", "--format", "json"]).json();
+    let figure = |name: &str| report["wake_up"][name].as_f64().unwrap();
+    assert!(figure("median_ms") <= figure("p99_ms") && figure("p99_ms") <= figure("longest_ms"), "{report}");
+    assert_eq!(report["wake_up"]["scheduling"], "ordinary scheduling");
+}

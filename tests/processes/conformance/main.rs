@@ -1,0 +1,307 @@
+//! The conformance check is checked: right robots pass, and each planted fault fails what it breaks and nothing else.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+mod copied;
+mod faults;
+mod proxy;
+mod sloppy;
+mod starters;
+
+use std::collections::BTreeSet;
+use std::net::SocketAddr;
+use std::process::Stdio;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use downbeat::conformance::{Examined, Options, Verdict, examine, requirements};
+use downbeat_robot::simulated::Settings;
+use rustix::process::Signal;
+use urrcp::Span;
+
+use faults::{Mutant, Robot};
+use stage::session::{Session, program, root};
+use stage::signal;
+use stage::standstill::undisturbed;
+
+const ARM: &str = "id: arm
+api_version: '1'
+reports: true
+devices:
+  - id: shoulder
+    name: shoulder servo
+    unit: deg
+    default_value: 0
+    interpolation: linear
+    script_queue: 2
+    available_control_types:
+      position: {min_value: 0, max_value: 90, granularity: 0.5}
+      script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
+";
+
+const ROVER: &str = "id: rover
+api_version: '1'
+reports: true
+devices:
+  - id: wheel
+    name: wheel
+    default_value: 0
+    script_queue: 3
+    available_control_types:
+      speed: {min_value: -1, max_value: 1, granularity: 0.01}
+      acceleration: {min_value: -2, max_value: 2, granularity: 0.01}
+      script: {min_value: -1, max_value: 1, granularity: 0.01, max_number_of_steps: 16, control_types: [speed]}
+  - id: range
+    name: distance ahead
+    available_control_types:
+      sensor: {min_value: 0.02, max_value: 4, max_error: 0.01, max_delay: 50}
+";
+
+/// A device that is only set, with limits off its grid.
+const LAMP: &str = "id: lamp
+api_version: '1'
+devices:
+  - id: colour
+    name: red green blue
+    available_control_types:
+      custom_1: {values: 3}
+  - id: brightness
+    name: brightness
+    available_control_types:
+      position: {min_value: 0.03, max_value: 0.97, granularity: 0.05}
+";
+
+/// These move megabytes or wait for long; only robots that are to stumble over them are made to.
+const HEAVY: [&str; 5] = ["huge-line", "slow-reader", "deep-nesting", "session-silence", "silent-peers"];
+
+fn options(only: &[&str]) -> Options {
+    let mut options = Options::default();
+    options.tolerance = Span::from_millis(150);
+    options.patience = Span::from_millis(1_500);
+    options.only = only.iter().map(|name| (*name).to_owned()).collect();
+    options
+}
+
+fn examined(address: SocketAddr, options: Options) -> Examined {
+    examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap()
+}
+
+/// What a right robot is found to be.
+fn examined_undisturbed(robot: impl Fn() -> SocketAddr, options: Options) -> Examined {
+    undisturbed(|| examined(robot(), options.clone()), |examined| told(examined, Verdict::Fail).is_empty())
+}
+
+fn told(examined: &Examined, verdict: Verdict) -> String {
+    let lines = examined.judged.iter().filter(|judged| judged.verdict == verdict);
+    lines.map(|judged| format!("  {}: {}\n", judged.requirement, judged.why)).collect()
+}
+
+#[track_caller]
+fn check_passes(robot: &str, not_applicable: &[&str]) {
+    let examined = examined_undisturbed(|| proxy::robot(robot, Settings::default()), options(&[]));
+    assert_eq!(told(&examined, Verdict::Fail), "");
+    let open = examined.judged.iter().filter(|judged| judged.verdict == Verdict::NotApplicable);
+    let open: Vec<_> = open.map(|judged| judged.requirement).collect();
+    assert_eq!(open, not_applicable, "{}", told(&examined, Verdict::NotApplicable));
+    assert!(examined.at_rest);
+}
+
+#[test]
+fn an_arm_passes_all_that_an_arm_can() {
+    check_passes(ARM, &["sensor", "lease-left-on", "lease-left-on-kept"]);
+}
+
+#[test]
+fn a_rover_with_a_sensor_passes_everything() {
+    check_passes(ROVER, &[]);
+}
+
+#[test]
+fn what_a_robot_without_scripts_and_reports_does_not_declare_is_not_held_against_it() {
+    let examined = examined_undisturbed(|| proxy::robot(LAMP, Settings::default()), options(&[]));
+    assert_eq!(told(&examined, Verdict::Fail), "");
+    let passed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Pass).count();
+    assert!(passed > 30, "{}", told(&examined, Verdict::NotApplicable));
+}
+
+#[test]
+fn a_robot_that_answers_no_inquiries_is_asked_none() {
+    let silent: proxy::Fault = |_, passing| {
+        if let Some(block) = passing.json.get_mut("initialization_block") {
+            block["inquiry"] = serde_json::json!(false);
+        }
+        match passing.json.get("inquiry") {
+            Some(_) => proxy::Then::HangUp,
+            None => proxy::Then::Pass,
+        }
+    };
+    let robot = proxy::faulty(proxy::robot(ARM, Settings::default()), proxy::Serving::All, silent);
+    let names: Vec<_> = requirements().map(|r| r.name).filter(|name| name.contains("inquiry")).collect();
+    let examined = examined(robot, options(&names));
+    let open = examined.judged.iter().filter(|judged| judged.verdict == Verdict::NotApplicable).count();
+    assert_eq!((names.len(), open), (11, 11), "{}", told(&examined, Verdict::Fail));
+}
+
+#[test]
+fn a_clock_that_is_off_is_measured_when_asked_for() {
+    let mut options = options(&["clock", "deferred-start", "late", "script-timing"]);
+    options.clock_measured = true;
+    let examined = examined_undisturbed(|| proxy::robot(ARM, ahead()), options);
+    assert_eq!(told(&examined, Verdict::Fail), "");
+}
+
+fn ahead() -> Settings {
+    Settings { clock_offset: Span::from_millis(2_000), ntp_error: None, ..Settings::default() }
+}
+
+/// Which requirements a robot with this fault fails, and what is said of them.
+fn failed_by(mutant: &Mutant) -> (BTreeSet<&'static str>, String) {
+    let robot = match mutant.robot {
+        Robot::Arm => proxy::robot(ARM, Settings::default()),
+        Robot::Rover => proxy::robot(ROVER, Settings::default()),
+        Robot::ClockAhead => proxy::robot(ARM, ahead()),
+    };
+    let names = requirements().map(|requirement| requirement.name);
+    let wanted = |name: &&str| {
+        let costs = HEAVY.contains(name) || !mutant.waits && name.starts_with("lease-");
+        !costs || mutant.fails.contains(name)
+    };
+    let light: Vec<_> = names.filter(wanted).collect();
+    let only = if mutant.only.is_empty() { light.as_slice() } else { mutant.only };
+    let examined = examined(proxy::faulty(robot, mutant.serving, mutant.fault), options(only));
+    let failed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Fail);
+    (failed.map(|judged| judged.requirement).collect(), told(&examined, Verdict::Fail))
+}
+
+/// Robots that are examined at a time: nearly all of it is waiting.
+const AT_A_TIME: usize = 8;
+
+#[test]
+fn each_planted_fault_fails_what_it_breaks_and_nothing_else() {
+    let mutants = faults::all();
+    let (next, wrong) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..AT_A_TIME {
+            scope.spawn(|| {
+                while let Some(mutant) = mutants.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    if failed_by(mutant).0 != mutant.fails.iter().copied().collect() {
+                        wrong.lock().unwrap().push(mutant);
+                    }
+                }
+            });
+        }
+    });
+    // What is wrong while others are examined may be held up by them.
+    let mut report = String::new();
+    for mutant in wrong.into_inner().unwrap() {
+        let fails = mutant.fails.iter().copied().collect();
+        let (failed, why) = undisturbed(|| failed_by(mutant), |(failed, _)| *failed == fails);
+        if failed != fails {
+            report.push_str(&format!("{}: expected {fails:?}, found {failed:?}\n{why}", mutant.name));
+        }
+    }
+    assert_eq!(report, "");
+}
+
+#[test]
+fn what_comes_after_the_death_of_a_robot_is_not_waited_for() {
+    let robot = proxy::faulty(proxy::robot(ARM, Settings::default()), proxy::Serving::AtMost(15), |_, _| {
+        proxy::Then::Pass
+    });
+    let examined = examined(robot, options(&["reconnect", "two-links", "availability"]));
+    let last = examined.judged.last().unwrap();
+    assert_eq!((last.requirement, last.verdict), ("two-links", Verdict::Fail));
+    assert!(last.why.contains("since `reconnect`"), "{}", last.why);
+    assert!(!examined.at_rest);
+}
+
+#[test]
+fn every_requirement_is_failed_by_some_fault() {
+    let mutants = faults::all();
+    let mut failed: BTreeSet<_> = mutants.iter().flat_map(|mutant| mutant.fails.iter().copied()).collect();
+    // By doors that ask who one is.
+    failed.extend(sloppy::OF_PROOFS.iter().copied().chain(["roles", "no-certificate"]));
+    let missing: Vec<_> = requirements().map(|r| r.name).filter(|name| !failed.contains(name)).collect();
+    assert_eq!(missing, Vec::<&str>::new());
+}
+
+#[test]
+fn the_document_lists_every_requirement_as_the_program_does() {
+    let document = std::fs::read_to_string(root().join("docs/conformance.md")).unwrap();
+    let rows: String =
+        requirements().map(|r| format!("| `{}` | {} | {} |\n", r.name, r.demands, r.section)).collect();
+    assert!(document.contains(&rows), "docs/conformance.md should have these rows:\n{rows}");
+    let protocol = std::fs::read_to_string(root().join("docs/protocol.md")).unwrap();
+    for requirement in requirements() {
+        let heading =
+            |line: &str| line.trim_start_matches('#').trim() == requirement.section && line.starts_with('#');
+        assert!(protocol.lines().any(heading), "`{}`: no section {}", requirement.name, requirement.section);
+    }
+}
+
+#[test]
+fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
+    let session = Session::new();
+    let robot = proxy::robot(ARM, Settings::default());
+    let right = format!("tcp://{robot}");
+    session.run(&["conformance", &right, "--only", "availability,sensor,queue"]).says(
+        0,
+        &[
+            "availability",
+            "pass",
+            "the robot declares no sensor",
+            "2 scripts held",
+            "2 pass, 0 fail, 1 not applicable",
+        ],
+    );
+    session
+        .run(&["conformance", &right, "--device", "elbow"])
+        .says(2, &["no device `elbow`", "one of `shoulder`"]);
+    let late: proxy::Fault =
+        faults::all().into_iter().find(|mutant| mutant.fails.contains(&"late")).unwrap().fault;
+    let wrong = format!("tcp://{}", proxy::faulty(robot, proxy::Serving::All, late));
+    session.run(&["conformance", &wrong, "--only", "late"]).says(
+        1,
+        &["fail", "sent {\"control_request\":", "came {\"control_response\":", "expected status `Failed`"],
+    );
+    let json = session.run(&["conformance", &wrong, "--only", "late,clock", "--format", "json"]);
+    assert_eq!(json.code(), 1);
+    let judged = json.json();
+    assert_eq!(
+        (judged[0]["requirement"].as_str(), judged[0]["verdict"].as_str()),
+        (Some("clock"), Some("pass"))
+    );
+    assert_eq!(
+        (judged[1]["requirement"].as_str(), judged[1]["verdict"].as_str()),
+        (Some("late"), Some("fail"))
+    );
+    assert!(judged[1]["millis"].is_u64() && judged[1]["why"].as_str().unwrap().contains("came"));
+    session.run(&["conformance", &right, "--only", "lat"]).says(2, &["no requirement `lat`"]);
+    session.run(&["conformance", "nowhere"]).says(2, &["write tcp://HOST:PORT"]);
+    session.run(&["conformance", "tcp://127.0.0.1:1"]).says(1, &["no connection to 127.0.0.1:1"]);
+    session
+        .run(&["conformance", "--list"])
+        .says(0, &["lease-noise", "A line that is no message renews nothing."]);
+}
+
+#[test]
+fn ctrl_c_leaves_the_robot_at_rest() {
+    let robot = proxy::robot(ARM, Settings::default());
+    let mut command = std::process::Command::new(program());
+    command.args([
+        "conformance",
+        &format!("tcp://{robot}"),
+        "--only",
+        "lease-renewal,lease-noise,lease-two-links",
+    ]);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    signal(&child, Signal::INT);
+    let ended = child.wait_with_output().unwrap();
+    let printed = String::from_utf8_lossy(&ended.stdout);
+    assert_eq!(ended.status.code(), Some(3), "{printed}");
+    assert!(printed.contains("ended by the operator"), "{printed}");
+    // Whatever was held is held no more.
+    let after = examined(robot, options(&["queue"]));
+    assert_eq!(told(&after, Verdict::Fail), "");
+}

@@ -1,0 +1,333 @@
+//! Programs as drivers.
+
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use rustix::process::Signal;
+
+use super::processes::Edge;
+use super::{LEAD, SCENARIO, await_that, fleet, session};
+use stage::session::{Ran, Session, root};
+use stage::signal;
+
+pub const DRIVE: &str = include_str!("../drivers/drive.sh");
+
+#[test]
+fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
+    let session = session();
+    session.file("drive.sh", DRIVE).file(
+        "tanks.yaml",
+        SCENARIO.replace("right", "left").replace("      left: [{at: 0s, to: 0}, {at: 500ms, to: 10}]\n", ""),
+    );
+    let edge = Edge::start(&session, "tank.json", "program:sh drive.sh driven.txt");
+    let plain = format!(
+        "robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}', require: {{battery: below 13}}}}}}\ngroups: {{tanks: [tank-1]}}\n",
+        edge.1
+    );
+    session.file("fleet.yaml", plain);
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state", || driven().lines().count() >= 3);
+    session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(0, &["done"]);
+    session.file("tanks.yaml", "scenario: fatal\nstart_tolerance: 1s\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 66}, {at: 60s, to: 0}]}}]\n");
+    let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains("the program `sh drive.sh driven.txt` has ended"), "{}", ran.text());
+    let restarted = "set left position 66\nhello\nset left position 0\nset right position 0\n";
+    await_that("the restart", || driven().contains(restarted));
+    let (code, said) = edge.end();
+    assert_eq!(code, Some(0), "{said}");
+    let away = "tank-1: the hardware is away: the program `sh drive.sh driven.txt` has ended";
+    assert!(said.contains(away) && said.contains("tank-1: the hardware is back"), "{said}");
+    let expected = "hello\nset left position 0\nset right position 0\nread battery\nset left position 40\nset left position -20\nset left position 0\n";
+    assert!(driven().starts_with(expected), "{}", driven());
+    assert!(driven().ends_with("set left position 0\nset right position 0\n"), "{}", driven());
+}
+
+#[test]
+fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resume_after_it() {
+    let session = session();
+    session
+        .file("drive.sh", DRIVE)
+        .file("tanks.yaml", "scenario: tanks\nstart_tolerance: 1s\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
+        .file("fleet.yaml", "robots: {tank-1: {init: tank.json, address: 'program:sh drive.sh driven.txt'}}\ngroups: {tanks: [tank-1]}\n");
+    let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
+    let mut running = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the second step", || driven().contains("set left position -20\n"));
+    running.kill().unwrap();
+    running.wait().unwrap();
+    let elsewhere = tempfile::TempDir::new().unwrap();
+    let there = |args: &[&str]| Ran(session.command(args).current_dir(elsewhere.path()).output().unwrap());
+    let before = driven();
+    there(&["stop"])
+        .says(4, &["tank-1: stop NOT confirmed; a program drove it, and a stop starts no program"]);
+    assert_eq!(driven(), before, "the stop started it");
+    // Another program than before is started only if the operator names the file.
+    let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    session.file("fleet.yaml", fleet.replace("sh drive.sh", "touch other; sh drive.sh"));
+    let not_started = ["no program is started: ", "says another program for robot `tank-1`", "--fleet "];
+    there(&["resume"]).says(4, &not_started);
+    assert_eq!(driven(), before, "the resume started it");
+    session.file("fleet.yaml", fleet);
+    if rustix::process::geteuid().is_root() {
+        std::os::unix::fs::chown(session.path("fleet.yaml"), Some(65_534), None).unwrap();
+        there(&["resume"]).says(4, &["says which programs to start, and is not yours alone"]);
+        assert_eq!(driven(), before, "the resume started it");
+    }
+    let named = session.path("fleet.yaml");
+    there(&["resume", "--fleet", named.to_str().unwrap()]).says(0, &["tank-1: default state confirmed"]);
+    let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
+    assert!(after.contains("set left position 0\n"), "{after}");
+}
+
+#[test]
+fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_another_folder() {
+    let session = session();
+    session
+        .file("drive.sh", DRIVE)
+        .file("tanks.yaml", "scenario: tanks\nstop_condition: {running: none}\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
+        .file("fleet.yaml", "robots: {tank-1: {init: tank.json, address: 'program:sh drive.sh driven.txt'}}\ngroups: {tanks: [tank-1]}\n");
+    let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
+    let mut running = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the second step", || driven().contains("set left position -20\n"));
+    running.kill().unwrap();
+    running.wait().unwrap();
+    let elsewhere = tempfile::TempDir::new().unwrap();
+    let resumed = session.command(&["resume"]).current_dir(elsewhere.path()).output().unwrap();
+    let resumed = stage::session::Ran(resumed);
+    // What it held has ended with the process that drove it: the program is reached, and brought to rest.
+    assert!(!resumed.text().contains("cannot open drive.sh"), "{}", resumed.text());
+    resumed.says(1, &["tank-1: default state confirmed"]);
+    let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
+    assert!(after.contains("set left position 0\n"), "{after}");
+}
+
+/// A program drives a wheel, and the edge is sent these signals, one after another. What the program was told.
+fn driven_until(signals: &[Signal]) -> (Option<i32>, String) {
+    let session = Session::new();
+    session.file("drive.sh", DRIVE).file("wheel.yaml", WHEEL);
+    let edge = Edge::start(&session, "wheel.yaml", "program:sh drive.sh driven.txt");
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    let fleet = format!("robots: {{wheel: {{init: wheel.yaml, address: 'tcp://127.0.0.1:{}'}}}}\n", edge.1);
+    session.file("fleet.yaml", fleet).file("turn.yaml", TURN);
+    // A mission is not started on hardware that has yet to answer.
+    await_that("the default state", || driven().ends_with("set wheel speed 0\n"));
+    let mut running = session.command(&["run", "turn.yaml"]).spawn().unwrap();
+    await_that("the wheel", || driven().ends_with("set wheel speed 5\n"));
+    signals[..signals.len() - 1].iter().for_each(|by| signal(&edge.0, *by));
+    std::thread::sleep(Duration::from_millis(50));
+    assert!(driven().ends_with("set wheel speed 5\n"), "{signals:?}: {}", driven());
+    let (code, _) = edge.ends_by(signals[signals.len() - 1]);
+    let _gone = running.kill();
+    let _reaped = running.wait();
+    (code, driven())
+}
+
+const WHEEL: &str = "id: wheel
+api_version: '1'
+reports: true
+devices:
+  - id: wheel
+    name: wheel
+    available_control_types:
+      speed: {min_value: 0, max_value: 10, granularity: 1}
+      script: {min_value: 0, max_value: 10, granularity: 1, max_number_of_steps: 8, control_types: [speed]}
+";
+
+const TURN: &str = "scenario: turn
+start_tolerance: 1s
+stop_condition: {running: none}
+cues: [{at: 0s, robots: wheel, tracks: {wheel: {control: speed, keyframes: [{at: 0s, to: 5}, {at: 60s, to: 0}]}}}]
+";
+
+#[test]
+fn a_driver_is_told_to_stop_last_whatever_signal_asks_the_edge_to_end() {
+    for by in [Signal::INT, Signal::TERM, Signal::HUP, Signal::QUIT] {
+        let (code, driven) = driven_until(&[by]);
+        assert!(driven.ends_with("set wheel speed 0\n"), "{by:?}: {driven}");
+        assert_eq!(code, Some(0), "{by:?}");
+    }
+}
+
+#[test]
+fn signals_that_ask_for_nothing_do_not_end_an_edge() {
+    let (code, driven) =
+        driven_until(&[Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE, Signal::TERM]);
+    assert!(driven.ends_with("set wheel speed 0\n"), "{driven}");
+    assert_eq!(code, Some(0));
+}
+
+/// A Python with the package for drivers on its path; `None` where Rust alone has to do for these tests.
+pub fn python() -> Option<String> {
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    Command::new(&python).arg("--version").output().ok()?;
+    let package = root().join("robot/drivers/python");
+    Some(format!("PYTHONDONTWRITEBYTECODE=1 PYTHONPATH='{}' {python}", package.display()))
+}
+
+#[test]
+fn the_python_program_of_the_documents_drives_too() {
+    let Some(python) = python() else { return };
+    let session = session();
+    session.file("drive.py", include_str!("../drivers/drive.py"));
+    let edge = Edge::start(&session, "tank.json", &format!("program:{python} drive.py driven.txt"));
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state", || driven() == "left position 0.0\nright position 0.0\n");
+    edge.terminate();
+}
+
+#[test]
+fn the_python_package_for_drivers_passes_its_own_tests() {
+    let Some(python) = python() else { return };
+    let tests = root().join("robot/drivers/python");
+    let command = format!("{python} -m unittest discover tests");
+    let ran = Command::new("sh").arg("-c").arg(command).current_dir(tests).output().unwrap();
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success() && said.contains("OK"), "{said}");
+}
+
+/// Tells its latency and a reading, takes frames, and fails when it is told 66.
+const SECOND: &str = r#"
+import sys, threading, time
+from downbeat_driver import Driver
+
+class Second(Driver):
+    latency_ms = 42
+
+    def start(self, robot):
+        print("the SDK greets", robot.devices["left"].id)
+        threading.Thread(target=self.tell, daemon=True).start()
+
+    def set_frame(self, values):
+        with open(sys.argv[1], "a") as driven:
+            driven.write(" ".join(f"{of.device}={of.value:g}" for of in values) + "\n")
+        if any(of.value == 66 for of in values):
+            self.fault("emergency stop")
+
+    def tell(self):
+        while True:
+            self.push_reading("battery", 13.5)
+            time.sleep(0.01)
+
+Second().run()
+"#;
+
+#[test]
+fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_its_latency() {
+    let Some(python) = python() else { return };
+    let session = session();
+    session.file("second.py", SECOND);
+    let edge = Edge::start(&session, "tank.json", &format!("program:{python} second.py driven.txt"));
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state as one frame", || driven() == "left=0 right=0\n");
+    let fleet = format!(
+        "robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}', require: {{battery: above 13}}}}}}\n",
+        edge.1
+    );
+    let play = |left: i32| {
+        format!(
+            "scenario: play\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: tank-1, tracks: {{left: [{{at: 0s, to: 1}}, \
+             {{at: 300ms, to: {left}}}, {{at: 900ms, to: 0}}], right: [{{at: 0s, to: 2}}, {{at: 300ms, to: 3}}]}}}}]\n"
+        )
+    };
+    session.file("fleet.yaml", &fleet).file("play.yaml", play(20));
+    let line = "give it `latency: {left: 42ms, right: 42ms}` in the fleet file";
+    let declares = ["it declares another latency: `left` 42 ms where 0 ms is compensated", line];
+    session.run(&["preflight", "play.yaml"]).says(0, &declares);
+    session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &[&["play: done"][..], &declares].concat());
+    assert_eq!(driven(), "left=0 right=0\nleft=1 right=2\nleft=20 right=3\nleft=0\n");
+    session.file("fleet.yaml", fleet.replace("tank.json,", "tank.json, latency: {left: 42ms, right: 42ms},"));
+    let same = session.run(&["preflight", "play.yaml"]);
+    assert!(same.code() == 0 && !same.text().contains("declares another latency"), "{}", same.text());
+    session.file("fleet.yaml", &fleet);
+    session.file("play.yaml", play(66));
+    let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains("the hardware reports a fault: emergency stop"), "{}", ran.text());
+    let (_, said) = edge.end();
+    for expected in [
+        "latency, which missions are told: left 42 ms, right 42 ms",
+        "the SDK greets left",
+        "fault: emergency stop",
+    ] {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+}
+
+#[test]
+fn a_program_that_declares_what_it_cannot_is_told_what_is_wrong() {
+    let session = session();
+    session.file(
+        "drive.sh",
+        "read -r hello\necho ok 2\nread -r init\necho 'ok {\"latency_ms\": {\"wing\": 3}}'\nread -r end\n",
+    );
+    let edge = Edge::start(&session, "tank.json", "program:sh drive.sh");
+    std::thread::sleep(Duration::from_millis(500));
+    let (_, said) = edge.end();
+    assert!(said.contains("a latency of `wing`, which this robot does not have"), "{said}");
+}
+
+/// Answers nothing more after the value 66, and refuses the value 55.
+const MOODY: &str = r#"while read -r verb device control value; do
+    case "$value" in
+        66) sleep 60 ;;
+        55) echo error too hot ;;
+        *) echo ok ;;
+    esac
+done
+"#;
+
+/// Plays one value on `left`, the last one of its script, with the program `MOODY`. What the mission and the edge say.
+fn one_value(value: i32) -> (Ran, String) {
+    let session = session();
+    session.file("moody.sh", MOODY);
+    let edge = Edge::start(&session, "tank.json", "program:sh moody.sh");
+    let fleet = format!("robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}'}}}}\n", edge.1);
+    let play = format!(
+        "scenario: play\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: tank-1, tracks: {{left: [{{at: 0s, to: 1}}, {{at: 300ms, to: {value}}}]}}}}]\n"
+    );
+    session.file("fleet.yaml", fleet).file("play.yaml", play);
+    let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
+    (ran, edge.end().1)
+}
+
+#[test]
+fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_and_not_done() {
+    let (ran, said) = one_value(66);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    // The edge waits for an answer as long as the mission waits for the end, so either may be the first to give up.
+    let why = ["it is unknown whether the hardware took the last value", "no report of the end of `left`"];
+    assert!(why.iter().any(|why| ran.text().contains(why)), "{}", ran.text());
+    assert!(said.contains("did not answer `set left position 66` within 1 s"), "{said}");
+}
+
+#[test]
+fn a_value_that_a_program_refuses_reads_as_refused() {
+    let (ran, said) = one_value(55);
+    let refused = "the hardware refused position 55 of `left`: the program says: too hot";
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains(refused) && !ran.text().contains("hardware is away"), "{}", ran.text());
+    assert!(said.contains(&format!("tank-1: {refused}")), "{said}");
+}
+
+#[test]
+fn the_edge_document_shows_the_programs_that_are_tested() {
+    let document = std::fs::read_to_string(root().join("docs/edge.md")).unwrap();
+    for program in [DRIVE, include_str!("../drivers/drive.py"), include_str!("../thrift/urrcp.thrift")] {
+        assert!(document.contains(program), "docs/edge.md lacks, word for word:\n{program}");
+    }
+}
+
+#[test]
+fn a_sensor_that_a_program_cannot_read_is_shown_with_its_reason() {
+    let session = session();
+    session.file("drive.sh", DRIVE.replace("echo 12.5", "echo 'error the pack does not answer'"));
+    session.file("fleet.yaml", fleet(&["program:sh drive.sh driven.txt".to_owned()], "above 12"));
+    let preflight = ["preflight", "tanks.yaml", "--start-programs"];
+    session.run(&preflight).says(1, &["nothing: ", "the pack does not answer", "above 12"]);
+    let report = session.run(&[&preflight[..], &["--format", "json"]].concat()).json();
+    let reading = &report["preflight"]["rows"][0]["readings"][0];
+    assert_eq!(reading["reading"], serde_json::Value::Null, "{reading}");
+    assert!(reading["why"].as_str().unwrap().contains("the pack does not answer"), "{reading}");
+}

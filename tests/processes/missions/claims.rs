@@ -1,0 +1,127 @@
+//! What a robot claims is compared with what is possible: none of these lies ends in `done`.
+
+use serde_json::{Value, json};
+
+use stage::play::{LONG, Play};
+use stage::{Ended, Stage, Via};
+
+/// Ten steps, one every 100 ms, with a tolerance of 100 ms.
+const PLAY: Play = Play { steps: 10, tolerance: "100ms", ..LONG };
+
+/// Plays on two robots, of which the first one says something else than it does.
+fn played(lie: fn(&mut Value)) -> (Stage, Ended) {
+    let stage = PLAY.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().rewrite(lie);
+    let ended = begun(&stage);
+    (stage, ended)
+}
+
+/// Plays to the end; a busy machine may refuse to start.
+fn begun(stage: &Stage) -> Ended {
+    let play = || stage.run(&["run", "play.yaml", "--patience", "2s", "--format", "json"]);
+    let mut ended = play();
+    for _ in 0..4 {
+        if ended.report()["outcome"] == "not_started" {
+            ended = play();
+        }
+    }
+    ended
+}
+
+fn response(message: &mut Value) -> Option<&mut Value> {
+    message.get_mut("control_response")
+}
+
+/// The time of the event that a response reports, later by so much.
+fn later(response: &mut Value, millis: i64) {
+    let Some(at) = response["event_timestamp"].as_str().map(stage::nanos) else { return };
+    let at = urrcp::Timestamp::<urrcp::Robot>::from_nanos(at + millis * 1_000_000);
+    response["event_timestamp"] = serde_json::to_value(at).unwrap();
+}
+
+#[track_caller]
+fn claims(lie: fn(&mut Value), claim: &str, possible: (&str, Value)) {
+    let (_, ended) = played(lie);
+    let report = ended.report();
+    assert_eq!(report["outcome"], "failed", "{ended}");
+    let failure = report["failures"].as_array().unwrap().iter().find(|failure| failure["failure"] == "claim");
+    let failure = failure.unwrap_or_else(|| panic!("{report}"));
+    assert_eq!(
+        (&failure["robot"], &failure["device"], &failure["claim"]),
+        (&json!("r0"), &json!("d"), &json!(claim))
+    );
+    assert_eq!(failure[possible.0], possible.1, "{failure}");
+    assert_ne!(ended.code, Some(0), "{ended}");
+    assert!(report["robots"][0]["steps_done"].as_u64().unwrap() <= 10, "{report}");
+}
+
+#[test]
+fn a_robot_that_tells_the_truth_is_believed() {
+    let (stage, ended) = played(|_| {});
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| PLAY.was_played_by(robot));
+}
+
+#[test]
+fn more_steps_than_there_are_were_not_done() {
+    let lie = |message: &mut Value| {
+        if let Some(done) = response(message).and_then(|response| response.get_mut("steps_done")) {
+            *done = json!(u32::MAX);
+        }
+    };
+    claims(lie, "steps", ("claimed", json!(u32::MAX)));
+}
+
+#[test]
+fn a_script_has_not_completed_when_it_starts() {
+    let lie = |message: &mut Value| {
+        if let Some(response) = response(message).filter(|response| response["status"] == "Started") {
+            response["status"] = json!("OK");
+            response["steps_done"] = json!(10);
+        }
+    };
+    let (_, ended) = played(lie);
+    assert_eq!(ended.report()["outcome"], "failed", "{ended}");
+    assert_eq!(ended.report()["failures"][0]["claim"], "ended_early", "{ended}");
+}
+
+#[test]
+fn a_script_has_not_completed_with_a_step_left() {
+    let lie = |message: &mut Value| {
+        if let Some(response) = response(message).filter(|response| response["status"] == "OK") {
+            response["steps_done"] = json!(9);
+        }
+    };
+    claims(lie, "completed", ("planned", json!(10)));
+}
+
+#[test]
+fn nothing_has_started_a_minute_ago_or_in_a_minute() {
+    let lie = |message: &mut Value| {
+        response(message).filter(|r| r["status"] == "Started").into_iter().for_each(|r| later(r, -60_000));
+    };
+    claims(lie, "before_sent", ("device", json!("d")));
+    let lie = |message: &mut Value| {
+        response(message).filter(|r| r["status"] == "Started").into_iter().for_each(|r| later(r, 60_000));
+    };
+    claims(lie, "ahead", ("device", json!("d")));
+}
+
+/// Both say so: the starts are together, and not when they were planned.
+#[test]
+fn starts_that_are_off_their_plan_are_out_of_tolerance_even_together() {
+    let stage = PLAY.stage(&[Via::Proxy, Via::Proxy]);
+    for robot in &stage.robots {
+        robot.link.as_ref().unwrap().rewrite(|message| {
+            // Reported when that can have been.
+            if let Some(response) = response(message).filter(|r| r["status"] == "Started") {
+                std::thread::sleep(std::time::Duration::from_millis(344));
+                later(response, 344);
+            }
+        });
+    }
+    let ended = begun(&stage);
+    assert_eq!(ended.code, Some(6), "{ended}");
+    let spread = ended.report()["outcome"]["out_of_tolerance"]["spread_ms"].as_f64().unwrap();
+    assert!(spread >= 343.0, "{ended}");
+}

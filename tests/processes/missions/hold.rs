@@ -1,0 +1,251 @@
+//! The operator's hold: every robot stops, and stays where it is.
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use stage::play::SOON;
+use stage::terminal::Terminal;
+use stage::{Process, Running, Stage, Via, epoch_nanos, one_device};
+
+/// Two robots whose default state is far from where their script takes them.
+fn stage() -> Stage {
+    let mut stage = Stage::new();
+    let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
+    stage.file("arm.yaml", arm);
+    let key = |step: u32| format!("{{at: {}ms, to: {}}}", step * 50, step + 20);
+    let keys = (0..400).map(key).collect::<Vec<_>>().join(", ");
+    let scenario = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: none}\ncues:\n";
+    stage.file("play.yaml", format!("{scenario}  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
+    stage.robot("arm.yaml", Via::Direct);
+    stage.robot("arm.yaml", Via::Direct);
+    stage
+}
+
+fn playing(stage: &Stage) -> Running {
+    let running = stage.start(&["run", "play.yaml"]);
+    stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
+    running
+}
+
+/// Neither goes to its default state, nor on.
+#[track_caller]
+fn stand_where_they_were(stage: &Stage) {
+    let by_now = epoch_nanos();
+    std::thread::sleep(Duration::from_millis(500));
+    for robot in &stage.robots {
+        let log = robot.log();
+        assert!(log.iter().all(|entry| entry.at <= by_now), "{} still moves: {log:?}", robot.id);
+        let stood = log.iter().rfind(|entry| entry.motion == "set").unwrap().value;
+        let moved = log.iter().find(|entry| entry.motion == "default" && (entry.value - stood).abs() > 1.5);
+        assert!(moved.is_none(), "{}: {moved:?}, it stood at {stood}", robot.id);
+    }
+}
+
+fn only_mission(stage: &Stage) -> String {
+    let missions: Vec<_> = std::fs::read_dir(stage.path("state")).unwrap().flatten().collect();
+    let [mission] = missions.as_slice() else { panic!("{missions:?}") };
+    mission.file_name().into_string().unwrap()
+}
+
+const BOTH: [&str; 2] = ["r0: held where it was, confirmed", "r1: held where it was, confirmed"];
+
+#[test]
+fn a_stop_that_holds_leaves_every_robot_where_it_is_and_says_so() {
+    let stage = stage();
+    let mission = playing(&stage);
+    let stopped = stage.run(&["stop", "--hold"]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
+    assert_eq!(mission.ended().code, Some(3));
+    stand_where_they_were(&stage);
+    let again = stage.run(&["stop", &only_mission(&stage)]);
+    assert!(again.out.contains("r0: default state confirmed"), "what holds can be sent home:\n{again}");
+}
+
+#[test]
+fn a_stop_that_holds_reaches_the_robots_of_a_scheduler_that_was_killed() {
+    let stage = stage();
+    playing(&stage).process.kill();
+    let stopped = stage.run(&["stop", "--hold"]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
+    stand_where_they_were(&stage);
+}
+
+#[test]
+fn the_key_h_holds() {
+    let stage = stage();
+    let terminal = Terminal::new(100, 30);
+    let watched = terminal.watch();
+    let mut command = stage.command(&["run", "play.yaml"]);
+    terminal.attach(&mut command);
+    let mut process = Process(command.spawn().unwrap());
+    watched.shows("h hold", SOON);
+    stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
+    terminal.type_keys("h");
+    assert_eq!(process.0.wait().unwrap().code(), Some(3), "{}", watched.screen());
+    watched.shows("r1: held where it was, confirmed", SOON);
+    stand_where_they_were(&stage);
+}
+
+#[test]
+fn a_stop_while_the_mission_still_waits_for_a_hold_sends_to_the_default_state_what_holds() {
+    let mut stage = stage();
+    let terminal = Terminal::new(100, 30);
+    let watched = terminal.watch();
+    let mut command = stage.command(&["run", "play.yaml", "--patience", "10s"]);
+    terminal.attach(&mut command);
+    let mut process = Process(command.spawn().unwrap());
+    stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
+    stage.robots[1].freeze();
+    terminal.type_keys("h");
+    watched.shows("hold confirmed", SOON);
+    terminal.type_keys("s");
+    watched.shows("stop confirmed", SOON);
+    stage.robots[1].thaw();
+    let code = process.0.wait().unwrap().code();
+    assert_eq!(code, Some(3), "{}", watched.screen());
+    for robot in &mut stage.robots {
+        watched.shows(&format!("{}: default state confirmed", robot.id), SOON);
+        assert_eq!(robot.log().last().unwrap().value, 0.0, "{}", robot.id);
+    }
+}
+
+/// Nothing answers for the scheduler: `stop` holds the robots itself, and the scheduler has to learn of it.
+#[track_caller]
+fn is_held_past_the_scheduler(stage: &Stage, mission: Running) {
+    let stopped = stage.run(&["stop", "--hold"]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
+    mission.process.signal(Signal::CONT);
+    let ended = mission.ended();
+    assert_eq!(ended.code, Some(3), "{ended}");
+    BOTH.iter().for_each(|said| assert!(ended.out.contains(said), "{ended}"));
+    stand_where_they_were(stage);
+}
+
+#[test]
+fn a_scheduler_that_stood_still_while_its_robots_were_held_sends_none_of_them_away() {
+    let stage = stage();
+    let mission = playing(&stage);
+    mission.process.signal(Signal::STOP);
+    is_held_past_the_scheduler(&stage, mission);
+}
+
+#[test]
+fn a_scheduler_whose_socket_is_gone_sends_no_robot_away_that_is_held() {
+    let stage = stage();
+    let mission = playing(&stage);
+    std::fs::remove_file(stage.path("state").join(only_mission(&stage)).join("control")).unwrap();
+    is_held_past_the_scheduler(&stage, mission);
+}
+
+#[test]
+fn a_lost_terminal_sends_no_robot_away_that_is_held() {
+    let stage = stage();
+    let mission = playing(&stage);
+    stage.robots[1].freeze();
+    let stopping = stage.start(&["stop", "--hold"]);
+    std::thread::sleep(Duration::from_millis(300));
+    mission.process.signal(Signal::HUP);
+    std::thread::sleep(Duration::from_millis(300));
+    stage.robots[1].thaw();
+    let stopped = stopping.ended();
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
+    assert_eq!(mission.ended().code, Some(3));
+    stand_where_they_were(&stage);
+}
+
+#[test]
+fn a_resumed_mission_that_was_to_hold_holds() {
+    let stage = stage();
+    let mut mission = playing(&stage);
+    stage.robots[1].freeze();
+    let mut stopping = stage.start(&["stop", "--hold"]);
+    await_that("the record", || journal(&stage).contains(r#""record":"stop_confirmed""#));
+    // It would take the mission up itself.
+    stopping.process.kill();
+    mission.process.kill();
+    stage.robots[1].thaw();
+    let resumed = stage.run(&["resume"]);
+    assert_eq!(resumed.code, Some(0), "{resumed}");
+    BOTH.iter().for_each(|said| assert!(resumed.out.contains(said), "{resumed}"));
+    stand_where_they_were(&stage);
+}
+
+fn journal(stage: &Stage) -> String {
+    std::fs::read_to_string(stage.path("state").join(only_mission(stage)).join("journal")).unwrap_or_default()
+}
+
+fn await_that(what: &str, holds: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(begin.elapsed() < SOON, "{what} never came");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A robot that a program of the scheduler's own drives.
+fn driven() -> Stage {
+    let stage = Stage::new();
+    let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
+    stage.file("arm.yaml", arm).file("drive.sh", include_str!("../drivers/drive.sh"));
+    stage.file("own.yaml", "robots: {w: {init: arm.yaml, address: 'program:sh drive.sh driven.txt'}}\n");
+    let keys = (0..400).map(|step| format!("{{at: {}ms, to: {}}}", step * 50, step + 20));
+    let keys = keys.collect::<Vec<_>>().join(", ");
+    let scenario = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: none}\ncues:\n";
+    stage.file("play.yaml", format!("{scenario}  - {{at: 0s, robots: w, tracks: {{d: [{keys}]}}}}\n"));
+    stage
+}
+
+/// What its program was told.
+fn told(stage: &Stage) -> String {
+    std::fs::read_to_string(stage.path("driven.txt")).unwrap_or_default()
+}
+
+#[test]
+fn hardware_of_the_scheduler_itself_stays_where_it_is_held_when_the_scheduler_ends() {
+    let stage = driven();
+    let mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
+    await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
+    let stopped = stage.run(&["stop", "--hold"]);
+    assert!(stopped.out.contains("w: held where it was, confirmed"), "{stopped}");
+    assert_eq!(mission.ended().code, Some(3));
+    assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
+}
+
+#[test]
+fn hardware_that_a_killed_scheduler_drove_is_not_said_to_be_held_and_does_not_move() {
+    let stage = driven();
+    let mut mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
+    await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
+    mission.process.kill();
+    let stopped = stage.run(&["stop", "--hold"]);
+    assert_eq!(stopped.code, Some(4), "{stopped}");
+    assert!(stopped.out.contains("w: NOT held; what drove it ended with the scheduler"), "{stopped}");
+    assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
+    let stopped = stage.run(&["stop"]);
+    assert!(stopped.out.contains("w: stop NOT confirmed; a program drove it"), "{stopped}");
+}
+
+#[test]
+fn a_terminal_without_a_display_takes_words_and_does_not_take_every_line_for_a_go() {
+    let stage = stage();
+    let waiting = "scenario: wait\nstart_tolerance: 1s\nacts:\n  - {act: one, wait: operator, cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 20}, {at: 30s, to: 21}]}}]}\n";
+    stage.file("wait.yaml", waiting);
+    let terminal = Terminal::new(40, 30);
+    let watched = terminal.watch();
+    let mut command = stage.command(&["run", "wait.yaml"]);
+    terminal.attach(&mut command);
+    let mut process = Process(command.spawn().unwrap());
+    watched.shows("waits for", SOON);
+    terminal.type_keys("start\n");
+    watched.shows("is not a command", SOON);
+    terminal.type_keys("\n");
+    stage.robots.iter().for_each(|robot| robot.await_sets(1, SOON));
+    terminal.type_keys("hold\n");
+    assert_eq!(process.0.wait().unwrap().code(), Some(3), "{}", watched.screen());
+    watched.shows("r1: held where it was", SOON);
+}

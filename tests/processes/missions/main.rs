@@ -1,0 +1,14 @@
+//! Missions on robots as processes.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+mod claims;
+mod course;
+mod encodings;
+mod hold;
+mod large_show;
+mod missions;
+mod preflight;
+mod processes;
+mod refills;
+mod told;

@@ -1,0 +1,367 @@
+//! Missions as people run them: several acts, other terminals, crashes.
+
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+use std::time::Duration;
+
+use stage::session::{Ran, Session};
+use stage::{Process, Proxy, free_port};
+
+const TWO_ACTS: &str = "scenario: evening
+start_tolerance: 1s
+acts:
+  - act: opening
+    cues:
+      - cue: up
+        robots: arms
+        at: 0s
+        tracks:
+          shoulder: [{at: 0s, to: 0}, {at: 400ms, to: 20}]
+  - act: finale
+    WAIT
+    cues:
+      - cue: down
+        robots: arms
+        at: 0s
+        tracks:
+          shoulder: [{at: 0s, to: 20}, {at: 400ms, to: 0}]
+";
+
+fn evening(wait: &str) -> Session {
+    let session = Session::new();
+    session.file("evening.yaml", TWO_ACTS.replace("WAIT", wait));
+    session
+}
+
+/// Starts a mission and waits until it says this.
+fn start(session: &Session, args: &[&str], says: &str) -> Process {
+    let mut command = session.command(args);
+    let mut child = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(child.0.stderr.take().unwrap());
+    let mut told = String::new();
+    while !told.contains(says) {
+        assert!(lines.read_line(&mut told).unwrap() > 0, "never said `{says}`:\n{told}");
+    }
+    // Whatever else it says must not block it.
+    std::thread::spawn(move || lines.lines().count());
+    child
+}
+
+fn finished(mut child: Process) -> Ran {
+    let status = child.0.wait().unwrap();
+    let mut out = Vec::new();
+    std::io::Read::read_to_end(&mut child.0.stdout.take().unwrap(), &mut out).unwrap();
+    Ran(std::process::Output { status, stdout: out, stderr: Vec::new() })
+}
+
+#[test]
+fn acts_follow_each_other_and_each_is_reported() {
+    let session = evening("wait: done");
+    let ran = session.run(&["run", "evening.yaml", "--format", "json"]);
+    assert_eq!(ran.code(), 0, "{}", ran.text());
+    let report = ran.json();
+    let acts: Vec<_> =
+        report["acts"].as_array().unwrap().iter().map(|act| act["act"].as_str().unwrap()).collect();
+    assert_eq!(acts, ["opening", "finale"]);
+    assert_eq!(report["robots"][0]["steps_done"], 4);
+    assert_eq!(report["robots"][0]["scripts"], 2);
+}
+
+#[test]
+fn a_device_with_room_for_two_scripts_plays_two_acts_without_a_gap() {
+    let session = evening("wait: done");
+    let arm =
+        stage::session::ARM.replace("interpolation: linear", "interpolation: linear\n    script_queue: 2");
+    session.file("arm.yaml", arm);
+    let ran = session.run(&["dry-run", "evening.yaml", "--format", "json"]);
+    assert_eq!(ran.code(), 0, "{}", ran.text());
+    // The act of 400 ms is shorter than the lead; a longer one leaves time to prepare the next.
+    let long = TWO_ACTS.replace("WAIT", "").replace("at: 400ms", "at: 3s");
+    session.file("long.yaml", long);
+    let report = session.run(&["dry-run", "long.yaml", "--format", "json"]).json();
+    assert_eq!(report["acts"][1]["gap_ms"], 0, "{report}");
+}
+
+#[test]
+fn the_operator_lets_an_act_begin_from_another_terminal() {
+    let session = evening("wait: operator");
+    let child =
+        start(&session, &["run", "evening.yaml", "--format", "text"], "`finale` waits for the operator's go");
+    // The act before still plays: go counts only for an act that waits.
+    std::thread::sleep(Duration::from_millis(900));
+    session.run(&["missions"]).says(0, &["running", "2 robots"]);
+    session.run(&["go"]).says(0, &[]);
+    finished(child).says(0, &["evening: done", "finale"]);
+    session.run(&["missions"]).says(0, &["no mission runs"]);
+    session.run(&["go"]).says(2, &["no mission runs"]);
+}
+
+#[test]
+fn a_mission_is_stopped_from_another_terminal() {
+    let session = evening("wait: operator");
+    let child = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
+    session.run(&["stop"]).says(0, &["left: default state confirmed", "right: default state confirmed"]);
+    finished(child).says(3, &["stopped by the operator"]);
+}
+
+#[test]
+fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
+    let session = evening("wait: operator");
+    let args = [
+        "dry-run",
+        "evening.yaml",
+        "--speed",
+        "0.5",
+        "--only",
+        "left",
+        "--from",
+        "finale",
+        "--format",
+        "json",
+    ];
+    let report = session.run(&args).json();
+    assert_eq!(report["outcome"], "done");
+    assert_eq!(report["acts"].as_array().unwrap().len(), 1);
+    let robots: Vec<_> = report["robots"].as_array().unwrap().iter().map(|r| r["robot"].clone()).collect();
+    assert_eq!(robots, ["left"]);
+    session.run(&["dry-run", "evening.yaml", "--only", "middle"]).says(2, &["does not move `middle`"]);
+    session
+        .run(&["dry-run", "evening.yaml", "--from", "intermezzo"])
+        .says(2, &["no act `intermezzo`", "`opening`"]);
+}
+
+#[test]
+fn at_another_speed_limits_are_checked_again() {
+    let session = evening("wait: done");
+    session.file(
+        "fleet.yaml",
+        "robots:\n  left: {init: arm.yaml, address: sim, limits: {shoulder: {speed: 60}}}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
+    );
+    session.run(&["dry-run", "evening.yaml", "--speed", "1.1"]).says(0, &["done"]);
+    let too_fast = ["robot `left` device `shoulder` step 2: 100.000 a second to it, at most 60 is allowed"];
+    session.run(&["dry-run", "evening.yaml", "--speed", "2"]).says(1, &too_fast);
+}
+
+#[test]
+fn preflight_shows_every_robot_and_what_is_wrong() {
+    let session = evening("wait: done");
+    let arm = format!(
+        "{}  - id: battery\n    name: battery\n    available_control_types:\n      sensor: {{min_value: 0, max_value: 100}}\n",
+        stage::session::ARM
+    );
+    session.file("arm.yaml", arm).file(
+        "fleet.yaml",
+        "robots:\n  left: {init: arm.yaml, address: sim, require: {battery: above 30}}\n  right: {init: arm.yaml, address: sim, require: {battery: {within: [60, 100]}}}\ngroups:\n  arms: [left, right]\n",
+    );
+    let ran = session.run(&["preflight", "evening.yaml"]);
+    ran.says(
+        1,
+        &[
+            "not ready",
+            "right sensors: `battery` reads 50, the fleet file requires within 60 and 100",
+            "FAILURE",
+        ],
+    );
+    session.file(
+        "fleet.yaml",
+        "robots:\n  left: {init: arm.yaml, address: sim, require: {battery: above 30}}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
+    );
+    session.run(&["preflight", "evening.yaml"]).says(0, &["ready", "battery 50", "version", "above 30"]);
+    let json = session.run(&["preflight", "evening.yaml", "--format", "json"]).json();
+    assert_eq!(json["preflight"]["rows"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
+    let session = evening("wait: operator");
+    let _sim = on_tcp(&session);
+    let first = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
+    session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission `evening@", "robot `right`"]);
+    // A scheduler on another machine, which has no journal of the first, is told by the robots.
+    let mut elsewhere = session.command(&["run", "evening.yaml"]);
+    let elsewhere = Ran(elsewhere.env("DOWNBEAT_STATE", session.path("elsewhere")).output().unwrap());
+    elsewhere.says(1, &["not started", "`left` belongs to another session", "end it with `downbeat stop`"]);
+    session.run(&["stop"]).says(0, &["confirmed"]);
+    finished(first).says(3, &["stopped by the operator"]);
+    session.run(&["run", "evening.yaml", "--act", "opening"]).says(0, &["done"]);
+}
+
+fn on_tcp(session: &Session) -> Process {
+    let _both = ports(session);
+    let mut sim = session.command(&["sim", "fleet.yaml"]);
+    let sim = Process(sim.stdout(Stdio::null()).spawn().unwrap());
+    std::thread::sleep(Duration::from_millis(300));
+    sim
+}
+
+const LONG: &str = "scenario: long
+start_tolerance: 1s
+stop_condition: {running: 20s}
+cues:
+  - cue: up
+    robots: arms
+    at: 0s
+    tracks:
+      shoulder: [{at: 0s, to: 0}, {at: 2500ms, to: 20}]
+";
+
+#[test]
+fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
+    let session = Session::new();
+    let _sim = on_tcp(&session);
+    session.file("long.yaml", LONG);
+    let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
+    std::thread::sleep(Duration::from_millis(700));
+    drop(child);
+    session.run(&["missions"]).says(0, &["cut off"]);
+    session.run(&["resume"]).says(0, &["long: done", "2/2"]);
+    session.run(&["missions"]).says(0, &["no mission runs"]);
+}
+
+#[test]
+fn a_mission_whose_scheduler_was_killed_is_stopped() {
+    let session = Session::new();
+    let _sim = on_tcp(&session);
+    session.file("long.yaml", LONG);
+    let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
+    std::thread::sleep(Duration::from_millis(700));
+    drop(child);
+    session.run(&["stop"]).says(0, &["left: default state confirmed", "right: default state confirmed"]);
+    // Nothing is left to resume, and the robots are free.
+    session.run(&["resume"]).says(2, &["no mission was cut off"]);
+    session.run(&["run", "long.yaml"]).says(0, &["long: done"]);
+}
+
+#[test]
+fn a_recording_is_an_mcap_file_with_everything_that_was_said() {
+    let session = evening("wait: done");
+    session.run(&["run", "evening.yaml", "--record", "evening.mcap"]).says(0, &["done"]);
+    let bytes = std::fs::read(session.path("evening.mcap")).unwrap();
+    let mut of_topic: std::collections::BTreeMap<String, usize> = std::collections::BTreeMap::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap() {
+        let message = message.unwrap();
+        serde_json::from_slice::<serde_json::Value>(&message.data).unwrap();
+        *of_topic.entry(message.channel.topic.clone()).or_default() += 1;
+    }
+    for (topic, at_least) in [
+        ("/robots/left/requests", 10),
+        ("/robots/left/responses", 10),
+        ("/robots/left/clock", 8),
+        ("/robots/left/shoulder/planned", 4),
+        ("/robots/left/shoulder/reported", 4),
+        ("/mission/decisions", 6),
+        ("/mission/progress", 8),
+    ] {
+        assert!(of_topic.get(topic).copied().unwrap_or(0) >= at_least, "{topic}: {of_topic:?}");
+    }
+}
+
+#[test]
+fn every_kind_of_report_keeps_to_its_schema() {
+    let session = evening("wait: operator");
+    let schema = session.run(&["schema", "report"]).json();
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    let faulty = "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim, simulate: {fault: FAULT, delay: [0ms, 5ms]}}\ngroups:\n  arms: [left, right]\n";
+    for fault in ["refuse", "silent", "disconnect"] {
+        session.file(&format!("{fault}.yaml"), faulty.replace("FAULT", fault));
+    }
+    let runs: [&[&str]; 7] = [
+        &["dry-run", "evening.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "refuse.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "silent.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "disconnect.yaml"],
+        &["preflight", "evening.yaml"],
+        &["run", "evening.yaml", "--act", "opening"],
+        &["run", "evening.yaml", "--act", "opening", "--lead", "1ms"],
+    ];
+    for args in runs {
+        let report = session.run(&[args, &["--format", "json"]].concat()).json();
+        let faults: Vec<_> =
+            validator.iter_errors(&report).map(|e| format!("{}: {e}", e.instance_path)).collect();
+        assert!(faults.is_empty(), "{args:?}: {faults:#?}\n{report:#}");
+    }
+}
+
+fn ports(session: &Session) -> (u16, u16) {
+    let ports = (free_port(), free_port());
+    session.file(
+        "fleet.yaml",
+        format!(
+            "robots:\n  left: {{init: arm.yaml, address: \"tcp://127.0.0.1:{}\"}}\n  right: {{init: arm.yaml, address: \"tcp://127.0.0.1:{}\"}}\ngroups:\n  arms: [left, right]\n",
+            ports.0, ports.1
+        ),
+    );
+    ports
+}
+
+fn robot(session: &Session, id: &str, port: u16) -> Process {
+    let mut command = session.command(&["robot", "--init", "arm.yaml", "--id", id, "--listen"]);
+    command.arg(format!("127.0.0.1:{port}"));
+    let mut child = Process(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(child.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    child
+}
+
+#[test]
+fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
+    let session = evening("wait: operator");
+    let (left, right) = ports(&session);
+    let _left = robot(&session, "left", left);
+    session.run(&["run", "evening.yaml"]).says(1, &["not started", "right: link down"]);
+    let args = ["run", "evening.yaml", "--join", "next_act", "--format", "text"];
+    let child = start(&session, &args, "waits for the operator's go");
+    let _right = robot(&session, "right", right);
+    // It is reached within a second of its coming.
+    std::thread::sleep(Duration::from_millis(2_500));
+    session.run(&["go"]).says(0, &[]);
+    let ran = finished(child);
+    ran.says(0, &["evening: done"]);
+    let row =
+        |robot: &str| ran.out().lines().find(|line| line.trim_start().starts_with(robot)).unwrap().to_owned();
+    assert!(row("left").contains("2/2") && row("right").contains("1/1"), "{}", ran.out());
+}
+
+#[test]
+fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
+    let session = Session::new();
+    session.file("long.yaml", LONG);
+    let (left, right) = ports(&session);
+    let _robots = [robot(&session, "left", left), robot(&session, "right", right)];
+    let link = Proxy::to(right);
+    let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    session.file("fleet.yaml", fleet.replace(&right.to_string(), &link.port.to_string()));
+    let child = start(&session, &["run", "long.yaml", "--format", "json"], "");
+    std::thread::sleep(Duration::from_millis(1_600));
+    link.interrupt();
+    std::thread::sleep(Duration::from_millis(5));
+    link.open();
+    let ran = finished(child);
+    let report = ran.json();
+    assert_eq!(report["outcome"], "done", "{report:#}");
+    assert_eq!(report["robots"][1]["reconnects"], 1, "{report:#}");
+    assert_eq!(report["robots"][1]["steps_done"], 2);
+}
+
+#[test]
+fn two_missions_play_at_once_on_robots_of_their_own() {
+    let session = evening("wait: operator");
+    let _sim = on_tcp(&session);
+    let first = start(&session, &["run", "evening.yaml", "--only", "left"], "waits for the operator's go");
+    session.run(&["run", "evening.yaml", "--only", "right", "--act", "opening"]).says(0, &["done"]);
+    session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission"]);
+    session.run(&["stop"]).says(0, &["left: default state confirmed"]);
+    finished(first).says(3, &["stopped by the operator"]);
+}
+
+#[test]
+fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one() {
+    let session = evening("wait: done");
+    let refused = ["not sent: a start at ", "has passed", "the earliest safe start was"];
+    session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);
+    session
+        .run(&["run", "evening.yaml", "--record", "no/such.mcap"])
+        .says(2, &["the folder does not exist", "mkdir -p no"]);
+    let no_sensor = ["there is no sensor `left/lid`"];
+    session.run(&["dry-run", "evening.yaml", "--reading", "left/lid=1"]).says(2, &no_sensor);
+}

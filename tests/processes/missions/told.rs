@@ -1,0 +1,105 @@
+//! What is told of stops, leases and starts is what happened to real processes.
+
+use rustix::process::Signal;
+
+use stage::play::{LONG, Play, SHORT, SOON};
+use stage::{Robot, Stage, Via, sleep_until};
+
+/// The script of the first robot, which nothing reaches any more, ends after the stop was sent.
+#[track_caller]
+fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
+    let stage = Play { steps: 14, ..LONG }.stage(&[Via::Proxy, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.leave_out(keys);
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
+    stage.robots[0].await_sets(10, SOON);
+    link.deafen();
+    running.process.signal(Signal::INT);
+    assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
+    let ended = running.ended();
+    let confirmed = ended.out.contains("r0: default state confirmed");
+    assert!(!confirmed && ended.code == Some(4), "no stop has reached r0\n{ended}");
+}
+
+#[test]
+fn the_end_of_a_script_confirms_no_stop_that_was_sent_before() {
+    check_that_a_late_ok_confirms_nothing(&[]);
+}
+
+#[test]
+fn the_end_of_a_script_confirms_no_stop_where_the_robot_names_no_requests() {
+    check_that_a_late_ok_confirms_nothing(&["request_id", "content_hash", "inquiry"]);
+}
+
+#[test]
+fn robots_that_are_to_hold_are_not_said_to_be_in_their_default_state() {
+    let mut stage = Play { on_failure: "hold", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
+    stage.robots[1].await_sets(3, SOON);
+    stage.robots[1].kill();
+    let ended = running.ended();
+    assert!(!ended.out.contains("default state confirmed"), "{ended}");
+    assert!(ended.out.contains("r0: "), "what became of the other one? {ended}");
+    let held = stage.robots[0].values("d").last().copied();
+    let moved = stage.robots[0]
+        .log()
+        .into_iter()
+        .find(|entry| entry.motion == "default" && Some(entry.value) != held);
+    assert!(moved.is_none(), "{moved:?}, it stood at {held:?}");
+}
+
+#[test]
+fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
+    let stage = Play { tolerance: "15ms", ..SHORT }.stage(&[Via::Direct, Via::Direct]);
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
+    let start = running.start().unwrap();
+    sleep_until(start - 8_000_000);
+    stage.robots[1].freeze();
+    sleep_until(start + 40_000_000);
+    stage.robots[1].thaw();
+    let ended = running.ended();
+    let first = |robot: &Robot| robot.sets().first().map(|set| set.at);
+    let (Some(one), Some(other)) = (first(&stage.robots[0]), first(&stage.robots[1])) else {
+        return assert_ne!(ended.code, Some(0), "{ended}");
+    };
+    if (one - other).abs() > 20_000_000 {
+        let told = ended.code != Some(0) || ended.out.contains("start_tolerance");
+        assert!(told, "{} ms apart\n{ended}", (one - other).abs() / 1_000_000);
+    }
+}
+
+/// The second robot is frozen once both have set so many values, and the operator stops the mission.
+#[track_caller]
+fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
+    stage.robots[0].await_sets(sets, SOON);
+    stage.robots[1].freeze();
+    // On a busy host the process may take a moment to stand still.
+    std::thread::sleep(std::time::Duration::from_millis(200));
+    running.process.signal(Signal::INT);
+    assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(4), "{ended}");
+    assert!(ended.out.contains("r1: stop NOT confirmed"), "{ended}");
+    assert!(!ended.out.contains("lease ends"), "{ended}");
+}
+
+#[test]
+fn no_end_of_a_lease_is_printed_for_robots_without_a_lease() {
+    let stage = Play { running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+    check_that_no_lease_is_printed(&stage, 3);
+}
+
+#[test]
+fn no_end_of_a_lease_is_printed_for_cues_without_a_lease() {
+    let stage = LONG.stage(&[Via::Direct, Via::Direct]);
+    let cue = |at: u32, to: u32| {
+        format!(
+            "  - {{at: {at}s, robots: all, stop_condition: {{running: none}}, tracks: {{d: [{{at: 0s, to: {to}}}, {{at: 4s, to: {}}}]}}}}\n",
+            to + 1
+        )
+    };
+    stage
+        .file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\ncues:\n{}{}", cue(0, 1), cue(5, 3)));
+    check_that_no_lease_is_printed(&stage, 1);
+}

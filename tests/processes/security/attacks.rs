@@ -1,0 +1,173 @@
+//! Missions of six robots of which strangers attack one: none starts late, the report is true, and neither the scheduler nor
+//! the robot takes more memory than it may.
+
+use std::io::Write;
+use std::net::{Shutdown, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{JoinHandle, sleep, spawn};
+use std::time::Duration;
+
+use serde_json::json;
+
+use stage::play::{Play, SHORT, SOON};
+use stage::{Stage, Via};
+
+/// Megabytes that the scheduler or the robot may take, whatever strangers send.
+const MEGABYTES_MAX: u64 = 200;
+const STRANGERS: usize = 14;
+
+/// What a stranger sends, again and again until it is hung up on; then it comes again.
+#[derive(Clone, Copy, Debug)]
+enum Attack {
+    /// Asks for the description and reads no answer.
+    Unread,
+    /// Scripts of 8 MB.
+    LongScripts,
+    /// Lines that are no messages.
+    Noise,
+    /// Takes a place and sends a byte now and then.
+    Drip,
+    /// Asks for readings, more than a robot can remember.
+    Readings,
+    /// A command that lies a year ahead.
+    NextYear,
+    /// A stop whose time has not come, so that whatever comes before it would be too old.
+    FutureStop,
+    /// The mission's session by its name, without its key: to claim the robot, to stop it, and to renew its leases.
+    Session,
+}
+
+impl Attack {
+    const ALL: [Self; 8] = [
+        Self::Unread,
+        Self::LongScripts,
+        Self::Noise,
+        Self::Drip,
+        Self::Readings,
+        Self::NextYear,
+        Self::FutureStop,
+        Self::Session,
+    ];
+
+    fn bytes(self) -> Vec<u8> {
+        let line = |message: serde_json::Value| format!("{message}\n").into_bytes();
+        let ahead = |by: i64| {
+            let at = stage::epoch_nanos() + by * 1_000_000_000;
+            serde_json::to_value(urrcp::Timestamp::<urrcp::Server>::from_nanos(at)).unwrap()
+        };
+        match self {
+            Self::Unread => line(json!({"initialization_request": {}})).repeat(10_000),
+            Self::LongScripts => {
+                let step = json!({"time_offset_to_start": 0, "control_type": "position", "control_value": 45});
+                let list = vec![step; 8_000_000 / 75];
+                line(json!({"control_request": {"device_id": "d", "control_type": "script", "control_value": list}}))
+            }
+            Self::Noise => b"[{\"control_request\":1},2,\"noise\"]\n".repeat(10_000),
+            Self::Drip => b" ".to_vec(),
+            Self::Readings => (0..5_000)
+                .flat_map(|i| line(json!({"control_request": {"device_id": "d", "control_type": "read_sensor", "request_id": format!("x{i}")}})))
+                .collect(),
+            Self::NextYear => line(json!({"control_request": {"device_id": "d", "control_type": "position", "control_value": 7,
+                "timestamp": ahead(0), "time_offset_to_start": 31_536_000_000_u64}})),
+            Self::FutureStop => line(json!({"control_request": {"device_id": "d", "control_type": "script", "control_value": [],
+                "timestamp": ahead(86_000)}})),
+            Self::Session => {
+                let claim = json!({"availability_request": {"session": "play", "timestamp": ahead(0)}});
+                let stop = json!({"control_request": {"device_id": "d", "control_type": "script", "control_value": [],
+                    "timestamp": ahead(0), "session": "play"}});
+                [line(claim), line(stop)].concat()
+            }
+        }
+    }
+
+    /// Attacks until it is hung up on, or has sent so much that it may come again.
+    fn once(self, port: u16, over: &AtomicBool) -> std::io::Result<()> {
+        let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+        stream.set_write_timeout(Some(Duration::from_secs(1)))?;
+        let bytes = self.bytes();
+        while !over.load(Ordering::Relaxed) {
+            stream.write_all(&bytes)?;
+            match self {
+                Self::Noise | Self::LongScripts => {}
+                _ => sleep(Duration::from_millis(50)),
+            }
+        }
+        stream.shutdown(Shutdown::Both)
+    }
+}
+
+struct Attackers {
+    over: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Attackers {
+    fn start(attack: Attack, port: u16) -> Self {
+        let over = Arc::new(AtomicBool::new(false));
+        let stranger = |_| {
+            let over = Arc::clone(&over);
+            spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    let _hung_up = attack.once(port, &over);
+                    sleep(Duration::from_millis(20));
+                }
+            })
+        };
+        let threads = (0..STRANGERS).map(stranger).collect();
+        Self { over, threads }
+    }
+
+    fn end(self) {
+        self.over.store(true, Ordering::Relaxed);
+        self.threads.into_iter().for_each(|thread| thread.join().unwrap());
+    }
+}
+
+const PLAY: Play = Play { steps: 20, on_failure: "without", ..SHORT };
+
+#[expect(clippy::print_stdout, reason = "what it took is shown where it is asked for")]
+fn is_played_next_to(attack: Attack, stage: &Stage) {
+    let attackers = || Attackers::start(attack, stage.robots[0].port());
+    // A free robot without keys may be claimed by anybody, and then the mission does not begin.
+    let before = (!matches!(attack, Attack::Session)).then(attackers);
+    sleep(Duration::from_millis(300));
+    let mut run = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let attackers = before.unwrap_or_else(|| {
+        stage.robots[0].await_sets(1, SOON);
+        attackers()
+    });
+    let mut peak = 0;
+    while run.process.0.try_wait().unwrap().is_none() {
+        // The last reading: before it becomes the program, the process is a copy of this one.
+        peak = Some(run.process.memory()).filter(|now| *now > 0).unwrap_or(peak);
+        sleep(Duration::from_millis(10));
+    }
+    let ended = run.ended();
+    attackers.end();
+    let robot = stage.robots[0].memory();
+    assert!(peak > 0 && robot > 0, "memory was not measured");
+    assert!(peak < MEGABYTES_MAX && robot < MEGABYTES_MAX, "{attack:?}: {peak} MB and {robot} MB");
+    let report = ended.report();
+    assert_eq!(report["outcome"], "done", "{attack:?}: {ended}");
+    assert_eq!(report["failures"], json!([]), "{attack:?}: {ended}");
+    stage.robots.iter().for_each(|robot| PLAY.was_played_by(robot));
+    let starts = || stage.robots.iter().map(|robot| robot.sets()[0].at);
+    let spread = starts().max().unwrap() - starts().min().unwrap();
+    println!("{attack:?}: scheduler {peak} MB, robot {robot} MB, starts within {} us", spread / 1_000);
+    assert!(spread < 500_000_000, "{attack:?}: {spread} ns");
+}
+
+#[test]
+fn strangers_that_attack_a_robot_delay_no_mission_and_take_no_memory() {
+    for attack in Attack::ALL {
+        is_played_next_to(attack, &PLAY.stage(&[Via::Direct; 6]));
+    }
+}
+
+#[test]
+fn strangers_that_attack_a_robot_with_keys_delay_no_mission_and_take_no_memory() {
+    for attack in [Attack::Unread, Attack::Noise, Attack::Drip] {
+        is_played_next_to(attack, &PLAY.stage_with_keys(&[Via::Direct; 6]));
+    }
+}

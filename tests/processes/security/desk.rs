@@ -1,0 +1,106 @@
+//! Operators who share a computer say stop and go to a mission with an identity: their certificates decide.
+
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+use stage::session::{Ran, Session};
+use stage::site::Site;
+
+const WAITS: &str = "scenario: waits
+acts:
+  - act: one
+    wait: operator
+    cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
+";
+
+/// Anna's mission, whose act waits for a go.
+fn anna_waits() -> (Site, Child) {
+    let site = Site::new();
+    site.session.file("waits.yaml", WAITS);
+    site.session.run(&["keys", "operator", "fay", "--role", "observe,drive,stop"]).says(0, &["fay"]);
+    site.session.run(&["keys", "revoke", "--operator", "fay"]).says(0, &[]);
+    site.session.run(&["keys", "init", "--keys", "others"]).says(0, &[]);
+    site.session.run(&["keys", "operator", "dora", "--role", "drive,stop", "--keys", "others"]).says(0, &[]);
+    let mut playing = site.session.command(&["run", "waits.yaml", "--format", "json"]);
+    let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let begun = Instant::now();
+    while !by(&site.session, None, &["go", "two"]).text().contains("no act is called `two`") {
+        assert!(begun.elapsed() < Duration::from_secs(30), "no mission listens");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    (site, playing)
+}
+
+/// Runs a command with this identity file.
+fn by(session: &Session, identity: Option<&str>, args: &[&str]) -> Ran {
+    let mut command = session.command(args);
+    if let Some(identity) = identity {
+        command.env("DOWNBEAT_IDENTITY", identity);
+    }
+    Ran(command.output().unwrap())
+}
+
+/// Says go until the fleet is checked.
+fn go(session: &Session, identity: &str) -> Ran {
+    let begun = Instant::now();
+    loop {
+        let ran = by(session, Some(identity), &["go"]);
+        if !ran.text().contains("still being checked") || begun.elapsed() > Duration::from_secs(30) {
+            return ran;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+fn journal(site: &Site) -> String {
+    let missions = std::fs::read_dir(site.session.path("state")).unwrap().flatten();
+    let journals = missions.map(|folder| std::fs::read_to_string(folder.path().join("journal")).unwrap());
+    journals.collect()
+}
+
+#[test]
+fn each_operator_of_a_desk_says_what_its_roles_permit_and_is_named() {
+    let (site, mut playing) = anna_waits();
+    let session = &site.session;
+    go(session, "keys/operators/bert.pem").says(1, &["operator bert may observe, and a go takes drive"]);
+    go(session, "keys/operators/dora.pem").says(1, &["operator dora may stop, and a go takes drive"]);
+    go(session, "keys/operators/fay.pem").says(1, &["its certificate does not count here", "evoked"]);
+    go(session, "others/operators/dora.pem").says(1, &["its certificate does not count here"]);
+    go(session, "keys/operators/nobody.pem").says(1, &["nobody.pem"]);
+    assert_eq!(site.moved(), 0);
+    go(session, "keys/operators/cleo.pem").says(0, &["`one` begins"]);
+    let begun = Instant::now();
+    while site.moved() < 3 {
+        assert!(begun.elapsed() < Duration::from_secs(30), "nothing moves");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let moved = site.moved();
+    for (identity, reason) in [
+        ("keys/operators/bert.pem", "operator bert may observe, and a stop takes stop"),
+        ("keys/operators/cleo.pem", "operator cleo may observe, drive, and a stop takes stop"),
+        ("keys/robots/r0.pem", "its certificate does not count here"),
+        ("others/operators/dora.pem", "its certificate does not count here"),
+    ] {
+        by(session, Some(identity), &["stop"]).says(4, &["refused", reason]);
+    }
+    assert_eq!(site.moved(), moved);
+    assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");
+    by(session, Some("keys/operators/dora.pem"), &["stop"]).says(0, &[]);
+    let anna = Ran(playing.wait_with_output().unwrap());
+    assert_eq!(anna.code(), 3, "{}", anna.text());
+    assert_eq!(anna.json()["because"], "stopped by operator dora", "{}", anna.text());
+    let journal = journal(&site);
+    assert!(journal.contains(r#""record":"go","act":"one","by":"operator cleo""#), "{journal}");
+    assert!(journal.contains(r#""by":"operator dora""#), "{journal}");
+}
+
+#[test]
+fn the_operator_of_the_mission_and_a_terminal_without_a_key_are_not_kept_from_stopping_it() {
+    for identity in [None, Some("keys/operators/anna.pem"), Some("keys/operators/nobody.pem")] {
+        let (site, playing) = anna_waits();
+        by(&site.session, identity, &["stop"]).says(0, &[]);
+        let anna = Ran(playing.wait_with_output().unwrap());
+        assert_eq!(anna.code(), 3, "{identity:?}: {}", anna.text());
+        assert_eq!(anna.json()["because"], serde_json::Value::Null, "{}", anna.text());
+    }
+}

@@ -1,0 +1,12 @@
+//! Who may move a robot, and what strangers can do.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+mod attacks;
+mod desk;
+mod flooding;
+mod hmac;
+mod hostile;
+mod identity;
+mod seize;
+mod tls;

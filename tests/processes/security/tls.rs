@@ -1,0 +1,266 @@
+//! Nobody moves a robot without permission: robots as processes that hear only operators of their authority, and every attempt of
+//! others, which moves nothing.
+
+use std::process::{Child, Command, Stdio};
+
+use rustix::process::Signal;
+
+use stage::meddler::{Deed, Meddler, Wire};
+use stage::operators::{Operators, fails_with};
+use stage::session::{ARM, Ran, Session, program, root};
+use stage::{Process, free_port};
+
+/// What the conformance test asks of robots that ask who one is.
+const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,no-certificate,roles";
+
+#[test]
+fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
+    let site = Site::new();
+    site.run().says(0, &["test: done"]);
+    let moved = site.moved();
+    assert!(moved > 0);
+    site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
+    let address = &site.addresses("tls")[0];
+    let conformance =
+        ["conformance", address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
+    let mut command = site.session.command(&conformance);
+    let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
+    ran.says(0, &["7 pass, 0 fail"]);
+
+    // Without the role.
+    site.fleet(&site.addresses("tls"), "bert");
+    site.refused(&["operator bert may observe, and this takes drive"]);
+    site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
+    site.fleet(&site.addresses("tls"), "dora");
+    site.refused(&["operator dora may stop, and this takes drive"]);
+
+    // Another robot than the one that is meant.
+    let mut swapped = site.addresses("tls");
+    swapped.swap(0, 1);
+    site.fleet(&swapped, "anna");
+    site.refused(&["its certificate is that of robot r1, expected robot r0"]);
+
+    // Without TLS, to a robot that has it.
+    site.fleet(&site.addresses("tcp"), "anna");
+    site.refused(&["r0"]);
+
+    // Of another authority.
+    site.session.run(&["keys", "init", "--keys", "others"]).says(0, &["others"]);
+    site.session.run(&["keys", "operator", "anna", "--role", "drive", "--keys", "others"]).says(0, &["anna"]);
+    site.fleet(&site.addresses("tls"), "anna");
+    let other = |args: &[&str]| {
+        Ran(site
+            .session
+            .command(args)
+            .env("DOWNBEAT_IDENTITY", "others/operators/anna.pem")
+            .output()
+            .unwrap())
+    };
+    other(&["run", "test.yaml", "--patience", "3s"]).says(1, &["another authority"]);
+
+    // Without a name.
+    let fleet = std::fs::read_to_string(site.session.path("fleet.yaml")).unwrap();
+    let (_, nameless) = fleet.split_once("revoked: keys/revoked.pem\n").unwrap();
+    site.session.file("fleet.yaml", nameless);
+    site.refused(&["name your identity file"]);
+
+    // Revoked, while the robots run on; others still may.
+    site.session.run(&["keys", "revoke", "--operator", "cleo"]).says(0, &["copy"]);
+    site.fleet(&site.addresses("tls"), "cleo");
+    site.refused(&["revoked"]);
+    assert_eq!(site.moved(), moved);
+    assert!(site.logged(0).contains("a peer that does not prove who it is is hung up on"));
+    site.fleet(&site.addresses("tls"), "anna");
+    site.run().says(0, &["test: done"]);
+    assert_eq!(site.moved(), 2 * moved);
+}
+
+#[test]
+fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
+    let session = Session::new();
+    let listen = format!("0.0.0.0:{}", free_port());
+    let args = ["robot", "--init", "arm.yaml", "--listen", &listen];
+    session.run(&args).says(2, &["anyone who reaches", "--identity", "--insecure"]);
+    let mut insecure = session.command(&args).arg("--insecure").stdout(Stdio::piped()).spawn().unwrap();
+    listens(&mut insecure);
+    let mut insecure = Process(insecure);
+    insecure.signal(Signal::TERM);
+    assert!(insecure.0.wait().unwrap().success());
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "other"]).says(0, &[]);
+    let mut command = session.command(&args);
+    let ran = Ran(command.args(["--identity", "keys/robots/other.pem"]).output().unwrap());
+    ran.says(2, &["this is the identity of robot other, expected robot arm"]);
+}
+
+#[test]
+fn a_fleet_with_open_robots_elsewhere_says_so_or_is_refused() {
+    let session = Session::new();
+    let fleet = "robots:\n  left: {init: arm.yaml, address: 'tcp://192.0.2.1:7401'}\n";
+    let scenario = "scenario: s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
+    session.file("fleet.yaml", fleet).file("s.yaml", scenario);
+    session.run(&["check", "s.yaml"]).says(1, &["DB0058", "fleet.yaml:2:", "insecure: true"]);
+    session.file("fleet.yaml", format!("insecure: true\n{fleet}"));
+    session.run(&["check", "s.yaml"]).says(0, &[]);
+    for protected in ["tls:", "hmac:"] {
+        session.file("fleet.yaml", fleet.replace("tcp:", protected));
+        session.run(&["check", "s.yaml"]).says(0, &[]);
+    }
+}
+
+#[test]
+fn simulated_robots_of_a_fleet_have_their_keys_too() {
+    let session = Session::new();
+    let port = free_port();
+    session.file(
+        "fleet.yaml",
+        format!("robots: {{arm: {{init: arm.yaml, address: 'tls://127.0.0.1:{port}'}}}}\n"),
+    );
+    session.run(&["sim"]).says(2, &["--keys"]);
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["sim", "--keys", "keys"]).says(2, &["robots/arm.pem"]);
+    session.run(&["keys", "robot", "arm"]).says(0, &[]);
+    session.run(&["keys", "operator", "anna", "--role", "observe"]).says(0, &[]);
+    let mut sim = session.command(&["sim", "--keys", "keys"]).stdout(Stdio::piped()).spawn().unwrap();
+    listens(&mut sim);
+    let _sim = Process(sim);
+    let mut ping = session.command(&["fleet", "ping"]);
+    Ran(ping.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap()).says(0, &["arm"]);
+}
+
+#[test]
+fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
+    let site = Site::new();
+    let long = SCENARIO.replace("{at: 300ms, to: 10}", "{at: 60s, to: 10}");
+    site.session.file("long.yaml", long);
+    let mut playing = site.session.command(&["run", "long.yaml", "--format", "json"]);
+    let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let begun = std::time::Instant::now();
+    while site.moved() < 3 {
+        assert!(begun.elapsed().as_secs() < 30, "nothing moves");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    // Another terminal, which knows of no mission.
+    let stop = |operator: &str| {
+        let mut command = site.session.command(&["stop", "--fleet", "fleet.yaml", "--patience", "3s"]);
+        let identity = format!("keys/operators/{operator}.pem");
+        let command =
+            command.env("DOWNBEAT_IDENTITY", identity).env("DOWNBEAT_STATE", site.session.path("elsewhere"));
+        Ran(command.output().unwrap())
+    };
+    stop("cleo").says(4, &["r0: not stopped", "belongs to another session"]);
+    let moved = site.moved();
+    assert_eq!(stop("bert").code(), 4);
+    assert_eq!(site.moved(), moved, "who may only observe stops nothing");
+    stop("dora").says(
+        0,
+        &["r0: default state confirmed", "r1: default state confirmed", "r2: default state confirmed"],
+    );
+    let ended = Ran(playing.wait_with_output().unwrap());
+    assert_eq!(ended.code(), 1, "{}", ended.text());
+    assert!(ended.text().contains("stopped by operator dora"), "{}", ended.text());
+}
+
+#[test]
+fn certificates_that_end_soon_are_told_of_weeks_ahead() {
+    let session = Session::new();
+    let port = free_port();
+    let fleet = format!(
+        "identity: keys/operators/anna.pem\nrobots: {{arm: {{init: arm.yaml, address: 'tls://127.0.0.1:{port}'}}}}\n"
+    );
+    session.file("fleet.yaml", fleet).file(
+        "s.yaml",
+        "scenario: s\ncues: [{at: 0s, robots: arm, tracks: {shoulder: [{at: 1s, to: 45}]}}]\n",
+    );
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "arm", "--days", "12"]).says(0, &[]);
+    session.run(&["keys", "operator", "anna", "--role", "drive", "--days", "9"]).says(0, &[]);
+    let mut sim = session.command(&["sim", "--keys", "keys"]).stdout(Stdio::piped()).spawn().unwrap();
+    listens(&mut sim);
+    let _sim = Process(sim);
+    // Days count as whole ones, and times of certificates as whole seconds: in the same second 9 days are left.
+    std::thread::sleep(std::time::Duration::from_millis(1_100));
+    session.run(&["preflight", "s.yaml"]).says(
+        0,
+        &[
+            "certificate counts for 11 days more: `downbeat keys renew arm`",
+            "operator anna counts for 8 more days",
+        ],
+    );
+    session.run(&["keys", "list"]).says(0, &["counts for 11 days", "counts for 8 days"]);
+}
+
+#[test]
+fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
+    let session = Session::new();
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "arm-1"]).says(0, &[]);
+    for (name, roles) in [("anna", "observe,drive"), ("bert", "observe"), ("dora", "stop")] {
+        session.run(&["keys", "operator", name, "--role", roles]).says(0, &[]);
+    }
+    let (_robot, address) = python_robot(&session);
+    let operators = Operators::of(&session, "arm-1", &address, "anna");
+    let by = |operator: &str, args: &[&str]| operators.by(operator, args);
+    operators.scenario("short", "400ms");
+    operators.scenario("long", "60s");
+    by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
+    by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
+    by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
+    let conformance =
+        ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
+    by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
+    session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
+    let playing = operators.playing("anna", "long.yaml");
+    by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"])
+        .says(0, &["arm-1: default state confirmed"]);
+    fails_with(playing, "stopped by operator dora");
+}
+
+#[test]
+fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_moves_nothing() {
+    let site = Site::new();
+    site.session.file("test.yaml", LONG_SCRIPT);
+    // The first long record is that of the operator's certificate, the second that of the script.
+    on_the_way(&site, Wire::Tls, 2);
+}
+
+/// A robot whose TLS asks nobody for a certificate: it answers the first line of each connection.
+fn asks_nobody(identity: &std::path::Path) -> std::net::SocketAddr {
+    use std::io::{BufRead, BufReader, Write};
+
+    use rustls::pki_types::pem::PemObject;
+    use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+    let certificate = CertificateDer::from_pem_file(identity).unwrap();
+    let key = PrivateKeyDer::from_pem_file(identity).unwrap();
+    let provider = std::sync::Arc::new(rustls::crypto::ring::default_provider());
+    let config = rustls::ServerConfig::builder_with_provider(provider).with_safe_default_protocol_versions();
+    let config = config.unwrap().with_no_client_auth().with_single_cert(vec![certificate], key).unwrap();
+    let config = std::sync::Arc::new(config);
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // Ends with the process.
+    std::thread::spawn(move || {
+        for socket in listener.incoming() {
+            let server = rustls::ServerConnection::new(std::sync::Arc::clone(&config)).unwrap();
+            let mut stream = BufReader::new(rustls::StreamOwned::new(server, socket.unwrap()));
+            let answer = "{\"availability_response\":{\"receive_timestamp\":\"2026-11-20T19:00:00Z\",\"timestamp\":\"2026-11-20T19:00:00Z\",\"status\":\"OK\"}}\n";
+            if stream.read_line(&mut String::new()).is_ok_and(|n| n > 0) {
+                let _hung_up = stream.get_mut().write_all(answer.as_bytes());
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn a_robot_that_asks_for_no_certificate_fails_the_conformance_test() {
+    let session = Session::new();
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "arm"]).says(0, &[]);
+    session.run(&["keys", "operator", "anna", "--role", "drive"]).says(0, &[]);
+    let address = format!("tls://{}", asks_nobody(&session.path("keys/robots/arm.pem")));
+    let mut command =
+        session.command(&["conformance", &address, "--only", "no-certificate", "--patience", "1s"]);
+    let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
+    ran.says(1, &["no answer, and the robot to hang up", "0 pass, 1 fail"]);
+}

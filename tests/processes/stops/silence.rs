@@ -1,0 +1,249 @@
+//! Robots that go quiet and links that stand still or break for a moment, while real processes play: what is certain has
+//! consequences in time, and what is not certain breaks nothing.
+
+use std::time::Duration;
+
+use serde_json::Value;
+
+use stage::play::{CHAIN, LONG, Play, SHORT, SOON};
+use stage::{Robot, Via, epoch_nanos, sleep_until};
+
+fn failed_robots(report: &Value) -> Vec<&str> {
+    let failures = report["failures"].as_array().unwrap();
+    failures.iter().map(|failure| failure["robot"].as_str().unwrap()).collect()
+}
+
+/// Freezes the second of two robots as soon as it plays, and sees the first one stopped before its script is over.
+#[track_caller]
+fn check_that_silence_is_noticed(play: &Play, within: Duration) {
+    let stage = play.stage(&[Via::Direct, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
+    stage.robots[1].await_sets(1, SOON);
+    std::thread::sleep(Duration::from_millis(25));
+    stage.robots[1].freeze();
+    let frozen = epoch_nanos();
+    let ended = running.ended();
+    let last = stage.robots[0].sets().last().unwrap().at;
+    let after = Duration::from_nanos(u64::try_from(last - frozen).unwrap_or(0));
+    assert!(after < within, "its partner still moved {after:?} later\n{ended}");
+    let report = ended.report();
+    assert_eq!(report["outcome"], "failed", "{ended}");
+    assert_eq!(failed_robots(&report), ["r1"], "{ended}");
+    assert_eq!(report["robots"][0]["stop"]["state"], "confirmed", "{ended}");
+    assert_eq!(ended.code, Some(4), "{ended}");
+}
+
+#[test]
+fn a_robot_that_is_frozen_while_it_plays_has_failed_when_its_lease_is_over() {
+    check_that_silence_is_noticed(&LONG, Duration::from_secs(3));
+}
+
+#[test]
+fn a_robot_without_a_lease_that_is_frozen_while_it_plays_is_noticed_before_its_script_is_over() {
+    check_that_silence_is_noticed(&Play { running: "none", ..LONG }, Duration::from_secs(10));
+}
+
+#[test]
+fn a_robot_killed_before_the_start_keeps_the_others_from_starting() {
+    std::thread::scope(|scope| {
+        for before in [400, 300, 200, 150, 100, 70_i64] {
+            scope.spawn(move || check_that_none_starts(before * 1_000_000));
+        }
+    });
+}
+
+#[track_caller]
+fn check_that_none_starts(before: i64) {
+    let mut stage = SHORT.stage(&[Via::Direct; 3]);
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
+    let start = running.start().unwrap();
+    sleep_until(start - before);
+    stage.robots[1].kill();
+    let struck = (start - epoch_nanos()) / 1_000_000;
+    let ended = running.ended();
+    // A machine that was too busy to kill it in time proves nothing.
+    if struck < 40 {
+        return;
+    }
+    let moved: Vec<_> = stage.robots.iter().filter(|robot| !robot.sets().is_empty()).map(|r| &r.id).collect();
+    assert!(moved.is_empty(), "killed {struck} ms before the start, and {moved:?} moved\n{ended}");
+    assert!(ended.out.contains("play: not started") && ended.code != Some(0), "{ended}");
+}
+
+/// The link of the first robot stands still for 0.6 s under a lease of 2 s.
+#[track_caller]
+fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
+    let stage = play.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    stage.robots[0].await_sets(2, SOON);
+    link.freeze();
+    std::thread::sleep(Duration::from_millis(600));
+    link.open();
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    assert_eq!(ended.report()["outcome"], "done", "{ended}");
+    stage.robots.iter().for_each(|robot| play.was_played_by(robot));
+}
+
+#[test]
+fn an_act_of_one_script_survives_a_link_that_stands_still_for_less_than_its_lease() {
+    check_that_a_pause_of_the_link_is_survived(&Play { script: 24, ..CHAIN });
+}
+
+#[test]
+fn an_act_of_three_scripts_survives_a_link_that_stands_still_for_less_than_its_lease() {
+    check_that_a_pause_of_the_link_is_survived(&CHAIN);
+}
+
+#[test]
+fn an_act_of_three_scripts_that_are_all_held_survives_a_link_that_stands_still() {
+    check_that_a_pause_of_the_link_is_survived(&Play { queue: 3, ..CHAIN });
+}
+
+/// A request that contains this value is lost, and with it the link, for 50 ms.
+#[track_caller]
+fn check_that_a_lost_script_is_sent_again(value: u32) {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.lose(&format!("\"control_value\":{value}}}"), Duration::from_millis(50));
+    let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
+    assert_eq!(link.lines_lost(), 1, "nothing was lost\n{ended}");
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+    let others: Vec<_> = stage.robots[0].log().into_iter().filter(|entry| entry.motion != "set").collect();
+    assert!(others.is_empty(), "asking moved or stopped it: {others:?}");
+}
+
+#[test]
+fn a_script_that_was_lost_with_the_link_while_others_play_is_sent_again_and_cancels_nothing() {
+    check_that_a_lost_script_is_sent_again(17);
+}
+
+#[test]
+fn a_script_that_was_lost_with_the_link_while_acts_are_prepared_is_sent_again() {
+    check_that_a_lost_script_is_sent_again(9);
+}
+
+#[test]
+fn a_link_that_is_cut_in_mid_play_and_back_at_once_cancels_nothing() {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    for values in [3, 8, 15] {
+        stage.robots[0].await_sets(values, SOON);
+        link.interrupt();
+        std::thread::sleep(Duration::from_millis(50));
+        link.open();
+    }
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+}
+
+#[test]
+fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patience() {
+    let stage = SHORT.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().reset_first(1);
+    let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
+}
+
+/// The first robot knows a part of the protocol only.
+#[track_caller]
+fn check_that_it_plays_without(keys: &'static [&'static str]) {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().leave_out(keys);
+    let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+}
+
+#[test]
+fn a_robot_that_echoes_no_names_of_requests_plays_all_its_scripts() {
+    check_that_it_plays_without(&["request_id", "content_hash", "inquiry"]);
+}
+
+#[test]
+fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
+    check_that_it_plays_without(&["inquiry"]);
+}
+
+#[test]
+fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
+    let mut stage = LONG.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
+    stage.robots[0].await_sets(3, SOON);
+    // Its proxy goes on listening.
+    stage.robots[0].kill();
+    let ended = running.ended();
+    let set = stage.robots[1].sets().len();
+    assert!(set < 100, "its partner set {set} values\n{ended}");
+    assert_eq!(failed_robots(&ended.report()), ["r0"], "{ended}");
+}
+
+/// From sending to the start, in milliseconds.
+fn lead(act: &Value) -> f64 {
+    act["lead"].as_object().unwrap().values().filter_map(Value::as_f64).sum()
+}
+
+#[test]
+fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
+    let stage = LONG.stage(&[Via::Proxy, Via::Direct]);
+    let act = |act: u32, length: u32| {
+        let track = format!("{{d: [{{at: 0s, to: {act}}}, {{at: {length}ms, to: {}}}]}}", act + 10);
+        format!("  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {track}}}\n")
+    };
+    let acts: String = [(1, 4_000), (2, 400), (3, 400)].map(|(number, length)| act(number, length)).concat();
+    let head = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: 6s}\nacts:\n";
+    stage.file("play.yaml", format!("{head}{acts}"));
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    stage.robots[0].await_sets(1, SOON);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.freeze();
+    std::thread::sleep(Duration::from_secs(2));
+    link.open();
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
+    assert!(leads.iter().all(|lead| *lead < 2_000.0), "leads of {leads:?} ms\n{ended}");
+}
+
+/// A first act in which the first robot is lost, and a second one that is sent while the first plays.
+#[track_caller]
+fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
+    let mut stage = Play { queue: 2, ..LONG }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
+    let act = |act: u32, length: u32| {
+        let track = format!("{{d: [{{at: 0s, to: {act}}}, {{at: {length}ms, to: {}}}]}}", act + 1);
+        format!("  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {track}}}\n")
+    };
+    let head =
+        "scenario: play\nstart_tolerance: 1s\non_failure: without\nstop_condition: {running: 600ms}\nacts:\n";
+    stage.file("play.yaml", format!("{head}{}{}", act(1, 900), act(3, 300)));
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "1s"]);
+    stage.robots[0].await_sets(1, SOON);
+    // The second act is committed, and the end of the first is never reported.
+    std::thread::sleep(Duration::from_millis(840));
+    lose(&mut stage.robots[0]);
+    let ended = running.ended();
+    for robot in &stage.robots[1..] {
+        assert_eq!(robot.values("d"), [1.0, 2.0, 3.0, 4.0], "{}\n{ended}", robot.id);
+    }
+    assert_eq!(ended.report()["outcome"], "done_without", "{ended}");
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_robot_is_left_out_whose_end_of_an_earlier_act_is_unknown() {
+    check_that_no_act_is_played_twice(|robot| robot.link.as_ref().unwrap().interrupt());
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_frozen_robot_is_left_out() {
+    check_that_no_act_is_played_twice(|robot| robot.freeze());
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_killed_robot_is_left_out() {
+    check_that_no_act_is_played_twice(Robot::kill);
+}

@@ -1,0 +1,564 @@
+//! `downbeat stop` and `downbeat go` with real processes: they obey whatever has become of files, journals and schedulers.
+
+use std::io::{Seek, SeekFrom, Write};
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use stage::{Ended, Running, Stage, Via, epoch_nanos, one_device};
+
+/// Robots without a lease play this for half a minute, a step every 300 ms.
+const PLAYS: &str = "scenario: NAME
+start_tolerance: 1s
+stop_condition: STOP
+cues:
+  - cue: up
+    robots: ROBOTS
+    at: 0s
+    tracks:
+      d: [STEPS]
+";
+
+fn plays(name: &str, robots: &str) -> String {
+    let steps = steps(100, 300);
+    let plays = PLAYS.replace("NAME", name).replace("ROBOTS", robots);
+    plays.replace("STOP", "{running: none}").replace("STEPS", &steps)
+}
+
+/// So many steps, one every so many milliseconds.
+fn steps(count: u32, millis: u32) -> String {
+    let steps = (0..count).map(|step| format!("{{at: {}ms, to: {step}}}", step * millis));
+    steps.collect::<Vec<_>>().join(", ")
+}
+
+/// So many robots, each a process of its own, and a scenario for all of them.
+fn stage(robots: usize) -> Stage {
+    let mut stage = Stage::new();
+    stage.file("robot.yaml", one_device(2, 100, 200)).file("long.yaml", plays("long", "all"));
+    for _ in 0..robots {
+        stage.robot("robot.yaml", Via::Direct);
+    }
+    stage
+}
+
+/// A mission whose robots have all begun to move; a busy machine may refuse to start it.
+#[track_caller]
+fn playing(stage: &Stage, args: &[&str], robots: &[usize]) -> Running {
+    let sets = || robots.iter().map(|robot| stage.robots[*robot].sets().len()).collect::<Vec<_>>();
+    for _ in 0..5 {
+        let before = sets();
+        let mut mission = stage.start(args);
+        if mission.line("every lease reaches over the start").is_none() {
+            continue;
+        }
+        while mission.process.0.try_wait().unwrap().is_none() {
+            if sets().iter().zip(&before).all(|(sets, before)| *sets >= before + 2) {
+                return mission;
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+    panic!("it never starts")
+}
+
+/// A mission whose scheduler was killed while all robots play.
+fn cut_off(robots: usize) -> Stage {
+    let stage = stage(robots);
+    let all: Vec<usize> = (0..robots).collect();
+    let mut mission = playing(&stage, &["run", "long.yaml"], &all);
+    mission.process.kill();
+    stage
+}
+
+/// No robot sets a value of its script any more.
+#[track_caller]
+fn all_rest(stage: &Stage) {
+    let sets = || stage.robots.iter().map(|robot| robot.sets().len()).collect::<Vec<_>>();
+    std::thread::sleep(Duration::from_millis(300));
+    let before = sets();
+    std::thread::sleep(Duration::from_millis(1_000));
+    assert_eq!(before, sets(), "a robot still moves");
+}
+
+#[track_caller]
+fn says(ended: &Ended, code: i32, parts: &[&str]) {
+    let text = format!("{}{}", ended.out, ended.told);
+    assert_eq!(ended.code, Some(code), "{text}");
+    parts.iter().for_each(|part| assert!(text.contains(part), "`{part}` is missing in:\n{text}"));
+}
+
+const BOTH: [&str; 2] = ["r0: default state confirmed", "r1: default state confirmed"];
+
+#[test]
+fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
+    let stage = cut_off(2);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let without: String =
+        fleet.lines().filter(|line| !line.contains("r1:")).map(|line| format!("{line}\n")).collect();
+    stage.file("fleet.yaml", without.replace("[r0, r1]", "[r0]"));
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    says(&stage.run(&["missions"]), 0, &["none was cut off"]);
+}
+
+#[test]
+fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_their_scripts() {
+    let mut stage = cut_off(2);
+    let old = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    // Another robot, at rest, bears the address that the file says from now on.
+    stage.robot("robot.yaml", Via::Direct);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let address = |id: &str| {
+        let line = fleet.lines().find(|line| line.contains(&format!("{id}:"))).unwrap();
+        line.split('"').nth(1).unwrap().to_owned()
+    };
+    stage.file("fleet.yaml", old.replace(&address("r1"), &address("r2")));
+    let refused = stage.run(&["resume"]);
+    says(&refused, 1, &["robot `r1` was sent its scripts at", "`downbeat stop`"]);
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+}
+
+#[test]
+fn after_a_crash_a_stop_needs_no_fleet_file() {
+    for broken in [None, Some("robots: [")] {
+        let stage = cut_off(2);
+        match broken {
+            None => std::fs::remove_file(stage.path("fleet.yaml")).unwrap(),
+            Some(text) => drop(stage.file("fleet.yaml", text)),
+        }
+        std::fs::remove_file(stage.path("long.yaml")).unwrap();
+        says(&stage.run(&["resume"]), 2, &["`downbeat stop`"]);
+        says(&stage.run(&["stop"]), 0, &BOTH);
+        all_rest(&stage);
+    }
+}
+
+#[test]
+fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
+    let stage = cut_off(2);
+    stage.robots[1].freeze();
+    let first = stage.run(&["stop", "--patience", "1s"]);
+    says(&first, 4, &["r0: default state confirmed", "r1: stop NOT confirmed, and it runs without a lease"]);
+    stage.robots[1].thaw();
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
+    let stage = cut_off(2);
+    stage.robots[1].freeze();
+    let first = stage.start(&["stop", "--patience", "30s"]);
+    while !stage.run(&["missions"]).out.contains("running") {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let second = stage.start(&["stop", "--patience", "30s"]);
+    // Longer than a mission may stand still.
+    std::thread::sleep(Duration::from_secs(4));
+    stage.robots[1].thaw();
+    for stop in [first, second] {
+        let ended = stop.ended();
+        says(&ended, 0, &BOTH);
+        assert!(!ended.told.contains("SIGTERM") && !ended.told.contains("directly"), "{ended}");
+    }
+    all_rest(&stage);
+}
+
+#[test]
+fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
+    let mut stage = cut_off(1);
+    stage.robots[0].kill();
+    let missions = stage.run(&["missions", "--format", "json"]);
+    let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
+    let name = missions[0]["mission"].as_str().unwrap();
+    let args = ["stop", name, "--forget", "--patience", "500ms"];
+    let forgotten = "forgotten: the mission counts as ended, though r0 has not confirmed its stop";
+    says(&stage.run(&args), 4, &["r0: stop NOT confirmed", forgotten]);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn old_journals_are_not_read_however_long_they_are() {
+    let stage = cut_off(1);
+    let folder = |named: &str| stage.path("state").join(named);
+    let cut_off = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
+    let journal = std::fs::read(cut_off.join("journal")).unwrap();
+    let begin = journal.split_inclusive(|byte| *byte == b'\n').next().unwrap();
+    for old in ["a", "b", "c"] {
+        // More than would fit into memory: most of it is a hole in the file.
+        std::fs::create_dir(folder(old)).unwrap();
+        let mut file = std::fs::File::create(folder(old).join("journal")).unwrap();
+        file.write_all(begin).unwrap();
+        file.set_len(1 << 36).unwrap();
+        file.seek(SeekFrom::End(0)).unwrap();
+        let ended = br#"{"at":"2026-11-20T19:00:00.000000000Z","record":"ended","outcome":"done"}"#;
+        file.write_all(format!("\n{:08x} ", crc32fast::hash(ended)).as_bytes()).unwrap();
+        file.write_all(ended).unwrap();
+        file.write_all(b"\n").unwrap();
+    }
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    // What follows removes them.
+    stage.run(&["run", "long.yaml", "--lead", "1ms"]);
+    let left = ["a", "b", "c"].iter().filter(|old| folder(old).exists()).count();
+    assert!(left <= 1, "only the newest may be so long");
+}
+
+#[test]
+fn a_lease_of_a_robot_that_cannot_be_reached_is_told() {
+    let stage = stage(1);
+    stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 20s}"));
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    stage.robots[0].freeze();
+    says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ends at"]);
+    stage.robots[0].thaw();
+}
+
+#[test]
+fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
+    let mut stage = stage(1);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let with = fleet
+        .replace("groups:\n  all: [r0]", "  s: {init: robot.yaml, address: sim}\ngroups:\n  all: [r0, s]");
+    stage.file("fleet.yaml", with);
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    let simulated = "s: was simulated in the scheduler's own process";
+    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed", simulated]);
+    stage.robots.clear();
+}
+
+#[test]
+fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
+    let stage = stage(0);
+    stage.file("fleet.yaml", "robots: {s: {init: robot.yaml, address: sim}}\n");
+    stage.file("long.yaml", plays("long", "s"));
+    let mut mission = stage.start(&["run", "long.yaml"]);
+    assert!(mission.line("every lease reaches over the start").is_some());
+    mission.process.kill();
+    says(&stage.run(&["stop"]), 0, &["s: was simulated in the scheduler's own process"]);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
+    for damage in [|journal: &mut Vec<u8>| journal[15] ^= 1, |journal: &mut Vec<u8>| journal.clear()] {
+        let stage = stage(1);
+        let mission = playing(&stage, &["run", "long.yaml"], &[0]);
+        let folder = std::fs::read_dir(stage.path("state")).unwrap().flatten().next().unwrap().path();
+        let mut journal = std::fs::read(folder.join("journal")).unwrap();
+        damage(&mut journal);
+        std::fs::write(folder.join("journal"), journal).unwrap();
+        says(&stage.run(&["missions"]), 0, &["cannot be read", "no other mission runs"]);
+        let stopped = stage.run(&["stop"]);
+        says(&stopped, 1, &["r0: default state confirmed"]);
+        assert_eq!(mission.ended().code, Some(3));
+        all_rest(&stage);
+    }
+}
+
+#[test]
+fn a_robot_that_says_nothing_readable_is_told_of_in_a_line_and_buries_no_other() {
+    let mut stage = cut_off(2);
+    stage.robots[0].kill();
+    let listener = std::net::TcpListener::bind(("127.0.0.1", stage.robots[0].port())).unwrap();
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            std::thread::spawn(move || (0..500).try_for_each(|_| stream.write_all(b"no message\n")));
+        }
+    });
+    let stopped = stage.run(&["stop", "--patience", "1s"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
+    for said in [&stopped.out, &stopped.told] {
+        assert_eq!(said.matches("r0: garbled").count(), 1, "{stopped}");
+    }
+}
+
+#[test]
+fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
+    let stage = stage(4);
+    for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
+        stage.file(&format!("{name}.yaml"), plays(name, robots));
+    }
+    let mut dead = playing(&stage, &["run", "one.yaml"], &[0]);
+    dead.process.kill();
+    let two = playing(&stage, &["run", "two.yaml"], &[1]);
+    let three = playing(&stage, &["run", "three.yaml"], &[2, 3]);
+    let stopped = stage.run(&["stop"]);
+    says(
+        &stopped,
+        0,
+        &["one@", "two@", "three@", "  r0: default state confirmed", "  r3: default state confirmed"],
+    );
+    all_rest(&stage);
+    assert_eq!((two.ended().code, three.ended().code), (Some(3), Some(3)));
+}
+
+#[test]
+fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
+    let stage = stage(2);
+    stage.file("one.yaml", plays("one", "[r0]")).file("two.yaml", plays("two", "[r1]"));
+    let mut one = playing(&stage, &["run", "one.yaml"], &[0]);
+    one.process.kill();
+    let two = playing(&stage, &["run", "two.yaml"], &[1]);
+    stage.robots[0].freeze();
+    let stopped = stage.run(&["stop", "--all", "--patience", "1s", "--format", "json"]);
+    assert_eq!(stopped.code, Some(4), "{stopped}");
+    let documents: serde_json::Value = serde_json::from_str(&stopped.out).unwrap();
+    let state = |mission: &str| {
+        let of = |document: &&serde_json::Value| document["mission"].as_str().unwrap().starts_with(mission);
+        documents.as_array().unwrap().iter().find(of).unwrap()["report"]["robots"][0]["stop"]["state"].clone()
+    };
+    assert_eq!((state("one").as_str(), state("two").as_str()), (Some("unconfirmed"), Some("confirmed")));
+    stage.robots[0].thaw();
+    two.ended();
+}
+
+#[test]
+fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
+    let stage = stage(2);
+    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    mission.process.signal(Signal::STOP);
+    let began = Instant::now();
+    let sent = "was sent SIGTERM; if it continues, it ends";
+    says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", sent, BOTH[0], BOTH[1]]);
+    assert!(began.elapsed() < Duration::from_secs(20));
+    all_rest(&stage);
+    // Once it goes on, it does not move them again.
+    mission.process.signal(Signal::CONT);
+    let ended = mission.ended();
+    assert_eq!(ended.code, Some(3), "{ended}");
+    all_rest(&stage);
+}
+
+#[test]
+fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
+    let stage = stage(2);
+    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    for folder in std::fs::read_dir(stage.path("state")).unwrap() {
+        std::fs::remove_file(folder.unwrap().path().join("control")).unwrap();
+    }
+    says(&stage.run(&["go"]), 1, &["no process listens"]);
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    assert_ne!(mission.ended().code, Some(0));
+}
+
+#[test]
+fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
+    let stage = stage(1);
+    stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
+    let mut mission = stage.start(&["run", "acts.yaml"]);
+    assert!(mission.line("`two` waits for the operator's go").is_some());
+    mission.process.signal(Signal::STOP);
+    says(&stage.run(&["go"]), 1, &["it does not answer within 1 s"]);
+    mission.process.signal(Signal::CONT);
+    std::thread::sleep(Duration::from_millis(1_000));
+    says(&stage.run(&["go", "two"]), 0, &["`two` begins"]);
+    assert_eq!(mission.ended().code, Some(0));
+}
+
+const ACTS: &str = "scenario: acts
+start_tolerance: 1s
+acts:
+  - act: one
+    cues:
+      - {cue: up, robots: all, at: 0s, tracks: {d: [STEPS]}}
+  - act: two
+    wait: operator
+    cues:
+      - {cue: down, robots: all, at: 0s, tracks: {d: [{at: 0s, to: 20}, {at: 400ms, to: 0}]}}
+";
+
+#[test]
+fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() {
+    let stage = stage(1);
+    stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
+    let mut mission = playing(&stage, &["run", "acts.yaml"], &[0]);
+    says(&stage.run(&["go"]), 1, &["`two` waits until `one` has ended"]);
+    says(&stage.run(&["go", "one"]), 1, &["`one` does not wait for the operator now"]);
+    says(&stage.run(&["go", "three"]), 1, &["no act is called `three`"]);
+    assert!(mission.line("`two` waits for the operator's go").is_some());
+    // Said once the act before has ended, and not while it plays.
+    let said = epoch_nanos();
+    std::thread::sleep(Duration::from_millis(300));
+    let sets = stage.robots[0].sets();
+    assert!(sets.len() == 20 && sets.iter().all(|set| set.at <= said), "{said}: {sets:?}");
+    let started = stage.run(&["go", "two", "--format", "json"]);
+    let started: serde_json::Value = serde_json::from_str(&started.out).unwrap();
+    assert_eq!(started["started"], "two");
+    assert_eq!(mission.ended().code, Some(0));
+}
+
+#[test]
+fn looking_at_missions_or_locking_their_journals_keeps_no_stop_from_them() {
+    let stage = cut_off(2);
+    let folder = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
+    let foreign = std::fs::File::open(folder.join("journal")).unwrap();
+    foreign.lock().unwrap();
+    says(&stage.run(&["missions"]), 0, &["cut off"]);
+    let over = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                    stage.run(&["missions", "--all"]);
+                }
+            });
+        }
+        let stopped = stage.run(&["stop"]);
+        over.store(true, std::sync::atomic::Ordering::Relaxed);
+        says(&stopped, 0, &BOTH);
+        assert!(!stopped.told.contains("another process"), "{stopped}");
+    });
+    all_rest(&stage);
+    says(&stage.run(&["missions"]), 0, &["none was cut off"]);
+}
+
+#[test]
+fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
+    let stage = cut_off(1);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let address = fleet.split("tcp://").nth(1).unwrap().split('"').next().unwrap().to_owned();
+    let taken: Vec<_> = (0..40).map(|_| std::net::TcpStream::connect(&address).unwrap()).collect();
+    std::thread::sleep(Duration::from_millis(500));
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    assert_eq!(taken.len(), 40);
+    all_rest(&stage);
+}
+
+/// The name of the only mission that was cut off.
+fn cut_off_name(stage: &Stage) -> String {
+    let missions = stage.run(&["missions", "--format", "json"]);
+    let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
+    let cut_off = |mission: &&serde_json::Value| mission["state"] == "cut off";
+    let found = missions.as_array().unwrap().iter().find(cut_off);
+    found.unwrap()["mission"].as_str().unwrap().to_owned()
+}
+
+/// A mission that was cut off, with its name, and one that drives its robot by now.
+fn taken_over() -> (Stage, String, Running) {
+    let stage = stage(1);
+    let old = plays("old", "all").replace("{running: none}", "{running: 1s}");
+    stage.file("old.yaml", old).file("new.yaml", plays("new", "all"));
+    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    old.process.kill();
+    let name = cut_off_name(&stage);
+    for _ in 0..20 {
+        // Until the lease has run out the robot belongs to the old one.
+        let mut new = stage.start(&["run", "new.yaml"]);
+        if new.line("every lease reaches over the start").is_some() {
+            let before = stage.robots[0].sets().len();
+            stage.robots[0].await_sets(before + 2, Duration::from_secs(20));
+            return (stage, name, new);
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    panic!("the robot never gets free")
+}
+
+#[test]
+fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was_cut_off() {
+    let (stage, old, new) = taken_over();
+    let stopped = stage.run(&["stop", &old, "--patience", "1s"]);
+    let taken = ["r0: not stopped: another mission drives it by now", "r0: belongs to another session"];
+    let taken = taken.map(|part| part.replace("r0: belongs", "`r0` belongs"));
+    says(&stopped, 4, &[&taken[0], &taken[1]]);
+    assert!(!stopped.out.contains("lease"), "{stopped}");
+    let stopped = stage.run(&["stop", &old, "--patience", "1s", "--format", "json"]);
+    let stop = &stopped.report()["robots"][0]["stop"];
+    assert_eq!((stopped.code, stop), (Some(4), &serde_json::json!({"state": "taken_over"})), "{stopped}");
+    let resumed = stage.run(&["resume", &old, "--patience", "1s"]);
+    assert_ne!(resumed.code, Some(0), "{resumed}");
+    says(&resumed, resumed.code.unwrap(), &["belongs to another session"]);
+    assert!(!format!("{}{}", resumed.out, resumed.told).contains("its lease ends"), "{resumed}");
+    // The other mission is left alone.
+    let before = stage.robots[0].sets().len();
+    stage.robots[0].await_sets(before + 3, Duration::from_secs(5));
+    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed"]);
+    new.ended();
+    all_rest(&stage);
+}
+
+#[test]
+fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
+    let stage = stage(2);
+    stage.file("old.yaml", plays("old", "[r0]").replace("{running: none}", "{running: 1s}"));
+    for (name, robots) in [("new", "[r0]"), ("other", "[r1]")] {
+        let steps = plays(name, robots).replace(&steps(100, 300), &steps(4, 100));
+        stage.file(&format!("{name}.yaml"), steps);
+    }
+    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    old.process.kill();
+    let warning = format!("mission `{}` was cut off and has not ended; it drove `r0`", cut_off_name(&stage));
+    let other = stage.run(&["run", "other.yaml"]);
+    says(&other, 0, &["other: done"]);
+    assert!(!other.told.contains("was cut off"), "{other}");
+    // As soon as its lease has run out.
+    let mut new = stage.run(&["run", "new.yaml"]);
+    for _ in 0..20 {
+        assert_eq!(new.told.matches(&warning).count(), 1, "{new}");
+        if new.code == Some(0) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(500));
+        new = stage.run(&["run", "new.yaml"]);
+    }
+    panic!("{new}")
+}
+
+#[test]
+fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
+    let stage = stage(1);
+    stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 2s}"));
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    stage.robots[0].freeze();
+    let stop = || stage.run(&["stop", "--patience", "500ms", "--format", "json"]);
+    let ends = |ended: &Ended| ended.report()["robots"][0]["stop"]["lease_ends"].as_str().unwrap().to_owned();
+    let first = ends(&stop());
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(ends(&stop()), first);
+    std::thread::sleep(Duration::from_secs(2));
+    assert_eq!(ends(&stop()), first);
+    says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ended at"]);
+    stage.robots[0].thaw();
+}
+
+#[test]
+fn a_robot_that_refuses_connections_is_told_as_the_reason_for_a_stop_that_is_not_confirmed() {
+    let mut stage = cut_off(1);
+    stage.robots[0].kill();
+    let stopped = stage.run(&["stop", "--patience", "1s"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r0: link down: ", "refused"]);
+    assert_eq!(stopped.out.matches("refused").count(), 1, "{stopped}");
+}
+
+#[test]
+fn a_direct_stop_says_in_json_what_it_knows_and_nothing_else() {
+    let stage = cut_off(1);
+    stage.robots[0].freeze();
+    let schema: serde_json::Value = serde_json::from_str(&stage.run(&["schema", "report"]).out).unwrap();
+    let schema = jsonschema::validator_for(&schema).unwrap();
+    for (args, code) in [(&["--patience", "500ms"][..], 4), (&[], 0)] {
+        let stopped = stage.run(&[&["stop", "--format", "json"], args].concat());
+        let document = stopped.report();
+        assert_eq!(stopped.code, Some(code), "{stopped}");
+        assert_eq!((&document["scenario"], &document["outcome"]), (&"long".into(), &"stopped".into()));
+        assert!(document["session"].as_str().unwrap().starts_with("long@"), "{document:#}");
+        for unknown in ["course", "acts", "acts_omitted", "start", "spread_ms", "lead"] {
+            assert!(document.get(unknown).is_none(), "{unknown}: {document:#}");
+        }
+        let robot = document["robots"][0].as_object().unwrap();
+        assert_eq!(robot["robot"], "r0");
+        for unknown in ["accepted", "started", "scripts", "steps_done", "steps_planned", "unaccounted"] {
+            assert!(!robot.contains_key(unknown), "{unknown}: {document:#}");
+        }
+        let faults: Vec<_> =
+            schema.iter_errors(&document).map(|e| format!("{}: {e}", e.instance_path)).collect();
+        assert!(faults.is_empty(), "{faults:#?}\n{document:#}");
+        stage.robots[0].thaw();
+    }
+}

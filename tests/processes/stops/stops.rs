@@ -1,0 +1,101 @@
+//! The operator's stop, with robots and scheduler as processes, while one thing after another in and round the scheduler
+//! stands still: every robot that can be reached is at rest at once by its own log, and the others are named.
+
+mod background;
+mod cell;
+mod flood;
+mod scheduler_signals;
+mod show;
+mod standstill;
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use cell::check_row;
+use show::TROUBLES;
+use stage::{Stage, Via, one_device};
+
+/// How the operator stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    CtrlC,
+    Terminate,
+    HangUp,
+    /// `downbeat stop`.
+    Command,
+    /// `downbeat stop` after the scheduler was killed.
+    AfterCrash,
+    /// `downbeat stop` while the scheduler's process is stopped.
+    WhileFrozen,
+    /// Ctrl-\.
+    Quit,
+}
+
+fn text(stage: &Stage, name: &str) -> String {
+    std::fs::read_to_string(stage.path(name)).unwrap_or_default()
+}
+
+fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !holds() {
+        assert!(began.elapsed() < Duration::from_secs(20), "{what} never came");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn ctrl_c_stops_every_robot_whatever_else_stands_still() {
+    check_row(Way::CtrlC, &TROUBLES);
+}
+
+#[test]
+fn sigterm_stops_every_robot_whatever_else_stands_still() {
+    check_row(Way::Terminate, &TROUBLES);
+}
+
+#[test]
+fn a_terminal_that_is_closed_stops_every_robot_whatever_else_stands_still() {
+    check_row(Way::HangUp, &TROUBLES);
+}
+
+#[test]
+fn the_command_stop_stops_every_robot_whatever_else_stands_still() {
+    check_row(Way::Command, &TROUBLES);
+}
+
+#[test]
+fn the_command_stop_stops_every_robot_of_a_scheduler_that_was_killed() {
+    check_row(Way::AfterCrash, &TROUBLES);
+}
+
+#[test]
+fn the_command_stop_stops_every_robot_of_a_scheduler_that_is_frozen() {
+    check_row(Way::WhileFrozen, &TROUBLES);
+}
+
+#[test]
+fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
+    let mut stage = Stage::new();
+    let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
+    stage.file("arm.yaml", arm);
+    stage.robot("arm.yaml", Via::Direct);
+    stage.robot("arm.yaml", Via::Direct);
+    let keys = (0..100)
+        .map(|step| format!("{{at: {}ms, to: {}}}", step * 50, step + 1))
+        .collect::<Vec<_>>()
+        .join(", ");
+    stage.file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\non_failure: hold\nstop_condition: {{running: none}}\ncues:\n  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
+    stage.robots[1].await_sets(5, Duration::from_secs(30));
+    stage.robots[1].kill();
+    assert!(running.line("stopping all robots").is_some());
+    std::thread::sleep(Duration::from_millis(100));
+    running.process.signal(Signal::INT);
+    let ended = running.ended();
+    assert!(ended.out.contains("r0: held where it was"), "{ended}");
+    let log = stage.robots[0].log();
+    let held = log.iter().rfind(|entry| entry.motion == "set").unwrap().value;
+    let moved = log.iter().find(|entry| entry.motion == "default" && (entry.value - held).abs() > 0.5);
+    assert!(moved.is_none(), "{moved:?}, it stood at {held}\n{ended}");
+}

@@ -1,0 +1,62 @@
+//! Missions that outlive their terminal.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::cell::stop;
+use super::show::{Show, Trouble, WHEELED, scenario, wheel};
+use super::{Way, await_that, text};
+use stage::{Stage, Via, one_device};
+
+#[test]
+fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command() {
+    let mut stage = Stage::new();
+    stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel()).file("play.yaml", scenario());
+    for robot in 0..6 {
+        stage.robot(if robot == WHEELED { "wheel.yaml" } else { "arm.yaml" }, Via::Direct);
+    }
+    let detached = stage.run(&["--format", "json", "run", "play.yaml", "--detach"]);
+    assert_eq!(detached.code, Some(0), "{detached}");
+    let told: serde_json::Value = serde_json::from_str(&detached.out).unwrap();
+    let process = Pid::from_raw(told["process"].as_i64().unwrap().try_into().unwrap()).unwrap();
+    let log = PathBuf::from(told["log"].as_str().unwrap());
+    assert!(
+        log.starts_with(stage.path("state")) && log.parent().unwrap().join("journal").exists(),
+        "{log:?}"
+    );
+    stage.robots[0].await_sets(5, Duration::from_secs(30));
+    assert_eq!(rustix::process::getsid(Some(process)).unwrap(), process, "it belongs to a terminal");
+    kill_process(process, Signal::HUP).unwrap();
+    std::thread::sleep(Duration::from_millis(200));
+    let before = stage.robots[0].sets().len();
+    stage.robots[0].await_sets(before + 5, Duration::from_secs(5));
+    let stopped = stage.run(&["stop", told["mission"].as_str().unwrap()]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    await_that("its report", || std::fs::read_to_string(&log).unwrap().contains("\"outcome\": \"stopped\""));
+}
+
+#[test]
+fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
+    let mut stage = Stage::new();
+    stage.file("arm.yaml", one_device(1, 600, 600)).file(
+        "play.yaml",
+        "scenario: play\nstart_tolerance: 1s\ncues: [{at: 0s, robots: r0, tracks: {d: [{at: 0s, to: 1}]}}]\n",
+    );
+    stage.robot("arm.yaml", Via::Direct);
+    stage.file("state", "no folder");
+    let detached = stage.run(&["run", "play.yaml", "--detach"]);
+    assert_eq!(detached.code, Some(2), "{detached}");
+    assert!(detached.told.contains("cannot start a mission in the background"), "{detached}");
+}
+
+#[test]
+fn a_program_that_was_told_to_ignore_the_end_of_its_terminal_goes_on() {
+    let mut show = Show::begin_by(Trouble::Nothing, &["nohup"]);
+    kill_process(show.pid, Signal::HUP).unwrap();
+    let before = show.stage.robots[0].sets().len();
+    show.stage.robots[0].await_sets(before + 5, Duration::from_secs(5));
+    let stopped = stop(&mut show, Way::Terminate);
+    assert_eq!(stopped.code, Some(3), "{}", text(&show.stage, "told"));
+}

@@ -1,0 +1,321 @@
+//! One cell of the matrix of stops: a mission in trouble is stopped, its robots' logs say when they came to rest, and what the
+//! operator reads is compared with that. A cell that was only late is played again: a busy machine proves nothing. One in which
+//! a word, an exit code or a robot is wrong is not.
+
+use std::fs::File;
+use std::io::Read;
+use std::process::{Child, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Signal, kill_process};
+
+use super::show::{ODD, Show, Trouble, WHEELED, program};
+use super::{Way, text};
+use stage::{Logged, Process, Robot, epoch_nanos};
+
+/// Cells that are played at once.
+const AT_ONCE: usize = 3;
+/// How often a cell is played that is late.
+const TRIES: usize = 3;
+/// Within which every robot has to be at rest.
+const AT_REST: Duration = Duration::from_millis(300);
+/// How long the robot with the wheel may take to slow down.
+const SLOWS_DOWN: Duration = Duration::from_millis(500);
+/// From a signal to what the first robot does by it.
+const FIRST_BYTE: Duration = Duration::from_millis(50);
+/// When a scheduler that does not answer is given up by `downbeat stop`.
+const GIVEN_UP: Duration = Duration::from_secs(1);
+/// However busy the machine is: a stop that waits for a disk of six seconds is found out.
+const AT_REST_MAX: Duration = Duration::from_secs(3);
+/// By then a process has to have ended.
+const ENDS_WITHIN: Duration = Duration::from_secs(20);
+
+/// How a stop went.
+pub struct Stopped {
+    /// When it was given, in nanoseconds since the epoch.
+    at: i64,
+    /// What the operator reads; `None` where that cannot be read.
+    pub said: Option<String>,
+    /// Of what the operator waits for: the scheduler, or `downbeat stop`.
+    pub code: Option<i32>,
+    /// Of the scheduler, where it lives to end by itself.
+    scheduler: Option<i32>,
+}
+
+/// After the stop was given.
+struct Times {
+    first: Duration,
+    last: Duration,
+}
+
+/// What was not as it has to be.
+enum Deviation {
+    Late(String),
+    Wrong(String),
+}
+
+/// Plays these cells of one row, a few at a time, and shows what each took.
+#[track_caller]
+#[expect(clippy::print_stdout, reason = "how long each cell took is shown where it is asked for")]
+pub fn check_row(way: Way, troubles: &[Trouble]) {
+    let only = std::env::var("DOWNBEAT_TROUBLE").ok();
+    let asked = |trouble: &&Trouble| only.as_ref().is_none_or(|only| *only == format!("{trouble:?}"));
+    let troubles: Vec<Trouble> = troubles.iter().filter(asked).copied().collect();
+    let (mut wrong, mut first) = (Vec::new(), Duration::ZERO);
+    for cells in troubles.chunks(AT_ONCE) {
+        let results: Vec<_> = std::thread::scope(|scope| {
+            let playing: Vec<_> = cells.iter().map(|trouble| scope.spawn(|| best(way, *trouble))).collect();
+            playing.into_iter().map(|cell| cell.join().unwrap()).collect()
+        });
+        for (trouble, result) in cells.iter().zip(results) {
+            match result {
+                Ok(times) => {
+                    println!(
+                        "{way:?} x {trouble:?}: first robot after {:?}, last after {:?}",
+                        times.first, times.last
+                    );
+                    first = first.max(times.first);
+                }
+                Err(why) => wrong.push(format!("{way:?} x {trouble:?}: {why}")),
+            }
+        }
+    }
+    println!("{way:?}: {first:?} at most to the first robot");
+    assert!(wrong.is_empty(), "{} of {} cells:\n{}", wrong.len(), troubles.len(), wrong.join("\n"));
+}
+
+fn best(way: Way, trouble: Trouble) -> Result<Times, String> {
+    let mut late = Vec::new();
+    for _ in 0..TRIES {
+        match play(way, trouble) {
+            Ok(times) => return Ok(times),
+            Err(Deviation::Wrong(why)) => return Err(why),
+            Err(Deviation::Late(why)) => late.push(why),
+        }
+    }
+    Err(format!("late in {TRIES} tries:\n{}", late.join("\n")))
+}
+
+fn play(way: Way, trouble: Trouble) -> Result<Times, Deviation> {
+    let mut show = Show::begin(trouble);
+    show.strike();
+    let process = Instant::now();
+    let version = show.stage.command(&["--version"]).output().unwrap();
+    let process = process.elapsed();
+    assert!(version.status.success());
+    let (stopped, held_up) = held_up(|| stop(&mut show, way));
+    let by_command = if way.is_command() { process * 2 } else { Duration::ZERO };
+    let given_up = if way == Way::WhileFrozen { GIVEN_UP } else { Duration::ZERO };
+    let busy = held_up * 2 + by_command + given_up;
+    let times = at_rest(&show, &stopped, busy).map_err(|deviation| deviation.with(&show, &stopped))?;
+    told(way, trouble, &stopped).map_err(Deviation::Wrong)?;
+    if way.is_command() || times.first <= FIRST_BYTE + busy {
+        return Ok(times);
+    }
+    Err(Deviation::Late(format!("the first robot heard of it after {:?}", times.first)))
+}
+
+impl Way {
+    const fn is_command(self) -> bool {
+        matches!(self, Self::Command | Self::AfterCrash | Self::WhileFrozen)
+    }
+}
+
+impl Deviation {
+    /// With what was said and how it ended.
+    fn with(self, show: &Show, stopped: &Stopped) -> Self {
+        let told = text(&show.stage, "told") + &text(&show.stage, "stop-told");
+        let all = |why| {
+            format!("{why}; exit code {:?}\n{told}{}", stopped.code, stopped.said.as_deref().unwrap_or(""))
+        };
+        match self {
+            Self::Late(why) => Self::Late(all(why)),
+            Self::Wrong(why) => Self::Wrong(all(why)),
+        }
+    }
+}
+
+/// Stops it and waits for the end of all that has to end.
+pub fn stop(show: &mut Show, way: Way) -> Stopped {
+    match way {
+        Way::CtrlC => signalled(show, Signal::INT),
+        Way::Terminate => signalled(show, Signal::TERM),
+        Way::HangUp => signalled(show, Signal::HUP),
+        Way::Quit => signalled(show, Signal::QUIT),
+        Way::Command => {
+            let stopped = commanded(show);
+            Stopped { scheduler: ended(&mut show.started.0), ..stopped }
+        }
+        Way::AfterCrash => {
+            kill_process(show.pid, Signal::KILL).unwrap();
+            std::thread::sleep(Duration::from_millis(50));
+            commanded(show)
+        }
+        Way::WhileFrozen => {
+            kill_process(show.pid, Signal::STOP).unwrap();
+            commanded(show)
+        }
+    }
+}
+
+fn signalled(show: &mut Show, signal: Signal) -> Stopped {
+    let at = epoch_nanos();
+    kill_process(show.pid, signal).unwrap();
+    let code = ended(&mut show.started.0);
+    let read = !matches!(show.trouble, Trouble::Terminal | Trouble::Pipes | Trouble::StdoutFull);
+    let said = show.out.take().filter(|_| read && code.is_some()).map(|mut out| {
+        let mut said = String::new();
+        out.read_to_string(&mut said).unwrap();
+        said
+    });
+    Stopped { at, said, code, scheduler: code }
+}
+
+fn commanded(show: &Show) -> Stopped {
+    let full = show.trouble == Trouble::StdoutFull;
+    let trouble = match show.trouble {
+        // The operator has another terminal.
+        Trouble::Terminal | Trouble::Pipes => Trouble::Nothing,
+        trouble => trouble,
+    };
+    let mut command = program(&show.stage, &["stop", "--patience", "4s"], trouble);
+    if full {
+        command.stdout(File::options().write(true).open("/dev/full").unwrap());
+    } else {
+        command.stdout(Stdio::piped());
+    }
+    command.stderr(File::create(show.stage.path("stop-told")).unwrap());
+    let at = epoch_nanos();
+    let mut child = Process(command.spawn().unwrap());
+    let code = ended(&mut child.0);
+    let mut said = String::new();
+    if let Some(out) = child.0.stdout.as_mut().filter(|_| code.is_some()) {
+        out.read_to_string(&mut said).unwrap();
+    }
+    Stopped { at, said: (!full).then_some(said), code, scheduler: None }
+}
+
+/// Its exit code; `None` when it hangs.
+pub fn ended(child: &mut Child) -> Option<i32> {
+    let began = Instant::now();
+    while began.elapsed() < ENDS_WITHIN {
+        if let Some(status) = child.try_wait().unwrap() {
+            return status.code();
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    None
+}
+
+/// How long a thread of this process was kept from running at most, while something was done.
+pub fn held_up<T>(work: impl FnOnce() -> T) -> (T, Duration) {
+    let (over, longest) = (AtomicBool::new(false), AtomicU64::new(0));
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !over.load(Ordering::Relaxed) {
+                let began = Instant::now();
+                std::thread::sleep(Duration::from_millis(5));
+                let late = u64::try_from(began.elapsed().as_millis()).unwrap().saturating_sub(5);
+                longest.fetch_max(late, Ordering::Relaxed);
+            }
+        });
+        let done = work();
+        over.store(true, Ordering::Relaxed);
+        (done, Duration::from_millis(longest.load(Ordering::Relaxed)))
+    })
+}
+
+/// When a stop that a machine as busy as this one may hold up has to have worked.
+pub fn bound(busy: Duration) -> Duration {
+    (AT_REST + busy).min(AT_REST_MAX)
+}
+
+/// When the robots came to rest, by their own logs.
+fn at_rest(show: &Show, stopped: &Stopped, busy: Duration) -> Result<Times, Deviation> {
+    // A robot logs within 50 ms what it does; one that moves again is seen, too.
+    std::thread::sleep(AT_REST);
+    let dead = |index| show.trouble == Trouble::Dead && index == ODD;
+    let mut times = Times { first: Duration::MAX, last: Duration::ZERO };
+    for (index, robot) in show.stage.robots.iter().enumerate().filter(|(index, _)| !dead(*index)) {
+        let log = robot.log();
+        let Some(after) = rested(robot, &log, stopped)? else {
+            // A robot that floods has failed: the mission has stopped it by itself.
+            if show.trouble == Trouble::Flood && index == ODD {
+                continue;
+            }
+            return Err(Deviation::Wrong(format!("{} was at rest before the stop", robot.id)));
+        };
+        (times.first, times.last) = (times.first.min(after), times.last.max(after));
+        if after > bound(busy) {
+            let why = format!("{} still moved {after:?} after the stop, {:?} allowed", robot.id, bound(busy));
+            let hopeless = after > AT_REST_MAX;
+            return Err(if hopeless { Deviation::Wrong(why) } else { Deviation::Late(why) });
+        }
+        if index == WHEELED {
+            stands(&log, stopped, bound(busy) + SLOWS_DOWN)?;
+        }
+    }
+    Ok(times)
+}
+
+fn since(stopped: &Stopped, entry: &Logged) -> Duration {
+    Duration::from_nanos(u64::try_from(entry.at - stopped.at).unwrap_or(0))
+}
+
+/// How long after the stop it did no more what its scripts say. Where it slows down, that is when it begins to.
+/// `None`: it was at rest before.
+fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, Deviation> {
+    let after = log.iter().rev().take_while(|entry| entry.motion != "set").last();
+    let Some(after) = after else {
+        let last = log.last().map_or(f64::NAN, |last| last.value);
+        return Err(Deviation::Wrong(format!("{} is not at rest: its last value is {last}", robot.id)));
+    };
+    Ok((after.at >= stopped.at).then(|| since(stopped, after)))
+}
+
+/// The wheel has slowed down to its default value, and in time.
+fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), Deviation> {
+    let Some(stands) = log.iter().rev().take_while(|entry| entry.value == 0.0).last() else {
+        let last = log.last().map_or(f64::NAN, |last| last.value);
+        return Err(Deviation::Wrong(format!("the wheel goes on at {last}")));
+    };
+    let after = since(stopped, stands);
+    match after <= within {
+        true => Ok(()),
+        false => {
+            Err(Deviation::Late(format!("the wheel stood {after:?} after the stop, {within:?} allowed")))
+        }
+    }
+}
+
+/// Whether what the operator reads, and how the processes ended, is what happened.
+fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
+    let dead = (trouble == Trouble::Dead).then_some(ODD);
+    let said = stopped.said.as_deref().unwrap_or("");
+    for robot in (0..6).filter(|_| stopped.said.is_some()) {
+        let of_robot = |line: &&str| line.trim_start().starts_with(&format!("r{robot}"));
+        let confirmed = said.lines().filter(of_robot).any(|line| line.contains("default state confirmed"));
+        let named = said.contains(&format!("r{robot}"));
+        if confirmed == (dead == Some(robot)) || !named {
+            let told = if confirmed { "confirmed" } else { "not confirmed" };
+            return Err(format!("r{robot} is told as {told}; exit code {:?}\n{said}", stopped.code));
+        }
+    }
+    let of_mission = if dead.is_some() { Some(4) } else { Some(3) };
+    let (code, scheduler) = match (way.is_command(), dead, trouble) {
+        (false, ..) => (of_mission, of_mission),
+        (true, Some(_), _) => (Some(4), of_mission),
+        // What cannot be written spoils a success.
+        (true, None, Trouble::StdoutFull) => (Some(7), of_mission),
+        (true, None, _) => (Some(0), of_mission),
+    };
+    let scheduler = if way == Way::Command || !way.is_command() { scheduler } else { None };
+    match (stopped.code, stopped.scheduler) == (code, scheduler) {
+        true => Ok(()),
+        false => Err(format!(
+            "exit codes {:?} and, of the scheduler, {:?}, expected {code:?} and {scheduler:?}\n{said}",
+            stopped.code, stopped.scheduler
+        )),
+    }
+}

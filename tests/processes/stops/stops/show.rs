@@ -1,0 +1,265 @@
+//! A mission of six robots as processes, and the trouble that befalls it.
+
+use std::ffi::{OsStr, OsString};
+use std::fs::File;
+use std::io::{PipeReader, PipeWriter, Write, pipe};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::flood::Flood;
+use stage::compiled::{SHARED, compiled};
+use stage::session::program;
+use stage::{Process, Stage, Via, one_device, with_devices};
+
+/// What stands still, is full, has changed or is gone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trouble {
+    Nothing,
+    Terminal,
+    Pipes,
+    StdoutFull,
+    DiskFull,
+    DiskStalled,
+    FleetChanged,
+    FleetDeleted,
+    Flood,
+    Dead,
+}
+
+/// Those of the matrix.
+pub const TROUBLES: [Trouble; 9] = [
+    Trouble::Terminal,
+    Trouble::Pipes,
+    Trouble::StdoutFull,
+    Trouble::DiskFull,
+    Trouble::DiskStalled,
+    Trouble::FleetChanged,
+    Trouble::FleetDeleted,
+    Trouble::Flood,
+    Trouble::Dead,
+];
+
+/// Slows down by 10 a second, every second: from 5 to 0 in 0.5 s.
+pub fn wheel() -> String {
+    with_devices(
+        "  - id: w
+    name: w
+    default_value: 0
+    available_control_types:
+      speed: {min_value: -20, max_value: 20, granularity: 0.1}
+      acceleration: {min_value: -10, max_value: 10, granularity: 0.1}
+      script: {min_value: -20, max_value: 20, granularity: 0.1, max_number_of_steps: 600, control_types: [speed]}
+",
+    )
+}
+
+/// The robot with the wheel.
+pub const WHEELED: usize = 4;
+/// The robot that floods or is dead.
+pub const ODD: usize = 5;
+
+/// A value each 20 ms for ten seconds, without a lease: only a stop ends it.
+pub fn scenario() -> String {
+    let frames = |value: &dyn Fn(u32) -> f64| {
+        let frame = |step: u32| format!("{{at: {}ms, to: {}}}", step * 20, value(step));
+        (0..500).map(frame).collect::<Vec<_>>().join(", ")
+    };
+    let positions = frames(&|step| f64::from(step + 1));
+    let speeds = frames(&|step| 5.0 - f64::from(step % 2) / 10.0);
+    format!(
+        "scenario: play
+start_tolerance: 1s
+on_failure: without
+stop_condition: {{running: none}}
+cues:
+  - {{at: 0s, robots: [r0, r1, r2, r3, r5], tracks: {{d: [{positions}]}}}}
+  - {{at: 0s, robots: r4, stop_condition: {{running: 9s}}, tracks: {{w: {{control: speed, keyframes: [{speeds}]}}}}}}
+"
+    )
+}
+
+/// A mission of six robots that plays, in trouble soon.
+pub struct Show {
+    pub stage: Stage,
+    pub trouble: Trouble,
+    /// Ends with the exit code of the scheduler.
+    pub started: Process,
+    /// The scheduler's process, which may be behind a terminal.
+    pub pid: Pid,
+    flood: Option<Flood>,
+    /// What the scheduler prints, where that is read.
+    pub out: Option<PipeReader>,
+    /// Kept so that it can be filled.
+    full: Option<PipeWriter>,
+}
+
+impl Show {
+    pub fn begin(trouble: Trouble) -> Self {
+        Self::begin_by(trouble, &[])
+    }
+
+    /// Started by another program, which becomes it. A mission that a busy machine keeps from starting is begun again: nothing
+    /// has been stopped by then.
+    pub fn begin_by(trouble: Trouble, starter: &[&str]) -> Self {
+        let mut told = Vec::new();
+        for _ in 0..3 {
+            match Self::try_to_begin(trouble, starter) {
+                Ok(show) => return show,
+                Err(why) => told.push(why),
+            }
+        }
+        panic!("no mission begins:\n{}", told.join("\n"))
+    }
+
+    /// What the scheduler said where no mission came of it.
+    fn try_to_begin(trouble: Trouble, starter: &[&str]) -> Result<Self, String> {
+        let mut stage = Stage::new();
+        stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel());
+        for robot in 0..6 {
+            stage.robot(if robot == WHEELED { "wheel.yaml" } else { "arm.yaml" }, Via::Direct);
+        }
+        stage.file("play.yaml", scenario());
+        let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+        let flood = (trouble == Trouble::Flood).then(|| {
+            let port = port_of(&fleet, ODD);
+            let flood = Flood::before(port);
+            stage.file("fleet.yaml", fleet.replace(&port.to_string(), &flood.port.to_string()));
+            flood
+        });
+        let mut command = program(&stage, &["run", "play.yaml", "--patience", "4s"], trouble);
+        if !starter.is_empty() {
+            let mut args: Vec<_> = command.get_args().map(OsStr::to_owned).collect();
+            let program = args.iter().position(|arg| arg == program()).unwrap();
+            args.splice(program..program, starter.iter().map(OsString::from));
+            let mut by = Command::new(command.get_program());
+            by.args(args);
+            by.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
+            by.current_dir(command.get_current_dir().unwrap()).stdin(Stdio::null());
+            command = by;
+        }
+        let (mut out, mut full) = (None, None);
+        match trouble {
+            Trouble::Terminal => {
+                command.stdout(Stdio::null()).stderr(Stdio::null());
+            }
+            Trouble::Pipes => {
+                let (reader, writer) = pipe().unwrap();
+                command.stdout(writer.try_clone().unwrap()).stderr(writer.try_clone().unwrap());
+                (out, full) = (Some(reader), Some(writer));
+            }
+            _ => {
+                let (reader, writer) = pipe().unwrap();
+                let stdout = if trouble == Trouble::StdoutFull {
+                    Stdio::from(File::options().write(true).open("/dev/full").unwrap())
+                } else {
+                    Stdio::from(writer)
+                };
+                command.stdout(stdout).stderr(File::create(stage.path("told")).unwrap());
+                out = Some(reader);
+            }
+        }
+        let started = Process(command.spawn().unwrap());
+        drop(command);
+        let pid = match trouble {
+            Trouble::Terminal => pid_in(&stage.path("pid")),
+            _ => Pid::from_child(&started.0),
+        };
+        let mut show = Self { stage, trouble, started, pid, flood, out, full };
+        let began = Instant::now();
+        while !show.stage.robots.iter().all(|robot| robot.sets().len() >= 8) {
+            let over = show.started.0.try_wait().unwrap().is_some();
+            if over || began.elapsed() > Duration::from_secs(30) {
+                return Err(super::text(&show.stage, "told"));
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Ok(show)
+    }
+
+    /// The trouble begins.
+    pub fn strike(&mut self) {
+        let fleet = || std::fs::read_to_string(self.stage.path("fleet.yaml")).unwrap();
+        match self.trouble {
+            Trouble::Terminal => self.started.signal(Signal::USR1),
+            Trouble::Pipes => fill(self.full.as_ref().unwrap()),
+            Trouble::Nothing | Trouble::StdoutFull => {}
+            Trouble::DiskFull => {
+                self.stage.file("disk-full", "");
+            }
+            Trouble::DiskStalled => {
+                self.stage.file("disk-stalled", "");
+            }
+            Trouble::FleetChanged => {
+                // Two robots are swapped, and one is gone.
+                let fleet = fleet();
+                let (one, two) = (port_of(&fleet, 0).to_string(), port_of(&fleet, 1).to_string());
+                let swapped = fleet.replace(&one, "ONE").replace(&two, &one).replace("ONE", &two);
+                let kept = |line: &&str| !line.starts_with("  r2:");
+                let text: Vec<_> = swapped.lines().filter(kept).collect();
+                self.stage.file("fleet.yaml", text.join("\n").replace(" r2,", ""));
+            }
+            Trouble::FleetDeleted => std::fs::remove_file(self.stage.path("fleet.yaml")).unwrap(),
+            Trouble::Flood => self.flood.as_ref().unwrap().begin(),
+            Trouble::Dead => self.stage.robots[ODD].kill(),
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
+impl Drop for Show {
+    fn drop(&mut self) {
+        let _gone = kill_process(self.pid, Signal::KILL);
+    }
+}
+
+/// The program in a stage under this trouble.
+pub fn program(stage: &Stage, args: &[&str], trouble: Trouble) -> Command {
+    let plain = stage.command(args);
+    let mut command = match trouble {
+        Trouble::Terminal => {
+            let mut command = Command::new(compiled("processes/stops/terminal.c", &[]));
+            command.arg(stage.path("pid")).arg(plain.get_program()).args(plain.get_args());
+            command.current_dir(plain.get_current_dir().unwrap());
+            command
+                .envs(plain.get_envs().filter_map(|(name, value)| Some((name, value?))))
+                .stdin(Stdio::null());
+            command
+        }
+        _ => plain,
+    };
+    if matches!(trouble, Trouble::DiskFull | Trouble::DiskStalled) {
+        command.env("LD_PRELOAD", compiled("processes/stops/disk.c", SHARED));
+        command.env("FULL_DISK", stage.path("disk-full")).env("STALL_DISK", stage.path("disk-stalled"));
+    }
+    command
+}
+
+fn port_of(fleet: &str, robot: usize) -> u16 {
+    let line = fleet.lines().find(|line| line.starts_with(&format!("  r{robot}:"))).unwrap();
+    let port = line.split("127.0.0.1:").nth(1).unwrap();
+    port.trim_end_matches(|c: char| !c.is_ascii_digit()).parse().unwrap()
+}
+
+fn pid_in(path: &Path) -> Pid {
+    let began = Instant::now();
+    loop {
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        if let Some(pid) = text.trim().parse().ok().filter(|_| text.ends_with('\n')).and_then(Pid::from_raw) {
+            return pid;
+        }
+        assert!(began.elapsed() < Duration::from_secs(10), "no terminal");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Until nothing more goes in.
+pub fn fill(mut pipe: &PipeWriter) {
+    rustix::io::ioctl_fionbio(pipe, true).unwrap();
+    for size in [4_096, 1] {
+        while pipe.write(&vec![b'.'; size]).is_ok() {}
+    }
+    rustix::io::ioctl_fionbio(pipe, false).unwrap();
+}

@@ -1,0 +1,169 @@
+//! The live display on a terminal, with real missions.
+
+use std::os::unix::process::ExitStatusExt;
+use std::time::Duration;
+
+use rustix::process::Signal;
+
+use stage::compiled::{SHARED, compiled};
+use stage::play::{LONG, Play, SOON};
+use stage::session::Session;
+use stage::terminal::{Terminal, Watched};
+use stage::{Process, Stage, Via};
+
+const ACTS: &str = "scenario: evening
+start_tolerance: 1s
+acts:
+  - act: opening
+    cues:
+      - {cue: up, at: 0s, robots: arms, tracks: {shoulder: [{at: 500ms, to: 45}, {at: 1s, to: 0}]}}
+  - act: finale
+    wait: operator
+    cues:
+      - {cue: down, at: 0s, robots: arms, tracks: {shoulder: [{at: 500ms, to: 20}, {at: 1s, to: 0}]}}
+";
+
+/// A mission on a terminal.
+struct OnTerminal {
+    terminal: Terminal,
+    /// The terminal's settings before it.
+    before: String,
+    watched: Watched,
+    process: Process,
+}
+
+impl OnTerminal {
+    fn start(mut command: std::process::Command, columns: u16) -> Self {
+        let terminal = Terminal::new(columns, 30);
+        let before = terminal.settings();
+        let watched = terminal.watch();
+        terminal.attach(&mut command);
+        let process = Process(command.spawn().unwrap());
+        Self { terminal, before, watched, process }
+    }
+
+    /// A mission of many seconds that plays.
+    fn playing(stage: &Stage) -> Self {
+        let mission = Self::start(stage.command(&["run", "play.yaml"]), 100);
+        mission.watched.shows("playing", SOON);
+        mission
+    }
+
+    /// Waits until the terminal is as before, or is not.
+    fn is_as_before(&self, wanted: bool) -> bool {
+        (0..500).any(|_| {
+            std::thread::sleep(Duration::from_millis(10));
+            (self.terminal.settings() == self.before) == wanted
+        })
+    }
+
+    /// Its exit code, and what stands on the terminal in the end.
+    fn ended(mut self) -> (Option<i32>, String) {
+        let code = self.process.0.wait().unwrap().code();
+        // What it wrote last may still be on its way.
+        std::thread::sleep(Duration::from_millis(200));
+        (code, self.watched.screen())
+    }
+}
+
+fn evening() -> Session {
+    let session = Session::new();
+    session.file("evening.yaml", ACTS);
+    session
+}
+
+#[test]
+fn an_act_that_waits_begins_with_a_key_and_the_report_stays_on_the_terminal() {
+    for columns in [60, 100] {
+        let session = evening();
+        let mission = OnTerminal::start(session.command(&["run", "evening.yaml"]), columns);
+        mission.watched.shows("g go", SOON);
+        assert_ne!(mission.terminal.settings(), mission.before, "keys come without Enter");
+        mission.terminal.type_keys("g");
+        mission.watched.shows("act `finale`", SOON);
+        let (code, screen) = mission.ended();
+        assert_eq!(code, Some(0), "{screen}");
+        assert!(screen.contains("evening: done"), "{screen}");
+        assert!(!screen.contains("g go") && !screen.contains("? help"), "the display is gone:\n{screen}");
+        assert!(screen.lines().all(|line| line.chars().count() <= usize::from(columns)), "{screen}");
+    }
+}
+
+fn long() -> Stage {
+    Play { running: "2s", ..LONG }.stage(&[Via::Direct, Via::Direct])
+}
+
+#[test]
+fn a_key_stops_and_the_terminal_is_as_before() {
+    let stage = long();
+    let mut mission = OnTerminal::playing(&stage);
+    stage.robots[0].await_sets(3, SOON);
+    mission.terminal.type_keys("s");
+    assert_eq!(mission.process.0.wait().unwrap().code(), Some(3), "{}", mission.watched.screen());
+    mission.watched.shows("r1: default state confirmed", SOON);
+    assert_eq!(mission.terminal.settings(), mission.before);
+    assert!(mission.watched.raw().ends_with('\n'), "nothing is drawn after the report");
+}
+
+#[test]
+fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is_as_before() {
+    let stage = long();
+    let mut command = stage.command(&["run", "play.yaml"]);
+    command.env("LD_PRELOAD", compiled("processes/terminal/standstill.c", SHARED));
+    command.env("STAND_STILL", stage.path("stand-still"));
+    let mut mission = OnTerminal::start(command, 100);
+    mission.watched.shows("playing", SOON);
+    stage.file("stand-still", "");
+    std::thread::sleep(Duration::from_secs(1));
+    assert_ne!(mission.terminal.settings(), mission.before);
+    mission.process.signal(Signal::INT);
+    std::thread::sleep(Duration::from_millis(300));
+    mission.process.signal(Signal::INT);
+    assert_eq!(mission.process.0.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
+    assert_eq!(mission.terminal.settings(), mission.before);
+}
+
+#[test]
+fn a_mission_that_is_suspended_leaves_the_terminal_as_it_was() {
+    let stage = long();
+    let mut mission = OnTerminal::playing(&stage);
+    mission.process.signal(Signal::TSTP);
+    mission.watched.shows("suspended", SOON);
+    assert!(mission.is_as_before(true), "{}", mission.terminal.settings());
+    mission.process.signal(Signal::CONT);
+    assert!(mission.is_as_before(false), "the keys come without Enter again");
+    mission.process.signal(Signal::INT);
+    mission.process.0.wait().unwrap();
+    assert_eq!(mission.terminal.settings(), mission.before);
+}
+
+#[test]
+fn without_colours_the_display_only_moves() {
+    let session = evening();
+    let mut command = session.command(&["run", "evening.yaml", "--act", "opening"]);
+    let terminal = Terminal::new(100, 30);
+    let watched = terminal.watch();
+    terminal.attach(&mut command);
+    command.env("NO_COLOR", "1");
+    assert_eq!(command.status().unwrap().code(), Some(0));
+    watched.shows("evening: done", SOON);
+    let raw = watched.raw();
+    assert!(raw.contains("playing"), "{raw:?}");
+    let coloured = raw
+        .split("\u{1b}[")
+        .skip(1)
+        .any(|rest| rest.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';').starts_with('m'));
+    assert!(!coloured, "{raw:?}");
+}
+
+#[test]
+fn in_a_pipe_or_on_a_narrow_terminal_there_are_lines_alone() {
+    let session = evening();
+    let ran = session.run(&["run", "evening.yaml", "--act", "opening"]);
+    ran.says(0, &["all have accepted", "evening: done"]);
+    assert!(!ran.text().contains("played") && !ran.text().contains('\u{1b}'), "{}", ran.text());
+    let narrow = OnTerminal::start(session.command(&["run", "evening.yaml", "--act", "opening"]), 50);
+    let (code, screen) = narrow.ended();
+    assert_eq!(code, Some(0));
+    assert!(screen.contains("all have accepted") && !screen.contains("s stop"), "{screen}");
+}

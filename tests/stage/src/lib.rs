@@ -1,0 +1,521 @@
+//! Robots and schedulers as processes on loopback, what the robots' logs say they did, and links that fail when told to.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+#![expect(missing_docs, reason = "a crate of the tests")]
+
+pub mod busy;
+pub mod compiled;
+pub mod meddler;
+pub mod operators;
+pub mod play;
+mod proxy;
+pub mod raw;
+pub mod schema;
+pub mod session;
+pub mod site;
+pub mod standstill;
+pub mod terminal;
+pub mod thrift_robot;
+
+use std::fmt;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+pub use proxy::Proxy;
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::session::program;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_downbeat");
+
+/// A process that is killed when it is let go.
+pub struct Process(pub Child);
+
+impl Process {
+    pub fn signal(&self, signal: Signal) {
+        self::signal(&self.0, signal);
+    }
+
+    /// The most memory that it has taken, in megabytes; 0 once it is gone.
+    pub fn memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kilobytes = line.and_then(|line| line.trim().split(' ').next()?.parse::<u64>().ok());
+        kilobytes.unwrap_or(0) / 1024
+    }
+
+    /// Ends it as a power cut would.
+    pub fn kill(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _gone = self.0.kill();
+        let _reaped = self.0.wait();
+    }
+}
+
+/// A process that was sent STOP stands still on return: the system stops its threads one by one.
+pub fn signal(child: &Child, signal: Signal) {
+    let pid = Pid::from_child(child);
+    kill_process(pid, signal).unwrap();
+    if signal == Signal::STOP {
+        let stands = WaitIdOptions::STOPPED | WaitIdOptions::EXITED | WaitIdOptions::NOWAIT;
+        waitid(WaitId::Pid(pid), stands).unwrap();
+    }
+}
+
+/// How a robot is reached.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Via {
+    Direct,
+    Proxy,
+}
+
+/// A robot's process, and those that ran before it under the same id.
+pub struct Robot {
+    pub id: String,
+    pub link: Option<Proxy>,
+    process: Process,
+    init: String,
+    /// What its process is told besides.
+    args: Vec<String>,
+    /// What the fleet file says of it besides.
+    keys: &'static str,
+    port: u16,
+    logs: Vec<PathBuf>,
+}
+
+/// With this in the environment, robots speak TLS alone, so that any trial can be made with it.
+const BY_TLS: &str = "DOWNBEAT_TLS";
+
+/// A folder with robots that run, the fleet file that names them, and scenarios.
+pub struct Stage {
+    folder: TempDir,
+    pub robots: Vec<Robot>,
+    by_tls: bool,
+}
+
+impl Stage {
+    pub fn new() -> Self {
+        Self::by(std::env::var_os(BY_TLS).is_some())
+    }
+
+    /// One whose robots have keys, and hear only the operator of the fleet file.
+    pub fn with_keys() -> Self {
+        Self::by(true)
+    }
+
+    fn by(by_tls: bool) -> Self {
+        let stage = Self { folder: TempDir::new().unwrap(), robots: Vec::new(), by_tls };
+        if by_tls {
+            stage.keys(&["init"]);
+            stage.keys(&["operator", "anna", "--role", "observe,drive,stop"]);
+        }
+        stage
+    }
+
+    fn keys(&self, args: &[&str]) {
+        let made = self.command(&[&["keys"], args].concat()).output().unwrap();
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    }
+
+    /// What a robot's process is told besides: its key, where it has one.
+    fn with_key(&self, id: &str, mut args: Vec<String>) -> Vec<String> {
+        let key = format!("keys/robots/{id}.pem");
+        if self.by_tls && !args.contains(&key) {
+            if !self.path(&key).exists() {
+                self.keys(&["robot", id]);
+            }
+            args.extend(["--identity".to_owned(), key]);
+        }
+        args
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn file(&self, name: &str, content: impl AsRef<[u8]>) -> &Self {
+        std::fs::write(self.path(name), content).unwrap();
+        self
+    }
+
+    /// Starts a robot of this initialization block and adds it to the fleet file; returns its index.
+    pub fn robot(&mut self, init: &str, via: Via) -> usize {
+        self.robot_with(init, via, Vec::new(), "")
+    }
+
+    /// The same, with further arguments of its process, and further keys in the fleet file.
+    pub fn robot_with(&mut self, init: &str, via: Via, args: Vec<String>, keys: &'static str) -> usize {
+        let id = format!("r{}", self.robots.len());
+        let log = self.path(&format!("{id}-0.jsonl"));
+        let args = self.with_key(&id, args);
+        let (process, port) = start(self.folder.path(), init, &args, &id, 0, &log);
+        let proxy = if self.by_tls { Proxy::encrypted_to } else { Proxy::to };
+        let link = (via == Via::Proxy).then(|| proxy(port));
+        let (init, logs) = (init.to_owned(), vec![log]);
+        self.robots.push(Robot { id, link, process, init, args, keys, port, logs });
+        self.write_fleet();
+        self.robots.len() - 1
+    }
+
+    /// Starts a robot with an id of its own, which the fleet file does not name; returns its port.
+    pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
+        let log = self.path(&format!("{id}-0.jsonl"));
+        let args = self.with_key(id, args);
+        let (process, port) = start(self.folder.path(), init, &args, id, 0, &log);
+        let (id, init, logs) = (id.to_owned(), init.to_owned(), vec![log]);
+        self.robots.push(Robot { id, link: None, process, init, args, keys: "", port, logs });
+        port
+    }
+
+    fn write_fleet(&self) {
+        let (scheme, identity) =
+            if self.by_tls { ("tls", "identity: keys/operators/anna.pem\n") } else { ("tcp", "") };
+        let row = |robot: &Robot| {
+            let port = robot.link.as_ref().map_or(robot.port, |link| link.port);
+            let Robot { id, init, keys, .. } = robot;
+            format!("  {id}: {{init: {init}, address: \"{scheme}://127.0.0.1:{port}\"{keys}}}\n")
+        };
+        let rows: String = self.robots.iter().map(row).collect();
+        let ids: Vec<_> = self.robots.iter().map(|robot| robot.id.as_str()).collect();
+        self.file("fleet.yaml", format!("{identity}robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
+    }
+
+    /// Ends a robot's process and starts it again on the same port, remembering nothing.
+    pub fn restart(&mut self, index: usize) {
+        let id = self.robots[index].id.clone();
+        self.replace(index, &id);
+    }
+
+    /// Ends a robot's process; a robot with an id of its own takes over its port. Its log is the newest of the old one's.
+    pub fn replace(&mut self, index: usize, id: &str) {
+        let args = self.robots[index].args.clone();
+        self.replace_with(index, id, args);
+    }
+
+    /// The same, with other arguments of its process.
+    pub fn replace_with(&mut self, index: usize, id: &str, args: Vec<String>) {
+        self.robots[index].kill();
+        let mut args = args;
+        if self.robots[index].id != id {
+            args.truncate(args.iter().position(|arg| arg == "--identity").unwrap_or(args.len()));
+        }
+        let args = self.with_key(id, args);
+        let robot = &self.robots[index];
+        let log = self.path(&format!("{}-{}.jsonl", robot.id, robot.logs.len()));
+        let (process, _) = start(self.folder.path(), &robot.init, &args, id, robot.port, &log);
+        let robot = &mut self.robots[index];
+        (robot.process, robot.args) = (process, args);
+        robot.logs.push(log);
+    }
+
+    pub fn command(&self, args: &[&str]) -> Command {
+        let mut command = ended_by_a_hang_up();
+        command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    /// Starts the program in the background.
+    pub fn start(&self, args: &[&str]) -> Running {
+        Running::new(self.command(args))
+    }
+
+    /// Runs the program to its end.
+    #[track_caller]
+    pub fn run(&self, args: &[&str]) -> Ended {
+        self.start(args).ended()
+    }
+}
+
+/// The program, for which a hang-up is not ignored as it is by whatever `nohup` starts, these tests included.
+pub fn ended_by_a_hang_up() -> Command {
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP", program()]);
+    command
+}
+
+fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &Path) -> (Process, u16) {
+    let mut command = Command::new(program());
+    command.args(["robot", "--init", init, "--id", id, "--listen", &format!("127.0.0.1:{port}")]).args(args);
+    command.arg("--log-file").arg(log).current_dir(folder).stdout(Stdio::piped()).stderr(Stdio::null());
+    let mut process = Process(command.spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(process.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let port = line.trim().rsplit(':').next().unwrap().parse();
+    (process, port.unwrap_or_else(|_| panic!("no port in `{line}`")))
+}
+
+impl Robot {
+    /// Where it listens itself, past its proxy.
+    pub const fn port(&self) -> u16 {
+        self.port
+    }
+
+    /// The most memory that its process has taken, in megabytes.
+    pub fn memory(&self) -> u64 {
+        self.process.memory()
+    }
+
+    /// Ends it as a power cut would.
+    pub fn kill(&mut self) {
+        self.process.kill();
+    }
+
+    /// Freezes it where it is.
+    pub fn freeze(&self) {
+        self.process.signal(Signal::STOP);
+    }
+
+    pub fn thaw(&self) {
+        self.process.signal(Signal::CONT);
+    }
+
+    /// Everything that it logged, also before it was started again. The last line of a killed process may be torn.
+    pub fn log(&self) -> Vec<Logged> {
+        let text = |path: &PathBuf| std::fs::read_to_string(path).unwrap();
+        let lines = |text: String| text.lines().filter_map(Logged::read).collect::<Vec<_>>();
+        self.logs.iter().map(text).flat_map(lines).collect()
+    }
+
+    /// What it logged after so many lines.
+    pub fn log_since(&self, lines: usize) -> Vec<Logged> {
+        self.log().split_off(lines)
+    }
+
+    /// The values of scripts that it set.
+    pub fn sets(&self) -> Vec<Logged> {
+        self.log().into_iter().filter(|entry| entry.motion == "set").collect()
+    }
+
+    /// The values that one device was set to, in order.
+    pub fn values(&self, device: &str) -> Vec<f64> {
+        self.sets().iter().filter(|entry| entry.device == device).map(|entry| entry.value).collect()
+    }
+
+    /// Waits until its log says that it has set so many values.
+    #[track_caller]
+    pub fn await_sets(&self, count: usize, within: Duration) {
+        let began = Instant::now();
+        while self.sets().len() < count {
+            assert!(began.elapsed() < within, "{} set only {} values", self.id, self.sets().len());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+}
+
+/// One line of a robot's log.
+#[derive(Clone, Debug)]
+pub struct Logged {
+    /// What the process calls itself.
+    pub robot: String,
+    /// By the one clock of the host, in nanoseconds since the Unix epoch.
+    pub at: i64,
+    /// By the robot's own clock, as `due` is.
+    pub set_at: i64,
+    pub due: i64,
+    pub device: String,
+    /// `set`, `ramp`, `slow` or `default`.
+    pub motion: String,
+    pub value: f64,
+    pub step: Option<u64>,
+    pub request: String,
+}
+
+impl Logged {
+    pub fn read(line: &str) -> Option<Self> {
+        let entry: Value = serde_json::from_str(line).ok()?;
+        let text = |key: &str| entry[key].as_str().unwrap_or_default().to_owned();
+        Some(Self {
+            robot: text("robot"),
+            at: entry["true_ns"].as_i64()?,
+            set_at: nanos(entry["set_at"].as_str()?),
+            due: nanos(entry["due"].as_str()?),
+            device: text("device"),
+            motion: text("motion"),
+            value: entry["value"].as_f64()?,
+            step: entry["step"].as_u64(),
+            request: text("request_id"),
+        })
+    }
+}
+
+/// A robot that reports, with the device `d`: how many scripts it holds, its largest position, and the steps of a script.
+pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Display) -> String {
+    with_devices(&format!(
+        "  - id: d
+    name: d
+    script_queue: {queue}
+    available_control_types:
+      position: {{min_value: 0, max_value: {largest}, granularity: 1}}
+      script: {{min_value: 0, max_value: {largest}, granularity: 1, max_number_of_steps: {steps}}}
+"
+    ))
+}
+
+/// A robot that reports, with these devices, in YAML.
+pub fn with_devices(devices: &str) -> String {
+    format!("id: robot\napi_version: '1'\nreports: true\ndevices:\n{devices}")
+}
+
+/// An instant in RFC 3339 as nanoseconds since the epoch.
+pub fn nanos(text: &str) -> i64 {
+    let at: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(Value::String(text.to_owned())).unwrap();
+    at.as_nanos()
+}
+
+/// A local time of day as nanoseconds since the epoch: today, or just before or after midnight.
+pub fn today(text: &str) -> i64 {
+    let time: chrono::NaiveTime = text.parse().unwrap_or_else(|_| panic!("no time of day: {text}"));
+    let now = chrono::DateTime::from_timestamp_nanos(epoch_nanos()).with_timezone(&chrono::Local);
+    let days = [-1, 0, 1].map(|days| now.date_naive() + chrono::TimeDelta::days(days));
+    let instants = days.map(|day| day.and_time(time).and_local_timezone(chrono::Local).earliest());
+    let nanos = instants.into_iter().flatten().filter_map(|instant| instant.timestamp_nanos_opt());
+    nanos.min_by_key(|instant| (instant - epoch_nanos()).abs()).unwrap()
+}
+
+/// Now, in nanoseconds since the epoch.
+pub fn epoch_nanos() -> i64 {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+    i64::try_from(now.as_nanos()).unwrap()
+}
+
+pub fn sleep_until(at: i64) {
+    let ahead = u64::try_from(at - epoch_nanos()).unwrap_or(0);
+    std::thread::sleep(Duration::from_nanos(ahead));
+}
+
+/// The program under way; what it prints is read as it comes.
+pub struct Running {
+    pub process: Process,
+    lines: Receiver<String>,
+    told: String,
+    out: JoinHandle<String>,
+}
+
+/// How it ended.
+#[derive(Clone)]
+pub struct Ended {
+    pub code: Option<i32>,
+    pub out: String,
+    /// What it said while it ran.
+    pub told: String,
+}
+
+impl Running {
+    fn new(mut command: Command) -> Self {
+        let mut child = command.spawn().unwrap();
+        let (mut stdout, stderr) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+        let (tell, lines) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(stderr).lines().map_while(Result::ok) {
+                if tell.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        let out = std::thread::spawn(move || {
+            let mut out = String::new();
+            stdout.read_to_string(&mut out).unwrap();
+            out
+        });
+        Self { process: Process(child), lines, told: String::new(), out }
+    }
+
+    /// The next line that it says with this text; `None` when it ends without.
+    pub fn line(&mut self, text: &str) -> Option<String> {
+        while let Ok(line) = self.lines.recv() {
+            self.told.push_str(&line);
+            self.told.push('\n');
+            if line.contains(text) {
+                return Some(line);
+            }
+        }
+        None
+    }
+
+    /// The start of the act that it prepares next, in nanoseconds since the epoch.
+    pub fn start(&mut self) -> Option<i64> {
+        let line = self.line("start at ")?;
+        let time = line.split("start at ").nth(1)?.split([' ', ',']).next()?;
+        Some(today(time))
+    }
+
+    /// Waits for its end, a minute at most.
+    #[track_caller]
+    pub fn ended(self) -> Ended {
+        self.ended_within(Duration::from_secs(60)).unwrap_or_else(|told| panic!("the program hangs: {told}"))
+    }
+
+    /// How it ended, or what it had said until then if it goes on; it is killed then.
+    pub fn ended_within(mut self, patience: Duration) -> Result<Ended, String> {
+        let began = Instant::now();
+        let code = loop {
+            if let Some(status) = self.process.0.try_wait().unwrap() {
+                break status.code();
+            }
+            if began.elapsed() > patience {
+                self.told.extend(self.lines.try_iter().map(|line| line + "\n"));
+                return Err(self.told);
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        self.told.extend(self.lines.iter().map(|line| line + "\n"));
+        Ok(Ended { code, out: self.out.join().unwrap(), told: self.told })
+    }
+}
+
+impl Ended {
+    /// The report of a run with `--format json`.
+    #[track_caller]
+    pub fn report(&self) -> Value {
+        serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.told))
+    }
+}
+
+impl fmt::Display for Ended {
+    /// What a failed test has to show of it: of a report only how it ended and why.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "exit code {:?}\n{}", self.code, self.told)?;
+        let report: Value = serde_json::from_str(&self.out).unwrap_or_default();
+        if report["outcome"].is_null() {
+            return f.write_str(&self.out);
+        }
+        write!(f, "outcome {}", report["outcome"])?;
+        report["failures"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .try_for_each(|failure| write!(f, "\n{failure}"))?;
+        for row in report["robots"].as_array().into_iter().flatten() {
+            let (robot, stop) = (&row["robot"], &row["stop"]);
+            let counts = ["started", "scripts", "steps_done", "steps_planned", "unaccounted", "reconnects"];
+            let counts = counts.map(|key| format!("{key} {}", row[key])).join(", ");
+            write!(f, "\n{robot}: {counts}, stop {stop}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        // A frozen process is killed, too; no robot outlives its folder.
+        self.robots.clear();
+    }
+}
+
+/// A port of this machine that nobody listens on.
+pub fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}

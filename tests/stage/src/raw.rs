@@ -1,0 +1,190 @@
+//! A robot that is no process of the program: it answers as a robot must, and may begin to say far more than it was asked for.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+/// When it begins to flood the connection on which it was asked.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Floods {
+    Never,
+    /// As soon as it is asked anything.
+    AtOnce,
+    /// With its first answer about its times.
+    WhenAvailable,
+    /// So long after it has accepted a script.
+    AfterAccepting(Duration),
+}
+
+/// What it says without end.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub enum Flood {
+    /// Lines that are no messages.
+    Garbage,
+    /// Failures with long reasons.
+    Failures,
+    /// Answers to requests that were never sent.
+    Responses,
+    /// Its own description.
+    Blocks,
+    /// One line without an end.
+    Line,
+    /// Answers to questions that were never asked, a minute ago, and would make leads and leases long.
+    Answers,
+}
+
+impl Flood {
+    pub const ALL: [Self; 6] =
+        [Self::Garbage, Self::Failures, Self::Responses, Self::Blocks, Self::Line, Self::Answers];
+}
+
+/// A robot with the device `d`, on a port of its own. Its threads end with their connections.
+pub struct Raw {
+    pub port: u16,
+    heard: Arc<Mutex<Vec<String>>>,
+    said: Arc<AtomicU64>,
+}
+
+#[derive(Clone)]
+struct Own {
+    id: String,
+    floods: Floods,
+    flood: Flood,
+    heard: Arc<Mutex<Vec<String>>>,
+    said: Arc<AtomicU64>,
+}
+
+impl Raw {
+    pub fn start(id: &str, floods: Floods, flood: Flood) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let (heard, said) = (Arc::default(), Arc::default());
+        let own =
+            Own { id: id.to_owned(), floods, flood, heard: Arc::clone(&heard), said: Arc::clone(&said) };
+        std::thread::spawn(move || {
+            for stream in listener.incoming().map_while(Result::ok) {
+                let own = own.clone();
+                std::thread::spawn(move || own.serve(stream));
+            }
+        });
+        Self { port, heard, said }
+    }
+
+    /// The messages of this kind that it was sent, without the name of the kind.
+    pub fn heard(&self, kind: &str) -> Vec<Value> {
+        let lines = self.heard.lock().unwrap();
+        let of_kind = |line: &String| serde_json::from_str::<Value>(line).unwrap().get(kind).cloned();
+        lines.iter().filter_map(of_kind).collect()
+    }
+
+    /// How many bytes of its flood were taken.
+    pub fn flooded(&self) -> u64 {
+        self.said.load(Ordering::Relaxed)
+    }
+}
+
+impl Own {
+    fn serve(&self, stream: TcpStream) {
+        let mut out = stream.try_clone().unwrap();
+        for line in BufReader::new(stream).lines() {
+            let Ok(line) = line else { return };
+            let Ok(message) = serde_json::from_str::<Value>(&line) else { return };
+            self.heard.lock().unwrap().push(line);
+            let answered = match message.as_object().and_then(|message| message.iter().next()) {
+                Some((kind, asked)) => self.answer(kind, asked, &mut out),
+                None => Ok(()),
+            };
+            if answered.is_err() {
+                return;
+            }
+        }
+    }
+
+    fn answer(&self, kind: &str, asked: &Value, out: &mut TcpStream) -> std::io::Result<()> {
+        // Of the connection that the stop lane keeps it knows nothing: there it is asked without a session.
+        let of_mission = kind == "initialization_request" || asked.get("session").is_some();
+        if self.floods == Floods::AtOnce && of_mission {
+            return self.pour(out);
+        }
+        match kind {
+            "initialization_request" => writeln!(out, "{}", block(&self.id)),
+            "availability_request" => {
+                let at = asked.get("timestamp").cloned().unwrap_or_else(|| json!("2026-11-20T19:00:00Z"));
+                let mut answer = json!({"receive_timestamp": at, "timestamp": at, "status": "OK"});
+                if asked.get("timestamp").is_some() {
+                    answer["originate_timestamp"] = at;
+                }
+                writeln!(out, "{}", json!({"availability_response": answer}))?;
+                match self.floods == Floods::WhenAvailable && of_mission {
+                    true => self.pour(out),
+                    false => Ok(()),
+                }
+            }
+            "control_request" => {
+                let stop = asked["control_value"].as_array().is_some_and(Vec::is_empty);
+                let mut answer = asked.clone();
+                for key in
+                    ["control_value", "control_type", "session", "stop_condition", "time_offset_to_start"]
+                {
+                    answer.as_object_mut().unwrap().remove(key);
+                }
+                answer["status"] = json!(if stop { "OK" } else { "Accepted" });
+                answer["status_value"] = if stop { Value::Null } else { asked["control_value"].clone() };
+                writeln!(out, "{}", json!({"control_response": answer}))?;
+                if let (Floods::AfterAccepting(pause), false) = (self.floods, stop) {
+                    let (own, mut out) = (self.clone(), out.try_clone()?);
+                    std::thread::spawn(move || {
+                        std::thread::sleep(pause);
+                        own.pour(&mut out)
+                    });
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Says it until the connection ends.
+    fn pour(&self, out: &mut TcpStream) -> std::io::Result<()> {
+        let at = "2026-11-20T19:00:00Z";
+        let bytes = match self.flood {
+            Flood::Garbage => "x\n".repeat(8_192),
+            Flood::Failures => {
+                let error = json!({"code": "internal", "message": "m".repeat(100_000)});
+                let failed =
+                    json!({"receive_timestamp": at, "timestamp": at, "status": "Failed", "error": error});
+                format!("{}\n", json!({"availability_response": failed}))
+            }
+            Flood::Responses => {
+                let done = json!({"timestamp": at, "device_id": "d", "status": "OK", "status_value": 1, "request_id": "no"});
+                format!("{}\n", json!({"control_response": done})).repeat(128)
+            }
+            Flood::Blocks => format!("{}\n", block(&self.id)).repeat(64),
+            Flood::Line => "x".repeat(65_536),
+            Flood::Answers => {
+                let before = crate::epoch_nanos() - 60_000_000_000;
+                let before =
+                    serde_json::to_value(urrcp::Timestamp::<urrcp::Server>::from_nanos(before)).unwrap();
+                let answer = json!({"originate_timestamp": before, "receive_timestamp": before, "timestamp": before, "status": "OK"});
+                format!("{}\n", json!({"availability_response": answer})).repeat(128)
+            }
+        };
+        loop {
+            out.write_all(bytes.as_bytes())?;
+            self.said.fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        }
+    }
+}
+
+fn block(id: &str) -> Value {
+    let range = json!({"min_value": 0, "max_value": 200, "granularity": 1});
+    let mut script = range.clone();
+    script["max_number_of_steps"] = json!(200);
+    let device = json!({"id": "d", "name": "d", "script_queue": 2,
+        "available_control_types": {"position": range, "script": script}});
+    json!({"initialization_block": {"id": id, "api_version": "1", "devices": [device]}})
+}

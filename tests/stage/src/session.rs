@@ -1,0 +1,106 @@
+//! One run of the program in a folder of its own.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::LazyLock;
+
+use tempfile::TempDir;
+
+/// The program under test. Cargo builds it before the tests of its package, into the folder above theirs.
+pub fn program() -> &'static str {
+    static PROGRAM: LazyLock<String> = LazyLock::new(|| {
+        let test = std::env::current_exe().unwrap();
+        let program = test.ancestors().nth(2).unwrap().join("downbeat");
+        assert!(program.exists(), "no {}: `cargo test -p downbeat` builds it", program.display());
+        program.into_os_string().into_string().unwrap()
+    });
+    &PROGRAM
+}
+
+/// The root of the project.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap().to_path_buf()
+}
+
+/// A small arm: one linear device, positions 0 to 90 on a grid of 0.5, 8 steps.
+pub const ARM: &str = "id: arm
+api_version: '1'
+reports: true
+devices:
+  - id: shoulder
+    name: shoulder servo
+    unit: deg
+    default_value: 0
+    interpolation: linear
+    available_control_types:
+      position: {min_value: 0, max_value: 90, granularity: 0.5}
+      script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
+";
+
+/// A folder with an arm, a fleet and whatever a test adds.
+pub struct Session {
+    folder: TempDir,
+}
+
+impl Session {
+    /// Two simulated arms, `left` and `right`, and the group `arms`.
+    pub fn new() -> Self {
+        let session = Self { folder: TempDir::new().unwrap() };
+        session.file("arm.yaml", ARM).file(
+            "fleet.yaml",
+            "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
+        );
+        session
+    }
+
+    pub fn file(&self, name: &str, content: impl AsRef<[u8]>) -> &Self {
+        let path = self.path(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, content).unwrap();
+        self
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(program());
+        command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
+        command
+    }
+
+    pub fn run(&self, args: &[&str]) -> Ran {
+        Ran(self.command(args).output().unwrap())
+    }
+}
+
+/// What a run printed and how it ended.
+pub struct Ran(pub Output);
+
+impl Ran {
+    pub fn code(&self) -> i32 {
+        self.0.status.code().unwrap_or_else(|| panic!("ended by a signal: {}", self.text()))
+    }
+
+    pub fn out(&self) -> String {
+        String::from_utf8_lossy(&self.0.stdout).into_owned()
+    }
+
+    pub fn text(&self) -> String {
+        format!("{}{}", self.out(), String::from_utf8_lossy(&self.0.stderr))
+    }
+
+    #[track_caller]
+    pub fn says(&self, code: i32, parts: &[&str]) {
+        let text = self.text();
+        assert_eq!(self.code(), code, "{text}");
+        for part in parts {
+            assert!(text.contains(part), "`{part}` is missing in:\n{text}");
+        }
+    }
+
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_slice(&self.0.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.text()))
+    }
+}

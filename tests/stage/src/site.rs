@@ -1,0 +1,176 @@
+//! Three robots with keys, and operators whose certificates permit different things.
+
+use std::process::{Child, Command, Stdio};
+
+use crate::meddler::{Deed, Meddler, Wire};
+use crate::session::{ARM, Ran, Session, program, root};
+use crate::{Process, free_port};
+
+const SCENARIO: &str = "scenario: test
+cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}]}}]
+";
+
+/// Three robots with keys, and operators.
+pub struct Site {
+    pub session: Session,
+    /// `tls` or `hmac`.
+    scheme: &'static str,
+    pub ports: Vec<u16>,
+    robots: Vec<Process>,
+}
+
+impl Site {
+    pub fn new() -> Self {
+        Self::with("tls")
+    }
+
+    pub fn with(scheme: &'static str) -> Self {
+        let session = Session::new();
+        session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+        session.run(&["keys", "init"]).says(0, &["keys/authority.key"]);
+        let (make, says) =
+            if scheme == "tls" { ("robot", "365 days") } else { ("secret", "secrets/r1.secret") };
+        session.run(&["keys", make, "r0", "r1", "r2"]).says(0, &["r2", says]);
+        for (name, roles) in
+            [("anna", "observe,drive"), ("bert", "observe"), ("cleo", "observe,drive"), ("dora", "stop")]
+        {
+            session.run(&["keys", "operator", name, "--role", roles]).says(0, &[name]);
+        }
+        let mut site = Self { session, scheme, ports: Vec::new(), robots: Vec::new() };
+        for id in 0..3 {
+            site.start(id);
+        }
+        site.fleet(&site.addresses(scheme), "anna");
+        site
+    }
+
+    fn start(&mut self, id: usize) {
+        let port = free_port();
+        let mut command = Command::new(program());
+        let listen = format!("127.0.0.1:{port}");
+        command.args([
+            "--log",
+            "warn",
+            "robot",
+            "--init",
+            "arm.yaml",
+            "--id",
+            &format!("r{id}"),
+            "--listen",
+            &listen,
+        ]);
+        match self.scheme {
+            "tls" => command.args(["--identity", &format!("keys/robots/r{id}.pem")]),
+            _ => command.args(["--secret", &format!("keys/secrets/r{id}.secret")]),
+        };
+        let list = if self.scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
+        command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl")]);
+        command.current_dir(self.session.path(""));
+        command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.log"))).unwrap());
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        listens(&mut child);
+        self.ports.push(port);
+        self.robots.push(Process(child));
+    }
+
+    pub fn addresses(&self, scheme: &str) -> Vec<String> {
+        self.ports.iter().map(|port| format!("{scheme}://127.0.0.1:{port}")).collect()
+    }
+
+    pub fn fleet(&self, addresses: &[String], operator: &str) {
+        let robot = |(id, address)| format!("  r{id}: {{init: arm.yaml, address: '{address}'}}\n");
+        let robots: String = addresses.iter().enumerate().map(robot).collect();
+        let head = format!("identity: keys/operators/{operator}.pem\nrevoked: keys/revoked.pem\n");
+        let fleet = format!("{head}robots:\n{robots}groups: {{all: [r0, r1, r2]}}\n");
+        self.session.file("fleet.yaml", fleet);
+    }
+
+    pub fn run(&self) -> Ran {
+        self.session.run(&["run", "test.yaml", "--patience", "3s"])
+    }
+
+    /// What a robot has logged.
+    pub fn logged(&self, id: usize) -> String {
+        std::fs::read_to_string(self.session.path(&format!("r{id}.log"))).unwrap()
+    }
+
+    /// How often the robots have set anything but their default state.
+    pub fn moved(&self) -> usize {
+        let text = |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap();
+        let moved = |id| text(id).lines().filter(|line| !line.contains("\"default\"")).count();
+        (0..3).map(moved).sum()
+    }
+
+    /// Runs the mission, which has to be refused with these words while nothing moves.
+    #[track_caller]
+    pub fn refused(&self, words: &[&str]) {
+        let before = self.moved();
+        self.run().says(1, words);
+        assert_eq!(self.moved(), before);
+    }
+}
+
+/// Waits until a robot says where it listens.
+pub fn listens(child: &mut Child) -> String {
+    use std::io::{BufRead, BufReader};
+    let mut line = String::new();
+    BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("listens on") || line.contains("listening on"), "{line}");
+    line
+}
+
+/// A scenario whose scripts are the only long messages to a robot.
+pub const LONG_SCRIPT: &str = "scenario: test
+cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, to: 10}, {at: 200ms, to: 20}, {at: 300ms, to: 30},
+{at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 10}]}}]
+";
+
+/// Missions whose way to one robot is meddled with.
+pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
+    let meddler = Meddler::to(site.ports[1], wire, long_record);
+    let mut addresses = site.addresses(site.scheme);
+    addresses[1] = format!("{}://127.0.0.1:{}", site.scheme, meddler.port);
+    site.fleet(&addresses, "anna");
+    let before = site.moved();
+    site.run().says(0, &["test: done"]);
+    let once = site.moved() - before;
+    for deed in [Deed::Alter, Deed::Reorder, Deed::Repeat] {
+        // Robots log each reason once a second.
+        std::thread::sleep(std::time::Duration::from_millis(1_100));
+        let (logged, before) = (site.logged(1).len(), site.moved());
+        meddler.does(deed);
+        if deed == Deed::Repeat {
+            // The first of both is what the operator has said: the mission may go on by another connection.
+            let played = usize::from(site.run().code() == 0);
+            assert_eq!(site.moved(), before + played * once);
+        } else {
+            site.refused(&["r1"]);
+        }
+        assert!(meddler.done() > 0, "{deed:?}");
+        let logged = site.logged(1).split_off(logged);
+        assert!(logged.contains("altered, repeated or put in another order"), "{deed:?}: {logged}");
+    }
+    // What was said on an earlier connection, said again.
+    let before = site.moved();
+    assert!(meddler.said_again().is_empty() || site.scheme == "tls");
+    let begun = std::time::Instant::now();
+    while !site.logged(1).contains("does not prove who it is") {
+        assert!(begun.elapsed().as_secs() < 10, "{}", site.logged(1));
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    assert_eq!(site.moved(), before);
+    meddler.does(Deed::Pass);
+    site.run().says(0, &["test: done"]);
+}
+
+/// The robot to copy in Python, with the keys of `arm-1`, and its address.
+pub fn python_robot(session: &Session) -> (Process, String) {
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let robot = root().join("robot/starters/python/robot.py");
+    let mut command = Command::new(python);
+    command.arg(robot).args(["--identity", "keys/robots/arm-1.pem", "--revoked", "keys/revoked.pem"]);
+    command.env("PYTHONDONTWRITEBYTECODE", "1").current_dir(session.path("")).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let said = listens(&mut child);
+    (Process(child), format!("tls://{}", said.rsplit(' ').next().unwrap().trim()))
+}
