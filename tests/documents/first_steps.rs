@@ -1,17 +1,13 @@
-//! What a newcomer does first: the folder of `init`, the tours of README and tutorial word for word, completions, man pages.
+//! The folders that `init` writes, completions and man pages.
 
-use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Duration;
 
 use serde_json::Value;
-use tempfile::TempDir;
-
-use stage::free_port;
 use stage::schema::validator;
-use stage::session::{Ran, program, root};
+use stage::session::{Ran, program};
+use tempfile::TempDir;
 
 fn downbeat(folder: &Path, args: &[&str]) -> Ran {
     let mut command = Command::new(program());
@@ -19,45 +15,11 @@ fn downbeat(folder: &Path, args: &[&str]) -> Ran {
     Ran(command.output().unwrap())
 }
 
-/// Templates, and whether their show waits for the operator.
-const TEMPLATES: [(&str, bool); 4] = [("arms", false), ("drones", false), ("stage", true), ("edge", false)];
-
-#[test]
-fn every_template_runs_at_once() {
-    for (template, waits) in TEMPLATES {
-        let folder = TempDir::new().unwrap();
-        let folder = folder.path();
-        let wrote = downbeat(folder, &["init", "--template", template, "--format", "json"]);
-        assert_eq!(wrote.code(), 0, "{}", wrote.text());
-        for file in wrote.json()["files"].as_array().unwrap() {
-            assert!(folder.join(file.as_str().unwrap()).is_file(), "{template}: {file}");
-        }
-        let checked = downbeat(folder, &["check", "show.yaml", "--deny", "warnings"]);
-        checked.says(0, &["no errors"]);
-        let dry = downbeat(folder, &["dry-run", "show.yaml", "--format", "json"]);
-        assert_eq!((dry.code(), dry.json()["outcome"].as_str()), (0, Some("done")), "{template}");
-        if waits {
-            let mut command = Command::new(program());
-            command
-                .args(["run", "show.yaml"])
-                .current_dir(folder)
-                .env("DOWNBEAT_STATE", folder.join(".state"));
-            let run =
-                command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-            // The mission may not be there yet, or not wait yet.
-            while downbeat(folder, &["go"]).code() != 0 {
-                std::thread::sleep(Duration::from_millis(200));
-            }
-            Ran(run.wait_with_output().unwrap()).says(0, &["show: done"]);
-        } else {
-            downbeat(folder, &["run", "show.yaml"]).says(0, &["show: done"]);
-        }
-    }
-}
+const TEMPLATES: [&str; 4] = ["arms", "drones", "stage", "edge"];
 
 #[test]
 fn the_settings_of_the_editor_name_schemas_that_the_files_keep_to() {
-    for (template, _) in TEMPLATES {
+    for template in TEMPLATES {
         let folder = TempDir::new().unwrap();
         downbeat(folder.path(), &["init", "--template", template]).says(0, &["downbeat run show.yaml"]);
         let settings = fs::read_to_string(folder.path().join(".vscode/settings.json")).unwrap();
@@ -96,123 +58,6 @@ fn without_a_fleet_it_is_said_how_to_get_one() {
     fs::write(folder.path().join("show.yaml"), "scenario: show\ncues: [{cue: a}]\n").unwrap();
     let checked = downbeat(folder.path(), &["check", "show.yaml"]);
     checked.says(2, &["fleet.yaml", "`downbeat init` writes one", "`--fleet FILE` names one"]);
-}
-
-/// A block of a document, as a newcomer would use it.
-enum Block {
-    /// Commands, and whether the last one fails.
-    Commands {
-        text: String,
-        fails: bool,
-    },
-    File {
-        name: String,
-        text: String,
-    },
-    /// What the commands before it print.
-    Output(String),
-}
-
-fn tour(document: &str) -> Vec<Block> {
-    let text = fs::read_to_string(root().join(document)).unwrap();
-    let mut blocks = Vec::new();
-    let mut lines = text.lines();
-    while let Some(line) = lines.next() {
-        let Some(opening) = line.strip_prefix("```").filter(|opening| !opening.is_empty()) else { continue };
-        let inside = lines.by_ref().take_while(|line| *line != "```");
-        let text = inside.fold(String::new(), |text, line| text + line + "\n");
-        match opening {
-            "sh tour" | "sh tour fails" => {
-                blocks.push(Block::Commands { text, fails: opening.ends_with("fails") });
-            }
-            "text" => blocks.push(Block::Output(text)),
-            _ => {
-                let name = opening.strip_prefix("yaml file ").map(str::to_owned);
-                blocks.extend(name.map(|name| Block::File { name, text }));
-            }
-        }
-    }
-    blocks
-}
-
-/// One shell plays all of it, as a newcomer's does: folders are entered, robots run in the background.
-fn script(blocks: &[Block], out: &Path) -> String {
-    let mut script = String::from("trap 'kill $(jobs -p) 2>/dev/null' EXIT\n");
-    for (number, block) in blocks.iter().enumerate() {
-        match block {
-            Block::Commands { text, fails } => {
-                writeln!(script, "exec >'{}' 2>&1", out.join(number.to_string()).display()).unwrap();
-                let expected = u8::from(*fails);
-                for line in text.lines() {
-                    let last = text.lines().last() == Some(line);
-                    writeln!(script, "{line}\ncode=$?").unwrap();
-                    let expected = if last { expected } else { 0 };
-                    writeln!(
-                        script,
-                        "[ $code = {expected} ] || {{ echo \"ended with code $code\"; exit 9; }}"
-                    )
-                    .unwrap();
-                }
-                if text.contains(" &\n") {
-                    script += "sleep 2\n";
-                }
-            }
-            Block::File { name, text } => {
-                writeln!(script, "cat > '{name}' <<'END OF FILE'\n{text}END OF FILE").unwrap();
-            }
-            Block::Output(_) => {}
-        }
-    }
-    script
-}
-
-#[test]
-fn the_tour_of_the_readme_works_word_for_word_in_an_empty_folder() {
-    works_word_for_word("README.md");
-}
-
-#[test]
-fn the_tutorial_works_word_for_word_in_an_empty_folder() {
-    works_word_for_word("docs/tutorial.md");
-}
-
-/// Plays every command of a document in an empty folder, and compares what it quotes with what they print.
-#[track_caller]
-fn works_word_for_word(document: &str) {
-    let folder = TempDir::new().unwrap();
-    let out = TempDir::new().unwrap();
-    let blocks = tour(document);
-    assert!(blocks.iter().filter(|block| matches!(block, Block::Commands { .. })).count() >= 4);
-    let mut script = script(&blocks, out.path());
-    for port in ["7401", "7402"] {
-        script = script.replace(port, &free_port().to_string());
-    }
-    let paths = std::env::var("PATH").unwrap();
-    let program = Path::new(program()).parent().unwrap().display().to_string();
-    let mut shell = Command::new("bash");
-    shell.arg("-c").arg(&script).current_dir(folder.path()).stdin(Stdio::null());
-    shell.env("PATH", format!("{program}:{paths}")).env("DOWNBEAT_STATE", folder.path().join(".state"));
-    let ended = shell.status().unwrap();
-    let printed = |number: usize| fs::read_to_string(out.path().join(number.to_string())).unwrap_or_default();
-    let all: String = (0..blocks.len()).map(printed).collect();
-    assert!(ended.success(), "{ended}\n{all}");
-    // Every line that is quoted stands in what the commands before it printed, in that order.
-    let mut before = String::new();
-    for (number, block) in blocks.iter().enumerate() {
-        match block {
-            Block::Commands { .. } => before = printed(number),
-            Block::Output(text) => {
-                let mut lines = before.lines();
-                for quoted in text.lines().filter(|line| *line != "...") {
-                    assert!(
-                        lines.any(|line| line == quoted),
-                        "`{quoted}` is not what was printed:\n{before}"
-                    );
-                }
-            }
-            Block::File { .. } => {}
-        }
-    }
 }
 
 #[test]

@@ -4,7 +4,6 @@
 
 mod documents;
 mod examples;
-mod first_steps;
 mod help;
 mod schema;
 mod tied;

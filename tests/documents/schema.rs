@@ -1,11 +1,10 @@
 //! The published schemas say what the reader says, as far as a schema can.
 
-use std::process::Command;
-
 use serde_json::Value;
 
 use crate::documents::scenarios_of;
-use stage::session::{program, root};
+use stage::schema::validator;
+use stage::session::root;
 
 #[track_caller]
 fn check_sound(validator: &jsonschema::Validator, name: &str, text: &str) {

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use stage::session::{Session, root};
 
-/// A scenario for the robots of `tests/diagnostics`.
+/// A scenario for the robots of `tests/sessions/findings`.
 struct Planned(Value);
 
 #[track_caller]
@@ -19,7 +19,7 @@ fn planned_with(yaml: &str, files: &[(&str, &str)]) -> Planned {
     for (name, content) in files {
         session.file(name, content);
     }
-    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
     let ran = session.run(&["plan", "test.yaml", "--fleet", fleet.to_str().unwrap(), "--format", "json"]);
     assert_eq!(ran.code(), 0, "{yaml}\n{}", ran.text());
     Planned(ran.json())
@@ -310,7 +310,7 @@ fn warnings_are_errors_where_they_are_denied_and_findings_become_sarif() {
         "test.yaml",
         "scenario: test\ncues:\n  - {robots: left, tracks: {elbow: [{at: 0s, to: 30}]}}\n",
     );
-    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
     let fleet = fleet.to_str().unwrap();
     session.run(&["check", "test.yaml", "--fleet", fleet]).says(0, &["DB0034", "0 errors, 1 warning"]);
     session

@@ -94,7 +94,7 @@ fn of_tiagos_motions_only_the_torso_of_reach_max_is_too_fast() {
 fn the_table_of_texts_that_are_not_yaml_tells_what_refuses_each() {
     let Some(data) = data() else { return };
     let table = std::fs::read_to_string(root().join("docs/yaml.md")).unwrap();
-    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
     let mut texts = 0;
     for entry in std::fs::read_dir(data.join("yaml-invalid")).unwrap() {
         let path = entry.unwrap().path();

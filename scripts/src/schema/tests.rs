@@ -343,7 +343,7 @@ fn fleet() -> Fleet {
 
 #[test]
 fn the_schema_of_fleets_lists_what_is_read() {
-    let diagnostics = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/diagnostics");
+    let diagnostics = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/sessions/findings/folder");
     let text = FLEET.replace("DIAGNOSTICS", diagnostics);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fleet.yaml");

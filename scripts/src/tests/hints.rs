@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::{Code, Compiled, Finding, Folder, Source, compile, parse_duration, read_fleet};
 
 fn folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/diagnostics")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/sessions/findings/folder")
 }
 
 fn compiled(name: &str, text: &str) -> Compiled {

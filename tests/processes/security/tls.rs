@@ -1,13 +1,14 @@
 //! Nobody moves a robot without permission: robots as processes that hear only operators of their authority, and every attempt of
 //! others, which moves nothing.
 
-use std::process::{Child, Command, Stdio};
+use std::process::Stdio;
 
 use rustix::process::Signal;
 
-use stage::meddler::{Deed, Meddler, Wire};
+use stage::meddler::Wire;
 use stage::operators::{Operators, fails_with};
-use stage::session::{ARM, Ran, Session, program, root};
+use stage::session::{Ran, Session};
+use stage::site::{LONG_SCRIPT, SCENARIO, Site, listens, on_the_way, python_robot};
 use stage::{Process, free_port};
 
 /// What the conformance test asks of robots that ask who one is.

@@ -290,7 +290,7 @@ fn a_chart_of_the_plan_is_for_people_only() {
     let session = Session::new();
     let arm = "scenario: chart\ncues:\n  - {cue: raise, at: 0s, robots: left, tracks: {elbow: [{at: 0s, to: 0}, {at: 2s, to: 30}]}}\n";
     session.file("chart.yaml", arm);
-    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let fleet = root().join("tests/sessions/findings/folder/fleet.yaml");
     let args = ["plan", "chart.yaml", "--fleet", fleet.to_str().unwrap(), "--gantt"];
     session.run(&args).says(0, &["raise * ━━━", "left    ━━━", "┊0.5 s", "* critical"]);
     let json = session.run(&[&args[..], &["--format", "json"]].concat());

@@ -32,8 +32,6 @@ use tempfile::TempDir;
 
 use crate::session::program;
 
-const PROGRAM: &str = env!("CARGO_BIN_EXE_downbeat");
-
 /// A process that is killed when it is let go.
 pub struct Process(pub Child);
 

@@ -6,7 +6,8 @@ use crate::meddler::{Deed, Meddler, Wire};
 use crate::session::{ARM, Ran, Session, program, root};
 use crate::{Process, free_port};
 
-const SCENARIO: &str = "scenario: test
+/// Moves every robot of the site.
+pub const SCENARIO: &str = "scenario: test
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}]}}]
 ";
 

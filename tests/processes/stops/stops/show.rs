@@ -11,7 +11,6 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::flood::Flood;
 use stage::compiled::{SHARED, compiled};
-use stage::session::program;
 use stage::{Process, Stage, Via, one_device, with_devices};
 
 /// What stands still, is full, has changed or is gone.
@@ -132,7 +131,7 @@ impl Show {
         let mut command = program(&stage, &["run", "play.yaml", "--patience", "4s"], trouble);
         if !starter.is_empty() {
             let mut args: Vec<_> = command.get_args().map(OsStr::to_owned).collect();
-            let program = args.iter().position(|arg| arg == program()).unwrap();
+            let program = args.iter().position(|arg| arg == stage::session::program()).unwrap();
             args.splice(program..program, starter.iter().map(OsString::from));
             let mut by = Command::new(command.get_program());
             by.args(args);
