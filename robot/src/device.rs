@@ -125,6 +125,8 @@ pub(crate) struct DeviceMachine {
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
     /// If the driver times scripts by itself, this far ahead: what this machine is late with is late only here.
     pub(crate) lookahead: Option<Lookahead>,
+    /// A command that would start later than this is dropped.
+    pub(crate) start_late_max: Span,
     accepted: CommandId,
 }
 
@@ -139,8 +141,18 @@ impl DeviceMachine {
             .collect();
         let (driven, queue, guards) = (BTreeMap::new(), VecDeque::new(), Vec::new());
         let (taken_back, taken_back_by, lookahead) = (None, None, None);
-        let accepted = CommandId::default();
-        Self { spec, signals, driven, queue, guards, taken_back, taken_back_by, lookahead, accepted }
+        Self {
+            spec,
+            signals,
+            driven,
+            queue,
+            guards,
+            taken_back,
+            taken_back_by,
+            lookahead,
+            start_late_max: START_LATE_MAX,
+            accepted: CommandId::default(),
+        }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -219,7 +231,7 @@ impl DeviceMachine {
     /// Begins the front command or does its next step.
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
-        if !held.began && now - at > START_LATE_MAX && self.lookahead.is_none() {
+        if !held.began && now - at > self.start_late_max && self.lookahead.is_none() {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }

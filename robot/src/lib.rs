@@ -119,6 +119,7 @@ mod signal;
 pub mod simulated;
 #[cfg(feature = "tls")]
 pub mod tls;
+mod tolerance;
 #[cfg(feature = "host")]
 mod wake_up;
 #[cfg(feature = "zenoh")]

@@ -7,8 +7,9 @@ use std::collections::BTreeMap;
 
 use urrcp::{ControlError, DeviceId, Interpolation, RequestId, Robot, Setpoint, Span, Timestamp};
 
-use crate::device::{CommandId, START_LATE_MAX};
+use crate::device::CommandId;
 use crate::held::Held;
+use crate::tolerance::Tolerance;
 
 /// Names a script, or a single value, that was handed over to a driver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -113,7 +114,7 @@ pub enum PlanEvent {
 /// How far a driver may be off when it names a time: what it says was not later than now.
 const GRAIN: Span = Span::from_millis(10);
 /// So long after a start or an end the driver must have said that it was.
-const REPORT_WAIT: Span = Span::from_millis(750);
+pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
 /// An edge that looks for a report so much too late was itself held up, and the report may still wait for it.
 const HELD_UP: Span = Span::from_millis(100);
 /// A step that is done later than this after its deadline counts as late.
@@ -152,6 +153,7 @@ pub(crate) struct Plan {
     pub(crate) is_over_there: bool,
     /// Reports are awaited until then, because the edge was held up.
     extended: Option<Timestamp<Robot>>,
+    tolerance: Tolerance,
 }
 
 impl Plan {
@@ -183,10 +185,10 @@ impl Plan {
     }
 
     /// By how much it is too late to hand over the next steps.
-    pub(crate) fn handover_late(&self, now: Timestamp<Robot>, stale: Span) -> Option<Span> {
+    pub(crate) fn handover_late(&self, now: Timestamp<Robot>) -> Option<Span> {
         self.next_handover()?;
         let sets_out = self.sets_out(self.given)?;
-        let most = if self.given == 0 { START_LATE_MAX } else { stale };
+        let most = if self.given == 0 { self.tolerance.start } else { self.tolerance.step };
         (now - sets_out > most).then(|| now - sets_out)
     }
 
@@ -208,7 +210,7 @@ impl Plan {
             plan: id,
             device: self.device.clone(),
             start: self.held.start,
-            begin_by: self.held.start + START_LATE_MAX,
+            begin_by: self.held.start + self.tolerance.start,
             interpolation: self.interpolation,
             first,
             steps,
@@ -220,8 +222,8 @@ impl Plan {
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
-            (_, None, None) => self.held.start + REPORT_WAIT,
-            (_, Some(_), None) => self.held.end + REPORT_WAIT,
+            (_, None, None) => self.held.start + self.tolerance.report,
+            (_, Some(_), None) => self.held.end + self.tolerance.report,
         };
         Some(self.extended.map_or(due, |extended| due.max(extended)))
     }
@@ -230,7 +232,7 @@ impl Plan {
     fn is_unreported(&mut self, now: Timestamp<Robot>) -> bool {
         let Some(due) = self.report_due().filter(|due| *due <= now) else { return false };
         if now - due > HELD_UP {
-            self.extended = Some(now + REPORT_WAIT);
+            self.extended = Some(now + self.tolerance.report);
             return false;
         }
         true
@@ -300,6 +302,8 @@ pub(crate) struct Plans {
     last: u64,
     /// What the machine thinks to be over, and is to be cancelled with the device's next change.
     failing: Vec<(PlanId, ControlError)>,
+    /// Of each that is added.
+    pub(crate) tolerance: Tolerance,
 }
 
 impl Plans {
@@ -333,6 +337,7 @@ impl Plans {
             late_steps: 0,
             is_over_there: false,
             extended: None,
+            tolerance: self.tolerance,
         };
         self.plans.insert(PlanId(self.last), plan);
     }

@@ -26,6 +26,7 @@ use crate::parties::Claimant;
 use crate::parties::Parties;
 use crate::plans::{PlanCancel, PlanPart, Plans};
 use crate::role::Proof;
+use crate::tolerance::Tolerance;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -136,6 +137,7 @@ pub struct Robot {
     unconfirmed: Option<Unconfirmed>,
     /// Scripts that the driver times by itself.
     plans: Plans,
+    tolerance: Tolerance,
     /// Something has been set since the start.
     moved: bool,
     effects: Vec<Effect>,
@@ -167,6 +169,7 @@ impl Robot {
             hardware: Hardware::simulated(),
             unconfirmed: None,
             plans: Plans::default(),
+            tolerance: Tolerance::default(),
             moved: false,
             effects: Vec::new(),
             counts: Counts::default(),

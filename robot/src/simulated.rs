@@ -11,6 +11,8 @@ use urrcp::{
 use crate::hardware::{ReadingId, SILENCE_MAX};
 use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::{Kept, LogEntry};
+#[cfg(all(test, feature = "host"))]
+use crate::tolerance::Tolerance;
 
 use body::MovedBody;
 
@@ -161,6 +163,12 @@ impl SimulatedRobot {
             hands: None,
             bodies,
         }
+    }
+
+    /// The same robot with these limits of lateness.
+    #[cfg(all(test, feature = "host"))]
+    pub(crate) fn tolerating(self, tolerance: Tolerance) -> Self {
+        Self { robot: self.robot.tolerating(tolerance), ..self }
     }
 
     /// A robot whose values drive simulated hardware, which is there at `now`.

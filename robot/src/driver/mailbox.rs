@@ -15,9 +15,10 @@ use super::PlanWord;
 use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
 use crate::confirmation::Ticket;
-use crate::hardware::{READINGS_MAX, ReadingId, STALE};
+use crate::hardware::{READINGS_MAX, ReadingId};
 use crate::plans::{PlanCancel, PlanPart};
 use crate::signal::Signal;
+use crate::tolerance::Tolerance;
 
 /// One signal of one device.
 pub(crate) type Key = (DeviceId, ControlType);
@@ -38,10 +39,10 @@ pub(crate) struct Value {
 }
 
 impl Value {
-    /// By how much it is late, where that is too much.
-    pub(crate) fn stale(&self, now: Instant) -> Option<Duration> {
+    /// By how much it is late, where that is more than `late_max`.
+    pub(crate) fn stale(&self, now: Instant, late_max: Duration) -> Option<Duration> {
         let late = now.saturating_duration_since(self.due?);
-        (late > STALE).then_some(late)
+        (late > late_max).then_some(late)
     }
 }
 
@@ -186,9 +187,36 @@ struct Confirm {
 pub(crate) struct Mailbox {
     state: Mutex<State>,
     changed: Condvar,
+    tolerance: Tolerance,
+    /// The instant that its clock shows all the time, in a test.
+    #[cfg(test)]
+    stopped_at: Option<Instant>,
 }
 
 impl Mailbox {
+    /// With these limits of lateness.
+    pub(crate) fn tolerating(tolerance: Tolerance) -> Self {
+        Self { tolerance, ..Self::default() }
+    }
+
+    /// Reads no clock, except where it waits.
+    #[cfg(test)]
+    pub(crate) fn stopped_at(instant: Instant) -> Self {
+        Self { stopped_at: Some(instant), ..Self::default() }
+    }
+
+    pub(crate) const fn tolerance(&self) -> Tolerance {
+        self.tolerance
+    }
+
+    fn now(&self) -> Instant {
+        #[cfg(test)]
+        if let Some(stopped_at) = self.stopped_at {
+            return stopped_at;
+        }
+        Instant::now()
+    }
+
     fn lock(&self) -> MutexGuard<'_, State> {
         // Nothing in here panics; were it to, every state is a whole one.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
@@ -196,13 +224,13 @@ impl Mailbox {
 
     /// Puts in orders that were given under a connection; those of an earlier one are void.
     pub(crate) fn post(&self, connection: u64, orders: impl Iterator<Item = Order>, demand: Demand) {
-        let now = Instant::now();
+        let now = self.now();
         let mut state = self.lock();
         state.demand = demand;
         let mut any = state.pulse.as_mut().is_some_and(|pulse| pulse.demand(now, demand));
         for order in orders.filter(|_| connection > 0) {
             if state.connection == connection {
-                state.put(order);
+                state.put(order, now);
                 any = true;
             }
         }
@@ -224,7 +252,7 @@ impl Mailbox {
 
     /// A connection stands; orders are taken for it alone.
     pub(crate) fn connected(&self, connection: u64, manners: Manners) {
-        let now = Instant::now();
+        let now = self.now();
         let mut state = self.lock();
         let mut pulse = Pulse::new(now, manners.ping_period);
         pulse.demand(now, state.demand);
@@ -326,7 +354,7 @@ impl Mailbox {
 
     /// A sensor has told what it reads.
     pub(super) fn read_by_itself(&self, sensor: &DeviceId, reading: f64) {
-        let now = Instant::now();
+        let now = self.now();
         let mut state = self.lock();
         let room = state.pushed.len() < PUSHED_MAX || state.pushed.contains_key(sensor);
         if state.connection > 0 && room {
@@ -336,14 +364,14 @@ impl Mailbox {
 
     /// What a sensor has told within this time.
     pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<f64> {
-        let now = Instant::now();
+        let now = self.now();
         let (reading, at) = *self.lock().pushed.get(sensor)?;
         (now.saturating_duration_since(at) <= within).then_some(reading)
     }
 
     /// Notes what a call took, and whether it shows that the hardware lives.
     pub(crate) fn called(&self, took: Duration, sign: Sign) {
-        let now = Instant::now();
+        let now = self.now();
         let mut state = self.lock();
         if let Some(pulse) = &mut state.pulse {
             pulse.called(took);
@@ -365,8 +393,8 @@ impl Mailbox {
 
     /// For how long the hardware has not answered, where that is too long for what is held.
     pub(crate) fn silence(&self) -> Option<Duration> {
-        let now = Instant::now();
-        self.lock().pulse.as_ref()?.silence(now)
+        let now = self.now();
+        self.lock().pulse.as_ref()?.silence(now, self.tolerance.silence)
     }
 
     /// The next thing to do: values first, then signs of life, then readings where no movement is near.
@@ -374,7 +402,7 @@ impl Mailbox {
         let mut state = self.lock();
         state.in_hand.clear();
         loop {
-            let now = Instant::now();
+            let now = self.now();
             // What was said before a fault or an end was so.
             if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
                 return Work::Words(std::mem::take(&mut state.words));
@@ -430,7 +458,7 @@ impl Mailbox {
 }
 
 impl State {
-    fn put(&mut self, order: Order) {
+    fn put(&mut self, order: Order, now: Instant) {
         self.orders += 1;
         match order {
             Order::Set(key, value) => {
@@ -441,7 +469,7 @@ impl State {
             Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),
             // One that finds no room is not answered, which its time limit tells.
             Order::Read(id, sensor) if self.readings.len() < READINGS_MAX => {
-                self.readings.push_back((id, sensor, Instant::now()));
+                self.readings.push_back((id, sensor, now));
             }
             Order::Read(..) => {}
             Order::Plan(plan) => {

@@ -10,7 +10,6 @@ use super::mailbox::{PlanOrder, Sign};
 use super::worker::{Lost, News, Worker};
 use super::{DriverError, PlanWord};
 use crate::clock::{HostClock, HostTime};
-use crate::hardware::STALE;
 use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
 
 /// What a driver's thread tells the machine of a script that the driver times.
@@ -76,7 +75,7 @@ impl Worker {
     fn hand_over(&mut self, mut part: PlanPart<Robot>, clock: HostClock) -> Result<(), Lost> {
         let (plan, first) = (part.plan, part.first);
         let now: Timestamp<Robot> = clock.now().assume_clock();
-        let stale = part.steps.first().map(|step| step.at + STALE.into());
+        let stale = part.steps.first().map(|step| step.at + self.tolerance().step);
         let latest = if first == 0 { Some(part.begin_by) } else { stale };
         if let Some(late) = latest.filter(|latest| *latest < now).map(|latest| now - latest) {
             let why = format!("a script reached the hardware {late} after it could have been played");

@@ -106,6 +106,8 @@ pub struct Program {
     running: Option<Running>,
     declared: Declared,
     ear: Option<Ear>,
+    /// After such silences of the edge it does not begin a script, and ends one that runs, in milliseconds.
+    edge_silence_ms: (u32, u32),
 }
 
 impl Program {
@@ -129,6 +131,7 @@ impl Program {
             running: None,
             declared: Declared::default(),
             ear: None,
+            edge_silence_ms: EDGE_SILENCE_MS,
         })
     }
 
@@ -136,6 +139,13 @@ impl Program {
     #[must_use]
     pub const fn within(mut self, timeouts: Timeouts) -> Self {
         self.timeouts = timeouts;
+        self
+    }
+
+    /// The same, and it lets the edge be silent for an hour.
+    #[cfg(test)]
+    pub(super) const fn borne_in_silence(mut self) -> Self {
+        self.edge_silence_ms = (3_600_000, 3_600_000);
         self
     }
 
@@ -352,7 +362,7 @@ impl Driver for Program {
         let plan = json!({
             "plan": part.plan.0, "device": part.device, "start": part.start.as_nanos(),
             "begin_by": part.begin_by.as_nanos(), "interpolation": part.interpolation,
-            "silence_ms": { "start": EDGE_SILENCE_MS.0, "running": EDGE_SILENCE_MS.1 },
+            "silence_ms": { "start": self.edge_silence_ms.0, "running": self.edge_silence_ms.1 },
             "steps": steps, "last": part.is_last,
         });
         self.ask_ok(&format!("plan {plan}"))
@@ -449,7 +459,7 @@ mod tests {
                  case \"$line\" in {answers} *) echo ok;; esac; done"
             );
             let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-            let answer = Duration::from_secs(20);
+            let answer = Duration::from_secs(60);
             let timeouts = Timeouts { start: answer, answer };
             Self { program: Program::new(&command, &block).unwrap().within(timeouts), log }
         }

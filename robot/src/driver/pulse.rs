@@ -6,7 +6,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::hardware::{SILENCE_MAX, START_NEAR};
+use crate::hardware::START_NEAR;
 
 /// While nothing is held, at least.
 const IDLE: Duration = Duration::from_millis(500);
@@ -113,10 +113,10 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// For how long it has not answered, where that is longer than it should be under what is held.
-    pub(super) fn silence(&self, now: Instant) -> Option<Duration> {
+    /// For how long it has not answered, while something is held. `None` up to `silence_max`, or longer if its calls are slow.
+    pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let asked = self.seen.max(self.held_since.filter(|_| !self.reading)?);
-        let most = SILENCE_MAX.max(self.near * 3);
+        let most = silence_max.max(self.near * 3);
         let too_long = now.saturating_duration_since(asked) > most + 2 * self.took;
         too_long.then(|| now.saturating_duration_since(self.seen))
     }
@@ -126,6 +126,7 @@ impl Pulse {
 #[expect(clippy::disallowed_methods, reason = "an instant to begin with")]
 mod tests {
     use super::*;
+    use crate::hardware::SILENCE_MAX;
 
     const NEAR: Duration = Duration::from_millis(25);
 
@@ -164,18 +165,18 @@ mod tests {
     #[test]
     fn silence_counts_from_when_something_is_held_and_allows_for_slow_calls_and_readings() {
         let (mut pulse, begin) = holding(None);
-        assert_eq!(pulse.silence(begin + SILENCE_MAX), None);
-        assert_eq!(pulse.silence(begin + SILENCE_MAX + MS), Some(SILENCE_MAX + MS));
+        assert_eq!(pulse.silence(begin + SILENCE_MAX, SILENCE_MAX), None);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + MS, SILENCE_MAX), Some(SILENCE_MAX + MS));
         pulse.called(50 * MS);
-        assert_eq!(pulse.silence(begin + SILENCE_MAX + 100 * MS), None);
-        assert_eq!(pulse.silence(begin + SILENCE_MAX + 101 * MS), Some(SILENCE_MAX + 101 * MS));
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + 100 * MS, SILENCE_MAX), None);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + 101 * MS, SILENCE_MAX), Some(SILENCE_MAX + 101 * MS));
         pulse.reading(true);
-        assert_eq!(pulse.silence(begin + 900 * MS), None);
+        assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.reading(false);
         pulse.seen(begin + 900 * MS);
-        assert_eq!(pulse.silence(begin + 900 * MS), None);
+        assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.demand(begin, Demand::default());
-        assert_eq!(pulse.silence(begin + 9_000 * MS), None, "nothing depends on it");
+        assert_eq!(pulse.silence(begin + 9_000 * MS, SILENCE_MAX), None, "nothing depends on it");
     }
 
     #[test]
@@ -229,8 +230,8 @@ mod tests {
         assert_eq!(Pulse::new(begin, 400 * MS).next_ping(begin), begin + 800 * MS);
         pulse.demand(begin, Demand { held: true, start: Some(begin), ..Demand::default() });
         assert!(!pulse.is_overdue(begin + 199 * MS) && pulse.is_overdue(begin + 200 * MS));
-        assert_eq!(pulse.silence(begin + 300 * MS), None);
-        assert_eq!(pulse.silence(begin + 301 * MS), Some(301 * MS));
+        assert_eq!(pulse.silence(begin + 300 * MS, SILENCE_MAX), None);
+        assert_eq!(pulse.silence(begin + 301 * MS, SILENCE_MAX), Some(301 * MS));
     }
 
     #[test]
@@ -240,8 +241,8 @@ mod tests {
         let held = Demand { held: true, ..Demand::default() };
         pulse.demand(begin + 1_000 * MS, held);
         pulse.demand(begin + 1_100 * MS, Demand { start: Some(begin), ..held });
-        assert_eq!(pulse.silence(begin + 1_000 * MS + SILENCE_MAX), None);
+        assert_eq!(pulse.silence(begin + 1_000 * MS + SILENCE_MAX, SILENCE_MAX), None);
         let beyond = 1_001 * MS + SILENCE_MAX;
-        assert_eq!(pulse.silence(begin + beyond), Some(beyond), "since it last answered");
+        assert_eq!(pulse.silence(begin + beyond, SILENCE_MAX), Some(beyond), "since it last answered");
     }
 }

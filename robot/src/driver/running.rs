@@ -89,6 +89,8 @@ pub(super) struct Running {
     answers: Receiver<String>,
     /// It may tell what it was not asked for.
     tells: Arc<AtomicBool>,
+    /// How long its output may outlive its input, if it has ended.
+    ends_within: Duration,
 }
 
 impl Running {
@@ -111,7 +113,7 @@ impl Running {
         std::thread::Builder::new()
             .name("program".into())
             .spawn(move || hear(BufReader::new(output), ear.as_ref(), &sender))?;
-        Ok(Self { child, input: Some(input), output: watched, answers, tells })
+        Ok(Self { child, input: Some(input), output: watched, answers, tells, ends_within: ENDS_WITHIN })
     }
 
     /// From now on it may tell what it was not asked for.
@@ -139,7 +141,8 @@ impl Running {
 
     fn why_it_reads_no_more(&self) -> String {
         // What it said before is passed over.
-        let last = std::iter::repeat_with(|| self.answers.recv_timeout(ENDS_WITHIN)).take(LAST_WORDS_MAX);
+        let last =
+            std::iter::repeat_with(|| self.answers.recv_timeout(self.ends_within)).take(LAST_WORDS_MAX);
         let ended = last.filter_map(Result::err).next() == Some(RecvTimeoutError::Disconnected);
         if ended { "has ended" } else { "has closed its input" }.to_owned()
     }
@@ -248,9 +251,10 @@ mod tests {
     }
 
     /// What is said of a program that reads no more, in place of an answer.
-    fn said_of(command: &str) -> String {
+    fn said_of(command: &str, ends_within: Duration) -> String {
         let mut running = Running::start(command, None).unwrap();
-        let wait = Duration::from_secs(5);
+        running.ends_within = ends_within;
+        let wait = Duration::from_secs(60);
         assert_eq!(running.ask("hello", wait), Ok("ok".to_owned()));
         // Until its input is closed it may still take a line, which it never answers.
         (0..1_000)
@@ -262,8 +266,11 @@ mod tests {
 
     #[test]
     fn a_program_that_ended_is_told_from_one_that_closed_its_input() {
-        assert_eq!(said_of("read line; echo ok; exec <&-; sleep 60"), "has closed its input");
-        assert_eq!(said_of("read line; echo ok; exec <&-; sleep 0.1"), "has ended");
+        let stays = "read line; echo ok; exec <&-; sleep 60";
+        assert_eq!(said_of(stays, ENDS_WITHIN), "has closed its input");
+        // However long a slow machine takes to end it.
+        let ends = "read line; echo ok; exec <&-; sleep 0.1";
+        assert_eq!(said_of(ends, Duration::from_secs(50)), "has ended");
     }
 
     /// An ear for the sensor `eye`, on a mailbox with a connection.
@@ -325,7 +332,7 @@ mod tests {
     fn a_program_tells_nothing_before_it_may() {
         let (ear, mailbox) = ear();
         let mut running = Running::start("while read -r line; do echo \"$line\"; done", Some(ear)).unwrap();
-        let wait = Duration::from_secs(20);
+        let wait = Duration::from_secs(60);
         assert_eq!(running.ask("reading eye 1", wait).as_deref(), Ok("reading eye 1"));
         running.may_tell();
         running.input.as_mut().unwrap().write_all(b"reading eye 2\n").unwrap();

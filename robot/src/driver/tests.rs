@@ -16,9 +16,9 @@ use urrcp::{
 };
 
 use super::*;
-use crate::hardware::STALE;
 use crate::host::tests::LogFile;
 use crate::plans::PlanEvent;
+use crate::tolerance::Tolerance;
 use crate::{Host, HostOptions, Hosted, LinkEvent, RobotLink};
 
 const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
@@ -29,13 +29,13 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
   {"id": "wheel", "name": "wheel", "available_control_types": {
      "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 8}}},
-  {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+  {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9, "max_delay": 60000}}}]}"#;
 
 /// Slows down as it can.
 const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
-     "acceleration": {"min_value": -400, "max_value": 400, "granularity": 1},
+     "acceleration": {"min_value": -100, "max_value": 100, "granularity": 1},
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
                 "control_types": ["position"]}}}]}"#;
 
@@ -52,8 +52,14 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
                 "control_types": ["speed"]}}}]}"#;
 
-/// A script that starts this many milliseconds from now.
-fn request(device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) -> Message {
+/// A script that starts this many milliseconds from now; `None`: when it is received, which is never too late.
+fn request(
+    device: &str,
+    id: &str,
+    lead: Option<f64>,
+    steps: &[(f64, f64)],
+    control_type: ControlType,
+) -> Message {
     let step = |(millis, value): &(f64, f64)| Step {
         offset: Millis::new(*millis).unwrap(),
         setpoint: Setpoint::new(control_type, *value),
@@ -63,7 +69,7 @@ fn request(device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type
     let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
     Message::ControlRequest(ControlRequest {
         timestamp: Some(now),
-        time_offset_to_start: Some(Millis::new(lead).unwrap()),
+        time_offset_to_start: lead.map(|lead| Millis::new(lead).unwrap()),
         request_id: Some(RequestId::new(id).unwrap()),
         ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
     })
@@ -98,6 +104,24 @@ struct Bench {
     times_scripts: bool,
 }
 
+/// The end of the hardware that a test holds. It releases a call that hangs when the test ends or fails, because the host waits
+/// for that call.
+struct Shared(Arc<Bench>);
+
+impl std::ops::Deref for Shared {
+    type Target = Bench;
+
+    fn deref(&self) -> &Bench {
+        &self.0
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.busy.store(false, Ordering::SeqCst);
+    }
+}
+
 struct Fake {
     bench: Arc<Bench>,
     done: Sender<String>,
@@ -124,8 +148,10 @@ impl Driver for Fake {
         if self.bench.refuses.load(Ordering::SeqCst) {
             return Err(DriverError::Refused("too hot".to_owned()));
         }
+        // Read before the test receives the value: if the test then sets `busy`, the next call hangs, and never this one.
+        let hangs = self.bench.busy.load(Ordering::SeqCst);
         self.act(format!("{device} {}", setpoint.value))?;
-        while self.bench.busy.load(Ordering::SeqCst) {
+        while hangs && self.bench.busy.load(Ordering::SeqCst) {
             std::thread::yield_now();
         }
         Ok(())
@@ -188,7 +214,7 @@ impl Driver for Fake {
 
 /// A robot on a host, with its hardware and a link.
 struct Rig {
-    bench: Arc<Bench>,
+    bench: Shared,
     done: Receiver<String>,
     host: Host,
     link: RobotLink,
@@ -204,24 +230,36 @@ impl Rig {
     }
 
     fn on(host: HostOptions, block: &str, bench: Bench, options: DriverOptions) -> Self {
-        let bench = Arc::new(bench);
+        Self::tolerating(Tolerance::AN_HOUR, host, block, bench, options)
+    }
+
+    /// With limits of lateness, in place of none.
+    fn tolerating(
+        tolerance: Tolerance,
+        host: HostOptions,
+        block: &str,
+        bench: Bench,
+        options: DriverOptions,
+    ) -> Self {
+        let bench = Shared(Arc::new(bench));
         let (done, seen) = channel();
         let block: InitializationBlock = serde_json::from_str(block).unwrap();
-        let fake = Fake { bench: Arc::clone(&bench), done, pushes: None };
-        let hosted = Hosted::driven(block, Box::new(fake), options);
+        let fake = Fake { bench: Arc::clone(&bench.0), done, pushes: None };
+        let hosted = Hosted::driven(block, Box::new(fake), options).tolerating(tolerance);
         let host = Host::start(vec![hosted], host).unwrap();
         host.await_hardware(Duration::from_secs(60));
         let link = host.handle().connect(0).unwrap();
         Self { bench, done: seen, host, link }
     }
 
+    /// Sends a script that starts when it is received.
     fn script(&self, device: &str, id: &str, steps: &[(f64, f64)], control_type: ControlType) {
-        self.script_in(device, id, 200.0, steps, control_type);
+        self.link.send(request(device, id, None, steps, control_type));
     }
 
-    /// Sends a script that starts this many milliseconds from now.
+    /// Sends a script that starts this many milliseconds from now. It has to be received by then.
     fn script_in(&self, device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) {
-        self.link.send(request(device, id, lead, steps, control_type));
+        self.link.send(request(device, id, Some(lead), steps, control_type));
     }
 
     async fn response(&mut self) -> ControlResponse {
@@ -247,6 +285,27 @@ impl Rig {
         }
     }
 
+    /// Waits until the hardware receives a value of this device beyond a bound. Returns all values that it received meanwhile.
+    fn until_beyond(&self, device: &str, bound: f64) -> Vec<f64> {
+        let mut values = Vec::new();
+        while values.last().is_none_or(|value| *value <= bound) {
+            let done = self.done.recv_timeout(Duration::from_secs(60)).unwrap();
+            values.extend(value_of(device, &done));
+        }
+        values
+    }
+
+    /// Waits until the robot has done this many steps, whether or not the hardware has them.
+    async fn until_steps(&self, count: u64) {
+        let figures = self.host.figures();
+        let stepped = async {
+            while figures.robots()[0].steps() < count {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(60), stepped).await.unwrap();
+    }
+
     /// What was done with the hardware up to its end, pings aside.
     fn stop(self) -> Vec<String> {
         self.stop_and_tell().0
@@ -254,11 +313,16 @@ impl Rig {
 
     /// And why it may not be at rest.
     fn stop_and_tell(self) -> (Vec<String>, Option<String>) {
-        let Self { host, done, link, .. } = self;
+        let Self { host, done, link, bench: _bench } = self;
         drop(link);
         let not_at_rest = host.stop().pop().map(|robot| robot.reason);
         (done.try_iter().filter(|what| what != "ping").collect(), not_at_rest)
     }
+}
+
+/// The value of this device that the hardware received, if this is one.
+fn value_of(device: &str, done: &str) -> Option<f64> {
+    done.strip_prefix(device)?.strip_prefix(' ')?.parse().ok()
 }
 
 /// Of a driver that is told one value after another.

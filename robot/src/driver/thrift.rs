@@ -20,7 +20,7 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
 
-/// How long the robot may take to let itself be connected to, to take a call, to answer one.
+/// [`ThriftRobot::wait_max`] of robots on a network.
 const WAIT_MAX: Duration = Duration::from_secs(1);
 /// Longest text that a robot may send, in bytes: as long as a line of URRCP.
 const TEXT_BYTES_MAX: usize = urrcp::LINE_BYTES_MAX;
@@ -31,6 +31,8 @@ pub struct ThriftRobot {
     port: u16,
     block: InitializationBlock,
     connection: Option<Connection>,
+    /// How long the robot may take to accept a connection, to take a call, to answer one.
+    wait_max: Duration,
 }
 
 impl ThriftRobot {
@@ -50,7 +52,7 @@ impl ThriftRobot {
             );
             return Err(DriverError::Refused(message));
         }
-        Ok(Self { host: host.to_owned(), port, block: block.clone(), connection: None })
+        Ok(Self { host: host.to_owned(), port, block: block.clone(), connection: None, wait_max: WAIT_MAX })
     }
 
     fn call<T>(&mut self, call: impl FnOnce(&mut Connection) -> thrift::Result<T>) -> Result<T, DriverError> {
@@ -84,7 +86,7 @@ fn told(error: &thrift::ApplicationError) -> String {
 impl Driver for ThriftRobot {
     fn connect(&mut self) -> Result<(), DriverError> {
         self.connection = None;
-        self.connection = Some(Connection::open(&self.host, self.port)?);
+        self.connection = Some(Connection::open(&self.host, self.port, self.wait_max)?);
         self.ping()?;
         // It may be another one than before, or another than its init file says.
         let schema = self.call(Connection::schema)?;
@@ -133,15 +135,19 @@ fn has_ended(error: &thrift::Error) -> bool {
 /// # Errors
 /// Why there is none.
 pub fn describe(host: &str, port: u16) -> Result<String, DriverError> {
-    let mut connection = Connection::open(host, port)?;
+    describe_within(host, port, WAIT_MAX)
+}
+
+fn describe_within(host: &str, port: u16, wait_max: Duration) -> Result<String, DriverError> {
+    let mut connection = Connection::open(host, port, wait_max)?;
     connection.schema().map_err(|error| DriverError::Away(format!("{host}:{port}: {error}")))
 }
 
 /// A connection to the first of the host's addresses that takes one.
-fn stream(host: &str, port: u16) -> io::Result<TcpStream> {
+fn stream(host: &str, port: u16, wait_max: Duration) -> io::Result<TcpStream> {
     let mut last = None;
     for address in (host, port).to_socket_addrs()? {
-        match TcpStream::connect_timeout(&address, WAIT_MAX) {
+        match TcpStream::connect_timeout(&address, wait_max) {
             Ok(stream) => return Ok(stream),
             Err(error) => last = Some(error),
         }
@@ -168,7 +174,7 @@ enum Argument<'a> {
 }
 
 impl Connection {
-    fn open(host: &str, port: u16) -> Result<Self, DriverError> {
+    fn open(host: &str, port: u16, wait_max: Duration) -> Result<Self, DriverError> {
         let away = |why: &dyn fmt::Display| {
             DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
         };
@@ -177,14 +183,14 @@ impl Connection {
             Some(_) => away(&error.kind()),
             None => away(&error),
         };
-        let stream = stream(host, port).map_err(told)?;
-        Self::over(stream).map_err(|error| away(&error))
+        let stream = stream(host, port, wait_max).map_err(told)?;
+        Self::over(stream, wait_max).map_err(|error| away(&error))
     }
 
-    fn over(stream: TcpStream) -> thrift::Result<Self> {
+    fn over(stream: TcpStream, wait_max: Duration) -> thrift::Result<Self> {
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(WAIT_MAX))?;
-        stream.set_write_timeout(Some(WAIT_MAX))?;
+        stream.set_read_timeout(Some(wait_max))?;
+        stream.set_write_timeout(Some(wait_max))?;
         let watched = stream.try_clone()?;
         let (reader, writer) = TTcpChannel::with_stream(stream).split()?;
         let limits = TConfiguration::builder().max_string_size(Some(TEXT_BYTES_MAX)).build()?;
@@ -304,6 +310,9 @@ mod tests {
       {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
     const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
 
+    /// Of a test, however slow its machine is.
+    const PATIENCE: Duration = Duration::from_secs(60);
+
     /// What the robot of a test answers.
     enum Reply {
         Bool(bool),
@@ -325,7 +334,8 @@ mod tests {
         let port = listener.local_addr().unwrap().port();
         let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, reply));
         let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-        (ThriftRobot::new("127.0.0.1", port, &block).unwrap(), serving)
+        let robot = ThriftRobot::new("127.0.0.1", port, &block).unwrap();
+        (ThriftRobot { wait_max: PATIENCE, ..robot }, serving)
     }
 
     fn serve(stream: &TcpStream, reply: impl Fn(&str) -> Reply) -> Vec<String> {
@@ -432,7 +442,7 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, in_order));
-        assert_eq!(describe("127.0.0.1", port), Ok(SCHEMA.to_owned()));
+        assert_eq!(describe_within("127.0.0.1", port, PATIENCE), Ok(SCHEMA.to_owned()));
         assert_eq!(serving.join().unwrap(), ["get_init_schema"]);
         let error = describe("127.0.0.1", port).unwrap_err().to_string();
         assert_eq!(error, format!("no connection to thrift://127.0.0.1:{port}: connection refused"));

@@ -16,6 +16,7 @@ use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::plans::Lookahead;
 use crate::signal::is_rate;
+use crate::tolerance::Tolerance;
 
 /// Between two tries to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
@@ -259,6 +260,10 @@ impl Worker {
         &self.block
     }
 
+    pub(super) fn tolerance(&self) -> Tolerance {
+        self.mailbox.tolerance()
+    }
+
     /// The driver is told to move something.
     pub(super) const fn touch(&mut self) {
         self.touched = Touched::Now;
@@ -291,10 +296,11 @@ impl Worker {
 
     /// What has become stale is told and not set, and neither is what follows from it: the machine ends both.
     fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
+        let late_max = self.tolerance().step.to_duration();
         let mut values = Vec::new();
         let mut movements = Vec::new();
         for (key, value, movement) in drives {
-            if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
+            if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now(), late_max)) {
                 (self.tell)(News::Stale { device: key.0, late });
                 continue;
             }
@@ -442,7 +448,7 @@ impl Worker {
     }
 
     /// For how long a reading that was told unasked answers requests.
-    fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
+    pub(super) fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
         let sensor = self.block.device(sensor.as_str());
         let parameters = sensor.and_then(|device| device.available_control_types.sensor());
         let max_delay = parameters.and_then(|sensor| sensor.max_delay);

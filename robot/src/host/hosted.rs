@@ -12,6 +12,7 @@ use crate::driver::{Driver, DriverOptions, HardwareEvent, Mailbox, Worker};
 use crate::edge::Edge;
 use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
+use crate::tolerance::Tolerance;
 
 /// A driver's thread; its error is why devices that were moved may not be in their default state.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
@@ -23,7 +24,13 @@ type Watch = Box<dyn Fn(&HardwareEvent) + Send>;
 
 #[expect(clippy::large_enum_variant, reason = "there are a few hundred at most, and none is moved often")]
 enum Surroundings {
-    Hardware { block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions, watch: Watch },
+    Hardware {
+        block: InitializationBlock,
+        driver: Box<dyn Driver>,
+        options: DriverOptions,
+        watch: Watch,
+        tolerance: Tolerance,
+    },
     World(SimulatedRobot),
 }
 
@@ -40,7 +47,8 @@ impl Hosted {
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
         // The machine reports, whatever the hardware can.
         block.reports = true;
-        Self(Surroundings::Hardware { block, driver, options, watch: Box::new(|_| {}) })
+        let (watch, tolerance) = (Box::new(|_: &_| {}), Tolerance::default());
+        Self(Surroundings::Hardware { block, driver, options, watch, tolerance })
     }
 
     /// Tells this of the hardware's events, on the driver's thread. A robot in a simulated world has none.
@@ -48,6 +56,16 @@ impl Hosted {
     pub fn watched(mut self, watch: impl Fn(&HardwareEvent) + Send + 'static) -> Self {
         if let Surroundings::Hardware { watch: watched, .. } = &mut self.0 {
             *watched = Box::new(watch);
+        }
+        self
+    }
+
+    /// The same with these limits of lateness.
+    #[cfg(test)]
+    pub(crate) fn tolerating(mut self, limits: Tolerance) -> Self {
+        match &mut self.0 {
+            Surroundings::Hardware { tolerance, .. } => *tolerance = limits,
+            Surroundings::World(robot) => *robot = robot.clone().tolerating(limits),
         }
         self
     }
@@ -65,11 +83,13 @@ impl Hosted {
         index: usize,
         orders: &flume::Sender<Order>,
     ) -> io::Result<(Body, Option<DriverThread>)> {
-        let (block, driver, options, watch) = match self.0 {
+        let (block, driver, options, watch, tolerance) = match self.0 {
             Surroundings::World(robot) => return Ok((Body::Simulated(Box::new(robot)), None)),
-            Surroundings::Hardware { block, driver, options, watch } => (block, driver, options, watch),
+            Surroundings::Hardware { block, driver, options, watch, tolerance } => {
+                (block, driver, options, watch, tolerance)
+            }
         };
-        let mailbox = Arc::new(Mailbox::default());
+        let mailbox = Arc::new(Mailbox::tolerating(tolerance));
         let orders = orders.clone();
         // At most the open readings and a word a connection are on the way; a host that has stopped hears nothing.
         let tell = move |news| {
@@ -79,7 +99,8 @@ impl Hosted {
         let worker =
             Worker::new(driver, block.clone(), Arc::clone(&mailbox), options.clone(), Box::new(tell));
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
-        let edge = Edge::new(Robot::driven(block), mailbox, options.at_start);
+        let robot = Robot::driven(block).tolerating(tolerance);
+        let edge = Edge::new(robot, mailbox, options.at_start);
         Ok((Body::Edge(Box::new(edge)), Some(thread)))
     }
 }

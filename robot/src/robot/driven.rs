@@ -14,11 +14,11 @@ use super::control::Owner;
 use super::{LinkId, Now, Output, Robot, tell};
 use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::device::Effect;
-use crate::hardware::{
-    Asker, AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR, Standing, unanswered,
-};
+use crate::hardware::{Asker, AtEnd, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
 #[cfg(feature = "host")]
 use crate::signal::Signal;
+#[cfg(feature = "host")]
+use crate::tolerance::Tolerance;
 
 /// A command that was accepted at least this long before its start does not start while the hardware is silent: there was
 /// time to ask it.
@@ -42,6 +42,17 @@ impl Robot {
                 self.block.devices[*index].latency = latency;
             }
         }
+    }
+
+    /// The same robot with these limits of lateness.
+    #[cfg(feature = "host")]
+    pub(crate) fn tolerating(mut self, tolerance: Tolerance) -> Self {
+        self.tolerance = tolerance;
+        self.plans.tolerance = tolerance;
+        for device in &mut self.devices {
+            device.start_late_max = tolerance.start;
+        }
+        self
     }
 
     /// The same robot, but it tells the end of a command, and confirms a stop, only once [`Robot::confirmed`] says that the
@@ -149,7 +160,7 @@ impl Robot {
     ) {
         let near = now + START_NEAR.into();
         let start = self.next_start(NOTICE).filter(|start| *start <= near);
-        self.give_up_overdue(now, STALE.into(), out);
+        self.give_up_overdue(now, self.tolerance.step, out);
         self.hardware_silent(now, start.and_then(|_| silence()), NOTICE, out);
     }
 

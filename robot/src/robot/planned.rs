@@ -6,7 +6,6 @@ use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Setpoint, Timestamp}
 
 use super::{Now, Output, Robot, SetValue};
 use crate::device::{CommandId, Effect, Motion};
-use crate::hardware::STALE;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 use crate::signal::default_of;
 
@@ -32,7 +31,7 @@ impl Robot {
     pub(super) fn hand_over(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.to_hand_over(now) {
             let Some(plan) = self.plans.get_mut(id) else { continue };
-            if let Some(late) = plan.handover_late(now, STALE.into()) {
+            if let Some(late) = plan.handover_late(now) {
                 let why = format!("the edge was held up: it was to hand over a step {late} ago");
                 self.fail_plan(now, id, ControlError::new(ErrorCode::Late, why), out);
             } else if let Some(part) = plan.hand_over(id, now) {

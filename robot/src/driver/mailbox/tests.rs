@@ -1,15 +1,16 @@
 //! What a driver's thread is given next, and what it is spared.
 
 use super::*;
+use crate::hardware::STALE;
 
 #[test]
 fn a_value_is_too_old_only_beyond_its_bound() {
     let due = Instant::now();
     let value = |due| Value { setpoint: Setpoint::new(ControlType::Position, 1.0), due };
     let beyond = STALE + Duration::from_nanos(1);
-    assert_eq!(value(Some(due)).stale(due + STALE), None);
-    assert_eq!(value(Some(due)).stale(due + beyond), Some(beyond));
-    assert_eq!(value(None).stale(due + beyond), None, "the default state is never too old");
+    assert_eq!(value(Some(due)).stale(due + STALE, STALE), None);
+    assert_eq!(value(Some(due)).stale(due + beyond, STALE), Some(beyond));
+    assert_eq!(value(None).stale(due + beyond, STALE), None, "the default state is never too old");
 }
 
 const MANNERS: Manners =
@@ -41,9 +42,14 @@ fn word(plan: u64) -> PlanWord {
     PlanWord { plan, at, event: crate::plans::PlanEvent::Began }
 }
 
+/// Without a connection. Its clock is stopped, so that no ping becomes due while a test runs.
+fn empty() -> Mailbox {
+    Mailbox::stopped_at(Instant::now())
+}
+
 /// Of a first connection, with these orders.
 fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
-    let mailbox = Mailbox::default();
+    let mailbox = empty();
     mailbox.connected(1, MANNERS);
     mailbox.post(1, orders.into_iter(), Demand::default());
     mailbox
@@ -51,7 +57,7 @@ fn with<const N: usize>(orders: [Order; N]) -> Mailbox {
 
 /// What a driver's thread is given next, in a word.
 fn next(mailbox: &Mailbox) -> String {
-    match mailbox.next(Instant::now()) {
+    match mailbox.next(mailbox.now()) {
         Work::Drive(drives) => {
             let shown = |(key, value, movement): &Drive| {
                 let value = value.as_ref().map(|value| format!(" {}", value.setpoint.value));
@@ -116,7 +122,7 @@ fn a_script_that_waits_or_is_in_hand_is_not_confirmed() {
 
 #[test]
 fn hardware_that_acknowledges_values_is_not_asked_again() {
-    let mailbox = Mailbox::default();
+    let mailbox = empty();
     mailbox.connected(1, Manners { acknowledges: true, ..MANNERS });
     mailbox.post(1, [set("a", 1.0), confirm(1, "a")].into_iter(), Demand::default());
     assert_eq!([next(&mailbox), next(&mailbox)], ["a 1", "confirm [1]"]);
@@ -171,7 +177,7 @@ fn a_driver_that_says_too_much_of_scripts_at_a_time_has_failed() {
 
 #[test]
 fn nothing_that_is_told_without_a_connection_reaches_the_next_one() {
-    let mailbox = Mailbox::default();
+    let mailbox = empty();
     mailbox.told_of_plan(word(1));
     mailbox.failed_by_itself("hot".to_owned());
     mailbox.hung_up(1, "cut".to_owned());
@@ -200,14 +206,12 @@ fn a_connection_that_ends_takes_everything_with_it() {
 #[test]
 fn a_reading_waits_for_a_time_without_movements_and_not_for_long() {
     let mailbox = with([Order::Read(ReadingId(1), id("eye")), set("a", 1.0)]);
-    let due = |after: Duration| Demand { next_due: Some(Instant::now() + after), ..Demand::default() };
+    let due = |after: Duration| Demand { next_due: Some(mailbox.now() + after), ..Demand::default() };
     mailbox.post(1, std::iter::empty(), due(QUIET / 2));
-    // However long this test is held up, it has just been asked for.
-    mailbox.lock().readings[0].2 = Instant::now() + Duration::from_secs(600);
     assert_eq!([next(&mailbox), next(&mailbox)], ["a 1", "nothing"], "a movement is near");
     mailbox.post(1, std::iter::empty(), due(Duration::from_secs(600)));
     assert_eq!(next(&mailbox), "read eye 1");
-    let long_ago = Instant::now() - READ_WAIT_MAX;
+    let long_ago = mailbox.now() - READ_WAIT_MAX;
     mailbox.lock().readings.push_back((ReadingId(2), id("eye"), long_ago));
     mailbox.post(1, std::iter::empty(), due(QUIET / 2));
     assert_eq!(next(&mailbox), "read eye 2", "it has waited long enough");
@@ -226,9 +230,10 @@ fn no_more_readings_wait_than_may_be_open() {
 fn a_ping_waits_for_values_and_movements_until_it_is_overdue() {
     let since = |silent: Duration, due: Option<Duration>| {
         let mailbox = with([set("a", 1.0)]);
-        let mut pulse = Pulse::new(Instant::now() - silent, MANNERS.ping_period);
-        let next_due = due.map(|due| Instant::now() + due);
-        pulse.demand(Instant::now(), Demand { next_due, ..Demand::default() });
+        let now = mailbox.now();
+        let mut pulse = Pulse::new(now - silent, MANNERS.ping_period);
+        let next_due = due.map(|due| now + due);
+        pulse.demand(now, Demand { next_due, ..Demand::default() });
         mailbox.lock().pulse = Some(pulse);
         [next(&mailbox), next(&mailbox)]
     };
@@ -242,7 +247,7 @@ fn a_ping_waits_for_values_and_movements_until_it_is_overdue() {
 fn hardware_is_silent_until_a_call_shows_that_it_lives_or_while_a_sensor_is_read() {
     let mailbox = with([]);
     assert_eq!(mailbox.silence(), None);
-    let begin = Instant::now() - Duration::from_secs(2);
+    let begin = mailbox.now() - Duration::from_secs(2);
     let mut pulse = Pulse::new(begin, MANNERS.ping_period);
     pulse.demand(begin, Demand { held: true, ..Demand::default() });
     mailbox.lock().pulse = Some(pulse);
@@ -258,13 +263,13 @@ fn hardware_is_silent_until_a_call_shows_that_it_lives_or_while_a_sensor_is_read
 
 #[test]
 fn what_is_demanded_before_a_connection_counts_for_it() {
-    let mailbox = Mailbox::default();
+    let mailbox = empty();
     let demand = Demand { held: true, ..Demand::default() };
     mailbox.post(0, std::iter::empty(), demand);
     mailbox.connected(1, MANNERS);
     let state = mailbox.lock();
-    let next = state.pulse.as_ref().unwrap().next_ping(Instant::now());
-    assert!(next <= Instant::now() + 2 * MANNERS.ping_period);
+    let next = state.pulse.as_ref().unwrap().next_ping(mailbox.now());
+    assert_eq!(next, mailbox.now() + 2 * MANNERS.ping_period);
 }
 
 #[test]

@@ -1,10 +1,19 @@
 //! What waits between the robot and the thread of its driver.
 
+use std::time::Instant;
+
 use super::*;
+
+/// A mailbox whose clock is stopped at this instant, so that no ping becomes due while a test runs.
+#[expect(clippy::disallowed_methods, reason = "an instant for a stopped clock")]
+fn stopped() -> (Mailbox, Instant) {
+    let now = Instant::now();
+    (Mailbox::stopped_at(now), now)
+}
 
 #[test]
 fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
-    let mailbox = Mailbox::default();
+    let (mailbox, now) = stopped();
     mailbox.connected(1, mailbox::Manners { acknowledges: true, ..MANNERS });
     let arm = DeviceId::new("arm").unwrap();
     let part = empty_plan(&arm);
@@ -18,14 +27,13 @@ fn a_script_that_is_taken_back_before_the_driver_has_it_never_reaches_it() {
     ];
     mailbox.post(1, orders.into_iter(), Demand::default());
     mailbox.close();
-    let soon = || HostClock::anchored().instant_of(Timestamp::from_nanos(0));
-    assert!(matches!(mailbox.next(soon()), mailbox::Work::Plan(mailbox::PlanOrder::Cancel(_))));
-    assert!(matches!(mailbox.next(soon()), mailbox::Work::Confirm(tickets) if tickets == [Ticket(1)]));
+    assert!(matches!(mailbox.next(now), mailbox::Work::Plan(mailbox::PlanOrder::Cancel(_))));
+    assert!(matches!(mailbox.next(now), mailbox::Work::Confirm(tickets) if tickets == [Ticket(1)]));
 }
 
 #[test]
 fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_older_ones() {
-    let mailbox = Mailbox::default();
+    let (mailbox, now) = stopped();
     let key = |device: &str| (DeviceId::new(device).unwrap(), ControlType::Speed);
     let set = |device, value| {
         let setpoint = Setpoint::new(ControlType::Speed, value);
@@ -36,14 +44,12 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
     mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
     mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
     mailbox.close();
-    let values: Vec<_> = std::iter::from_fn(|| {
-        match mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))) {
-            mailbox::Work::Drive(drives) => {
-                let [(key, Some(value), None)] = drives.as_slice() else { panic!("{drives:?}") };
-                Some((key.0.to_string(), value.setpoint.value))
-            }
-            _ => None,
+    let values: Vec<_> = std::iter::from_fn(|| match mailbox.next(now) {
+        mailbox::Work::Drive(drives) => {
+            let [(key, Some(value), None)] = drives.as_slice() else { panic!("{drives:?}") };
+            Some((key.0.to_string(), value.setpoint.value))
         }
+        _ => None,
     })
     .collect();
     assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
@@ -52,15 +58,12 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
     mailbox.disconnected();
     mailbox.connected(2, MANNERS);
     mailbox.post(1, [set("a", 7.0)].into_iter(), Demand::default());
-    assert!(matches!(
-        mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
-        mailbox::Work::Closed
-    ));
+    assert!(matches!(mailbox.next(now), mailbox::Work::Closed));
 }
 
 #[test]
 fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
-    let mailbox = Mailbox::default();
+    let (mailbox, now) = stopped();
     mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true, ..MANNERS });
     let set = |device: &str, value| {
         let setpoint = Setpoint::new(ControlType::Speed, value);
@@ -68,12 +71,11 @@ fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
         mailbox::Order::Set(key, mailbox::Value { setpoint, due: None })
     };
     mailbox.post(1, [set("a", 1.0), set("b", 2.0)].into_iter(), Demand::default());
-    let soon = || HostClock::anchored().instant_of(Timestamp::from_nanos(0));
-    let mailbox::Work::Drive(frame) = mailbox.next(soon()) else { panic!("nothing to drive") };
+    let mailbox::Work::Drive(frame) = mailbox.next(now) else { panic!("nothing to drive") };
     let frame: Vec<_> = frame.iter().map(|(key, ..)| key.0.as_str()).collect();
     assert_eq!(frame, ["a", "b"]);
     mailbox.close();
-    assert!(matches!(mailbox.next(soon()), mailbox::Work::Closed));
+    assert!(matches!(mailbox.next(now), mailbox::Work::Closed));
 }
 
 #[tokio::test]

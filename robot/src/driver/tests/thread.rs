@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::*;
-use crate::hardware::ReadingId;
+use crate::hardware::{ReadingId, STALE};
 
 /// Hardware that the test answers for, call by call.
 struct Told<F> {
@@ -69,7 +69,18 @@ fn driven(
     answer: impl FnMut(&str, &Pushes) -> Result<(), DriverError> + Send + 'static,
     on: impl Fn(&str, &Mailbox) + Send + 'static,
 ) -> (Result<(), String>, Vec<String>) {
-    let (mailbox, (said, news)) = (Arc::new(Mailbox::default()), channel());
+    driven_within(Tolerance::default(), block, frames, answer, on)
+}
+
+/// The same, with these limits of lateness.
+fn driven_within(
+    tolerance: Tolerance,
+    block: &str,
+    frames: bool,
+    answer: impl FnMut(&str, &Pushes) -> Result<(), DriverError> + Send + 'static,
+    on: impl Fn(&str, &Mailbox) + Send + 'static,
+) -> (Result<(), String>, Vec<String>) {
+    let (mailbox, (said, news)) = (Arc::new(Mailbox::tolerating(tolerance)), channel());
     let driver = Box::new(Told { answer, pushes: None, frames });
     let told = Arc::clone(&mailbox);
     let tell = move |news: News| {
@@ -172,7 +183,7 @@ fn a_reading_that_fails_fails_alone_and_one_that_finds_no_hardware_does_not() {
 
 #[test]
 fn what_a_sensor_told_unasked_answers_a_request_for_as_long_as_its_delay_allows() {
-    let at_once = BLOCK.replace(r#""max_value": 9}"#, r#""max_value": 9, "max_delay": 0}"#);
+    let at_once = BLOCK.replace(r#""max_delay": 60000"#, r#""max_delay": 0"#);
     for (block, expected) in [(BLOCK, "reading Ok(3.0)"), (&at_once, "reading Ok(7.0)")] {
         let answer = |what: &str, pushes: &Pushes| {
             if what == "wheel 4" {
@@ -253,10 +264,16 @@ fn take(first: usize, due: i64) -> mailbox::Order {
 fn a_script_that_comes_too_late_to_the_driver_is_not_handed_over() {
     let refused = "this driver times no scripts";
     let late = "after it could have been played";
-    for (first, due, expected) in
-        [(0, 60_000, refused), (0, -1_000, late), (2, 60_000, refused), (2, 100, refused), (2, -1_000, late)]
-    {
-        let (_, news) = driven(
+    // A first step must not begin too late, and a later one is not too late for an hour.
+    for (first, due, expected) in [
+        (0, 60_000, refused),
+        (0, -1_000, late),
+        (2, 60_000, refused),
+        (2, -1_000, refused),
+        (2, -7_200_000, late),
+    ] {
+        let (_, news) = driven_within(
+            Tolerance::AN_HOUR,
             BLOCK,
             false,
             |_, _| Ok(()),
@@ -383,5 +400,16 @@ fn hardware_that_is_away_or_fails_at_once_is_connected_to_ever_more_rarely() {
         for (pause, least) in pauses.iter().zip([100, 200, 400]) {
             assert!(pause.1 >= Duration::from_millis(least), "{pauses:?}");
         }
+    }
+}
+
+#[test]
+fn a_reading_that_was_told_unasked_counts_for_the_delay_of_its_sensor_or_a_second() {
+    let without = BLOCK.replace(r#", "max_delay": 60000"#, "");
+    for (block, expected) in [(BLOCK, Duration::from_secs(60)), (&without, Duration::from_secs(1))] {
+        let driver = Box::new(Told { answer: |_: &str, _: &Pushes| Ok(()), pushes: None, frames: false });
+        let (block, options) = (serde_json::from_str(block).unwrap(), DriverOptions::default());
+        let worker = Worker::new(driver, block, Arc::default(), options, Box::new(|_| {}));
+        assert_eq!(worker.reading_counts_for(&DeviceId::new("eye").unwrap()), expected);
     }
 }

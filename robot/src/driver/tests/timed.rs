@@ -5,7 +5,7 @@ use super::*;
 #[tokio::test]
 async fn a_script_that_the_driver_times_is_handed_over_and_told_as_the_driver_says() {
     let mut rig = Rig::new(Bench { times_scripts: true, ..Bench::default() }, DriverOptions::default());
-    rig.script_in("arm", "a", 400.0, &[(0.0, 5.0), (300.0, 6.5)], ControlType::Position);
+    rig.script_in("arm", "a", 3_000.0, &[(0.0, 5.0), (300.0, 6.5)], ControlType::Position);
     let accepted = rig.response().await;
     rig.next_done(&["connect", "arm plan 5 6.5"]);
     let (started, ended) = (rig.response().await, rig.response().await);
@@ -41,7 +41,7 @@ import os, sys, time
 from downbeat_driver import Driver
 
 class Ahead(Driver):
-    lookahead = 100 if sys.argv[2] == "horizon" else "script"
+    lookahead = 2_000 if sys.argv[2] == "horizon" else "script"
 
     def set(self, device, control_type, value, *more):
         if value == 66:
@@ -70,10 +70,11 @@ fn ahead(mode: &str) -> Option<(Host, RobotLink, std::path::PathBuf)> {
         "PYTHONDONTWRITEBYTECODE=1 PYTHONPATH='{package}' {python} '{shown}/ahead.py' '{shown}/log' {mode}"
     );
     let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-    let driver = Program::new(&command, &block).unwrap();
-    let options = DriverOptions::default();
-    let host = Host::start(vec![Hosted::driven(block, Box::new(driver), options)], HostOptions::default());
-    let host = host.unwrap();
+    let answer = Duration::from_secs(60);
+    let driver = Program::new(&command, &block).unwrap().within(Timeouts { start: answer, answer });
+    let driver = Box::new(driver.borne_in_silence());
+    let hosted = Hosted::driven(block, driver, DriverOptions::default()).tolerating(Tolerance::AN_HOUR);
+    let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
     host.await_hardware(Duration::from_secs(60));
     let link = host.handle().connect(0).unwrap();
     Some((host, link, folder))
@@ -102,15 +103,11 @@ async fn responses(link: &mut RobotLink, count: usize) -> Vec<ControlResponse> {
 
 #[tokio::test]
 async fn a_program_that_times_scripts_reports_what_it_logs() {
-    for mode in ["script", "horizon"] {
+    // With a horizon the last step is handed over two seconds before the one ahead of it is due.
+    for (mode, apart) in [("script", 300.0), ("horizon", 2_000.0)] {
         let Some((host, mut link, folder)) = ahead(mode) else { return };
-        link.send(request(
-            "wheel",
-            "wheel",
-            2_000.0,
-            &[(0.0, 4.0), (300.0, 5.0), (600.0, 6.0)],
-            ControlType::Speed,
-        ));
+        let steps = [(0.0, 4.0), (apart, 5.0), (2.0 * apart, 6.0)];
+        link.send(request("wheel", "wheel", Some(3_000.0), &steps, ControlType::Speed));
         let all = responses(&mut link, 3).await;
         let statuses: Vec<_> = all.iter().map(|response| response.status.clone()).collect();
         assert_eq!(statuses, PLAYED, "{mode}: {:?}", all[all.len() - 1].error);
@@ -132,7 +129,7 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
         link.send(request(
             "arm",
             "arm",
-            2_000.0,
+            Some(3_000.0),
             &[(300.0, 4.0), (600.0, value), (900.0, 6.0)],
             ControlType::Position,
         ));
@@ -148,8 +145,10 @@ async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
 #[tokio::test]
 async fn a_stop_ends_the_script_of_a_program_before_it_is_confirmed() {
     let Some((host, mut link, folder)) = ahead("script") else { return };
-    let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();
-    link.send(request("wheel", "wheel", 2_000.0, &steps, ControlType::Speed));
+    // It runs for a minute, so that the stop comes before its end.
+    let mut steps: Vec<_> = (0..7_u32).map(|i| (f64::from(i) * 500.0, f64::from(i + 1))).collect();
+    steps.push((60_000.0, 8.0));
+    link.send(request("wheel", "wheel", Some(3_000.0), &steps, ControlType::Speed));
     responses(&mut link, 2).await;
     link.send(Message::ControlRequest(ControlRequest {
         request_id: Some(RequestId::new("stop").unwrap()),
