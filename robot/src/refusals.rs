@@ -63,12 +63,21 @@ pub struct Refusals {
     /// When each was logged last, in milliseconds since `begin`, plus one; 0: never.
     logged: [AtomicU64; Reason::ALL.len()],
     begin: Instant,
+    /// Whom each applied to, as often as it did.
+    #[cfg(test)]
+    peers: std::sync::Mutex<Vec<(Reason, String)>>,
 }
 
 impl Default for Refusals {
     fn default() -> Self {
         let zeros = || std::array::from_fn(|_| AtomicU64::new(0));
-        Self { counts: zeros(), logged: zeros(), begin: Instant::now() }
+        Self {
+            counts: zeros(),
+            logged: zeros(),
+            begin: Instant::now(),
+            #[cfg(test)]
+            peers: std::sync::Mutex::default(),
+        }
     }
 }
 
@@ -87,12 +96,21 @@ impl Refusals {
         Reason::ALL.iter().map(|reason| (*reason, self.count(*reason))).filter(|(_, count)| *count > 0)
     }
 
+    /// Whom this applied to, each of them once.
+    #[cfg(test)]
+    pub(crate) fn peers(&self, reason: Reason) -> std::collections::BTreeSet<String> {
+        let peers = self.peers.lock().unwrap();
+        peers.iter().filter(|(noted, _)| *noted == reason).map(|(_, peer)| peer.clone()).collect()
+    }
+
     /// Counts, and logs once a second at most. Returns whether it was logged.
     pub(crate) fn note(&self, reason: Reason, peer: &Peer) -> bool {
         self.note_at(reason, peer, u64::try_from(self.begin.elapsed().as_millis()).unwrap_or(u64::MAX))
     }
 
     fn note_at(&self, reason: Reason, peer: &Peer, millis: u64) -> bool {
+        #[cfg(test)]
+        self.peers.lock().unwrap().push((reason, peer.to_string()));
         let times = self.counts[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let logged = &self.logged[reason as usize];
         let before = logged.load(Ordering::Relaxed);

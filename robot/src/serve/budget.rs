@@ -99,8 +99,8 @@ pub(super) struct Budget {
 }
 
 impl Budget {
-    pub(super) fn new(standing: Standing) -> Self {
-        let (share, now) = (share_of(standing), Instant::now());
+    pub(super) fn new(now: Instant, standing: Standing) -> Self {
+        let share = share_of(standing);
         Self {
             standing,
             bytes: Bucket::full(share.bytes, now),
@@ -111,20 +111,19 @@ impl Budget {
     }
 
     /// The peer stands to the robot in this way now.
-    pub(super) fn follow(&mut self, standing: Standing) {
+    pub(super) fn follow(&mut self, now: Instant, standing: Standing) {
         if self.standing != standing {
-            *self = Self { heard: self.heard, ..Self::new(standing) };
+            *self = Self { heard: self.heard, ..Self::new(now, standing) };
         }
     }
 
-    pub(super) fn came(&mut self, bytes: usize) {
-        self.bytes.take(Instant::now(), tokens(bytes));
+    pub(super) fn came(&mut self, now: Instant, bytes: usize) {
+        self.bytes.take(now, tokens(bytes));
     }
 
     /// A message, or a line in its place, was read in this time. `answer` is the length of a long answer: to send it is work
     /// too, though less than to read as much.
-    pub(super) fn read(&mut self, strangers: &Strangers, took: Duration, answer: usize) {
-        let now = Instant::now();
+    pub(super) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
         self.heard += 1;
         self.messages.take(now, 1.0);
         self.reading.take(now, took.as_secs_f64());
@@ -135,8 +134,7 @@ impl Budget {
     }
 
     /// How long nothing more is to be read.
-    pub(super) fn pause(&mut self, strangers: &Strangers) -> Duration {
-        let now = Instant::now();
+    pub(super) fn pause(&mut self, now: Instant, strangers: &Strangers) -> Duration {
         let own =
             [&mut self.bytes, &mut self.messages, &mut self.reading].map(|bucket| bucket.empty_for(now));
         let shared = if self.shares() { strangers.empty_for(now) } else { Duration::ZERO };
@@ -167,17 +165,27 @@ pub(crate) struct Strangers {
 
 impl Default for Strangers {
     fn default() -> Self {
-        let (now, (messages, reading)) = (Instant::now(), ALL_STRANGERS);
-        let budget = Mutex::new((Bucket::full(messages, now), Bucket::full(reading, now)));
-        Self { turn: Semaphore::new(1), long_lines: Arc::new(Semaphore::new(LONG_LINES)), budget }
+        Self::at(Instant::now())
     }
 }
 
 impl Strangers {
+    fn at(now: Instant) -> Self {
+        let (messages, reading) = ALL_STRANGERS;
+        let budget = Mutex::new((Bucket::full(messages, now), Bucket::full(reading, now)));
+        Self { turn: Semaphore::new(1), long_lines: Arc::new(Semaphore::new(LONG_LINES)), budget }
+    }
+
     /// Waits until no other of them reads a message.
     pub(super) async fn turn(&self) -> Option<SemaphorePermit<'_>> {
         // The semaphore is never closed.
         self.turn.acquire().await.ok()
+    }
+
+    /// How many more long lines may be read at once.
+    #[cfg(test)]
+    pub(super) fn long_lines_left(&self) -> usize {
+        self.long_lines.available_permits()
     }
 
     /// Waits for leave to send a long line to a robot that belongs to no session; `None` when that takes too long.
@@ -224,33 +232,36 @@ mod tests {
     }
 
     /// After how many messages without a pause this peer has to pause.
-    fn messages_until_pause(strangers: &Strangers, standing: Standing) -> usize {
-        let mut budget = Budget::new(standing);
+    fn messages_until_pause(now: Instant, strangers: &Strangers, standing: Standing) -> usize {
+        let mut budget = Budget::new(now, standing);
         (0..1_000_000)
             .take_while(|_| {
-                budget.read(strangers, Duration::ZERO, 0);
-                budget.pause(strangers).is_zero()
+                budget.read(now, strangers, Duration::ZERO, 0);
+                budget.pause(now, strangers).is_zero()
             })
             .count()
     }
 
     #[test]
     fn strangers_pause_early_and_together_and_the_owner_late() {
-        let strangers = Strangers::default();
-        let counts: Vec<_> = (0..20).map(|_| messages_until_pause(&strangers, Standing::Stranger)).collect();
+        let now = Instant::now();
+        let strangers = Strangers::at(now);
+        let until_pause = |standing| messages_until_pause(now, &strangers, standing);
+        let counts: Vec<_> = (0..20).map(|_| until_pause(Standing::Stranger)).collect();
         assert!(counts[0] >= 100 && counts[0] < 120, "{counts:?}");
         assert!(counts[19] >= 15 && counts[19] < 40, "a newcomer has its first messages: {counts:?}");
-        assert!(messages_until_pause(&strangers, Standing::Owner) >= 200_000);
+        assert!(until_pause(Standing::Owner) >= 200_000);
     }
 
     #[test]
     fn questions_with_long_answers_cost_more() {
-        let strangers = Strangers::default();
-        let mut budget = Budget::new(Standing::Stranger);
+        let now = Instant::now();
+        let strangers = Strangers::at(now);
+        let mut budget = Budget::new(now, Standing::Stranger);
         let block = 2 * 1024 * 1024;
         let asked = (0..100).take_while(|_| {
-            budget.read(&strangers, Duration::ZERO, block);
-            budget.pause(&strangers).is_zero()
+            budget.read(now, &strangers, Duration::ZERO, block);
+            budget.pause(now, &strangers).is_zero()
         });
         assert!((2..=4).contains(&asked.count()));
     }
@@ -262,25 +273,24 @@ mod tests {
         rate.most + 10.0 * rate.per_second
     }
 
-    /// That a peer that has sent this pauses for about ten seconds; those that have passed since are few.
+    /// That a peer that has sent this pauses for ten seconds.
     #[track_caller]
-    fn check_pause(standing: Standing, send: impl FnOnce(&mut Budget, &Share)) {
-        let mut budget = Budget::new(standing);
-        send(&mut budget, &share_of(standing));
-        let pause = budget.pause(&Strangers::default()).as_secs_f64();
-        assert!(pause > 5.0 && pause <= 10.0, "{standing:?}: {pause} s");
+    fn check_pause(standing: Standing, send: impl FnOnce(Instant, &mut Budget, &Share)) {
+        let now = Instant::now();
+        let mut budget = Budget::new(now, standing);
+        send(now, &mut budget, &share_of(standing));
+        let pause = budget.pause(now, &Strangers::at(now)).as_secs_f64();
+        assert!(pause > 9.9 && pause <= 10.0, "{standing:?}: {pause} s");
     }
 
     #[test]
     fn bytes_messages_and_reading_each_slow_a_peer_down_by_the_rate_of_its_kind() {
         for standing in STANDINGS {
-            check_pause(standing, |budget, share| budget.came(beyond(share.bytes) as usize));
-            check_pause(standing, |budget, share| {
-                budget.messages.take(Instant::now(), beyond(share.messages))
-            });
-            check_pause(standing, |budget, share| {
+            check_pause(standing, |now, budget, share| budget.came(now, beyond(share.bytes) as usize));
+            check_pause(standing, |now, budget, share| budget.messages.take(now, beyond(share.messages)));
+            check_pause(standing, |now, budget, share| {
                 let took = Duration::from_secs_f64(beyond(share.reading));
-                budget.read(&Strangers::default(), took, 0);
+                budget.read(now, &Strangers::at(now), took, 0);
             });
         }
     }
@@ -294,43 +304,46 @@ mod tests {
 
     #[test]
     fn who_comes_to_own_the_robot_has_an_owners_budget_at_once() {
-        let strangers = Strangers::default();
-        let mut budget = Budget::new(Standing::Stranger);
-        budget.came(10 * 1024 * 1024);
-        budget.follow(Standing::Stranger);
-        assert!(!budget.pause(&strangers).is_zero(), "nothing has changed");
-        budget.follow(Standing::Owner);
-        assert!(budget.pause(&strangers).is_zero());
+        let now = Instant::now();
+        let strangers = Strangers::at(now);
+        let mut budget = Budget::new(now, Standing::Stranger);
+        budget.came(now, 10 * 1024 * 1024);
+        budget.follow(now, Standing::Stranger);
+        assert!(!budget.pause(now, &strangers).is_zero(), "nothing has changed");
+        budget.follow(now, Standing::Owner);
+        assert!(budget.pause(now, &strangers).is_zero());
     }
 
     #[test]
     fn what_all_strangers_send_together_slows_each_down_but_neither_a_newcomer_nor_others() {
-        let strangers = Strangers::default();
-        strangers.took(Instant::now(), Duration::from_secs(10));
+        let now = Instant::now();
+        let strangers = Strangers::at(now);
+        strangers.took(now, Duration::from_secs(10));
         let pauses = |standing, heard| {
-            let mut budget = Budget { heard, ..Budget::new(standing) };
-            !budget.pause(&strangers).is_zero()
+            let mut budget = Budget { heard, ..Budget::new(now, standing) };
+            !budget.pause(now, &strangers).is_zero()
         };
         assert!(pauses(Standing::Stranger, FIRST_MESSAGES + 1));
         assert!(!pauses(Standing::Stranger, FIRST_MESSAGES));
         assert!(!pauses(Standing::Free, FIRST_MESSAGES + 1) && !pauses(Standing::Owner, FIRST_MESSAGES + 1));
-        let many = Strangers::default();
-        (0..4_400).for_each(|_| many.took(Instant::now(), Duration::ZERO));
+        let many = Strangers::at(now);
+        (0..4_400).for_each(|_| many.took(now, Duration::ZERO));
         // 4,000 more than there are at once, 200 a second.
-        let pause = many.empty_for(Instant::now()).as_secs_f64();
-        assert!(pause > 10.0 && pause <= 20.0, "{pause}");
+        let pause = many.empty_for(now).as_secs_f64();
+        assert!(pause > 19.9 && pause <= 20.0, "{pause}");
     }
 
     #[test]
     fn the_first_few_messages_of_a_stranger_cost_the_others_nothing() {
-        let strangers = Strangers::default();
-        let mut budget = Budget::new(Standing::Stranger);
+        let now = Instant::now();
+        let strangers = Strangers::at(now);
+        let mut budget = Budget::new(now, Standing::Stranger);
         for _ in 0..FIRST_MESSAGES {
-            budget.read(&strangers, Duration::from_secs(1), 0);
+            budget.read(now, &strangers, Duration::from_secs(1), 0);
         }
-        assert!(strangers.empty_for(Instant::now()).is_zero());
-        budget.read(&strangers, Duration::from_secs(1), 0);
-        assert!(!strangers.empty_for(Instant::now()).is_zero());
+        assert!(strangers.empty_for(now).is_zero());
+        budget.read(now, &strangers, Duration::from_secs(1), 0);
+        assert!(!strangers.empty_for(now).is_zero());
     }
 
     #[tokio::test]

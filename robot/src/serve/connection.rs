@@ -31,8 +31,6 @@ pub(super) const STRANGERS_LINE_MAX: usize = 64 * 1024;
 pub(super) const FREE_LINE_MAX: usize = 1024 * 1024;
 /// Messages that are longer are read on a thread of their own, so that no other connection waits for that.
 const READ_AT_ONCE: usize = 64 * 1024;
-/// How long a claim that is on its way may take to be decided, before the line behind it counts as too long.
-const CLAIM_WITHIN: Duration = Duration::from_secs(2);
 /// The longest single pause before the budget is looked at again: how a peer stands to the robot may change meanwhile.
 const PAUSE_MAX: Duration = Duration::from_millis(100);
 /// How long a peer may take no bytes before it is hung up on.
@@ -49,6 +47,8 @@ pub(super) struct Patience {
     pub(super) first_message: Duration,
     /// A message of a peer without the robot's session ends this long after it begins.
     pub(super) message: Duration,
+    /// A claim that is on its way is decided within this time, or the line behind it counts as too long.
+    pub(super) claim: Duration,
 }
 
 impl Default for Patience {
@@ -57,6 +57,7 @@ impl Default for Patience {
             silence: Duration::from_secs(30),
             first_message: Duration::from_secs(5),
             message: Duration::from_secs(10),
+            claim: Duration::from_secs(2),
         }
     }
 }
@@ -93,7 +94,7 @@ where
         robot: link.sender(),
         peer: peer.clone(),
         heard,
-        budget: Budget::new(ticket.standing(None)),
+        budget: Budget::new(Instant::now(), ticket.standing(None)),
         ticket,
         shared: shared.clone(),
         speaks_for: None,
@@ -224,7 +225,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             self.pause().await;
             self.until_written().await;
             let Some(n) = self.read(&mut bytes).await? else { return Ok(()) };
-            self.budget.came(n);
+            self.budget.came(Instant::now(), n);
             self.decoder.push(&bytes[..n]);
             loop {
                 self.bound_line().await;
@@ -295,8 +296,9 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
     async fn pause(&mut self) {
         let (begin, mut noted) = (Instant::now(), false);
         loop {
-            self.budget.follow(self.standing());
-            let pause = self.budget.pause(&self.shared.strangers);
+            let now = Instant::now();
+            self.budget.follow(now, self.standing());
+            let pause = self.budget.pause(now, &self.shared.strangers);
             if pause.is_zero() {
                 break;
             }
@@ -323,7 +325,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             // The session to which the robot belonged may be over, and a claim may still be on its way.
             self.ticket.look().await;
             if let (true, Some(claimant)) = (front.bytes > limit(self.standing()), &self.speaks_for) {
-                self.ticket.await_claim(claimant, CLAIM_WITHIN).await;
+                self.ticket.await_claim(claimant, self.shared.patience.claim).await;
             }
         }
         let mut limit = limit(self.standing());
@@ -358,7 +360,7 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             Some(Ok(Message::InitializationRequest(_))) => self.shared.described.length(),
             _ => 0,
         };
-        self.budget.read(&strangers, begin.elapsed(), answer);
+        self.budget.read(Instant::now(), &strangers, begin.elapsed(), answer);
         self.long_line = None;
         decoded
     }

@@ -21,13 +21,13 @@ async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {
 
 async fn ended(stream: &mut TcpStream) {
     let mut rest = Vec::new();
-    let ended = tokio::time::timeout(Duration::from_secs(20), stream.read_to_end(&mut rest)).await;
+    let ended = tokio::time::timeout(PATIENCE, stream.read_to_end(&mut rest)).await;
     assert!(ended.is_ok(), "it is left open");
 }
 
 #[tokio::test]
 async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
-    let (host, address, held) = sealed(Patience::default()).await;
+    let (host, address, held) = sealed(PATIENT).await;
     for (altered, count) in [(&b""[..], 0), (b"\0\0\0\x01sixteen of a code.", 1), (b"\0\0\0\0", 2)] {
         let mut stream = TcpStream::connect(address).await.unwrap();
         let mut spoken = connect(&mut stream, &held).await.unwrap();
@@ -45,7 +45,7 @@ async fn what_was_altered_on_its_way_ends_the_connection_and_is_counted() {
 
 #[tokio::test]
 async fn who_proves_nothing_is_hung_up_on_and_counted() {
-    let patience = Patience { first_message: Duration::from_millis(500), ..Patience::default() };
+    let patience = Patience { first_message: Duration::from_millis(500), ..PATIENT };
     let (host, address, held) = sealed(patience).await;
     let other = Held { pass: Secret::generate().unwrap().pass(&held.claim), ..held };
     let stream = TcpStream::connect(address).await.unwrap();
