@@ -369,13 +369,15 @@ mod tests {
         assert_is(watch.next().await, Span::from_millis(1_000));
 
         responder.is_silent.store(true, Ordering::Relaxed);
-        let silent_since = clock.now();
+        // One state may wait to be read, and one answer may be on its way.
+        watch.next().await;
         let mut lost = watch.next().await;
+        let unanswered_since = clock.now();
         let known = lost.uncertainty.unwrap();
         while lost.lost_since.is_none() {
             lost = watch.next().await;
         }
-        assert!(lost.lost_since.unwrap() <= silent_since + INTERVAL.into(), "{lost:?}");
+        assert!(lost.lost_since.unwrap() <= unanswered_since, "{lost:?}");
         assert_is(lost, Span::from_millis(1_000));
         assert!(lost.uncertainty.unwrap() > known, "it must grow: {lost:?}");
 
@@ -392,11 +394,13 @@ mod tests {
         let address = silent.local_addr().unwrap().to_string();
         let mut watch = NtpWatch::start(address, clock, Duration::from_millis(20));
         let mut state = watch.next().await;
+        let asked = clock.now();
         while state.lost_since.is_none() {
             assert_eq!(state.uncertainty, None);
             state = watch.next().await;
         }
-        assert!(state.lost_since.unwrap() - began < Span::from_millis(20), "{state:?}");
+        let lost_since = state.lost_since.unwrap();
+        assert!(lost_since >= began && lost_since < asked, "{state:?}, not from {began} to {asked}");
     }
 
     #[tokio::test]
@@ -407,15 +411,17 @@ mod tests {
         states.changed().await.unwrap();
         drop(watch);
         let ends = async { while states.changed().await.is_ok() {} };
-        tokio::time::timeout(Duration::from_secs(5), ends).await.expect("nobody tells anything any more");
+        tokio::time::timeout(Duration::from_secs(60), ends).await.expect("nobody tells anything any more");
     }
 
     #[test]
     fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
         for millis in [0, 250, -250, 3_600_000, -3_600_000] {
             let offset = Span::from_millis(millis);
-            let ahead = ServerClock::anchored(offset).system_ahead();
-            assert!((ahead + offset).abs() < Span::from_micros(50), "{millis}: {ahead}");
+            // On a busy machine a thread may lose its core between two readings, and not each time.
+            let error = |_| (ServerClock::anchored(offset).system_ahead() + offset).abs();
+            let least = (0..100).map(error).min().unwrap();
+            assert!(least < Span::from_micros(50), "{millis}: {least}");
         }
     }
 
@@ -458,7 +464,7 @@ mod tests {
         responder.set_offset(Span::from_millis(250));
         let server = responder.start().await.parse().unwrap();
         let clock = ServerClock::anchored(Span::from_millis(250));
-        let (sample, stratum) = exchange(server, &clock, Duration::from_secs(5)).await.unwrap();
+        let (sample, stratum) = exchange(server, &clock, Duration::from_secs(60)).await.unwrap();
         assert_eq!(stratum, 1);
         let took = sample.at - sample.sent;
         assert!(sample.delay > Span::ZERO && sample.delay <= took + NTP_ROUNDING * 2, "{sample:?}");

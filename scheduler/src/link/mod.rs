@@ -28,7 +28,7 @@ pub(crate) use shared::SharedScripts;
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::AbortHandle;
-use urrcp::{KnownScripts, Message};
+use urrcp::{KnownScripts, Message, Span};
 
 use crate::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use crate::mission::{Event, Loss};
@@ -129,6 +129,17 @@ pub(crate) struct OfRobot {
     pub(crate) asked: Asked,
     /// The scripts that go to others as well.
     pub(crate) shared: SharedScripts,
+    pub(crate) long_upload: LongUpload,
+}
+
+/// How long a robot may be busy reading after one batch of the longest kind.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LongUpload(pub(crate) Span);
+
+impl Default for LongUpload {
+    fn default() -> Self {
+        Self(Span::from_millis(2_000))
+    }
 }
 
 /// The other ends of a link's channels.

@@ -15,8 +15,6 @@ use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// After this many bytes as one batch has the robot may be busy reading for this long.
-const LONG_UPLOAD: Span = Span::from_millis(2_000);
 /// For how long answers to an overtaking stop are awaited.
 const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
 /// Bytes gathered before one write, so that a burst of requests is one system call.
@@ -166,7 +164,7 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
             peer.encode(encoding, &message, &mut batch, &writer);
         }
         if batch.len() >= WRITE_BATCH {
-            long_until = Some(clock.now() + LONG_UPLOAD);
+            long_until = Some(clock.now() + peer.of.long_upload.0);
         }
         {
             let mut write = std::pin::pin!(write_out(&mut writer, &batch));

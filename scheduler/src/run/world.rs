@@ -260,7 +260,7 @@ fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     let of = |(robot, shared): (usize, SharedScripts)| {
         let asked = Asked::default();
         asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
-        OfRobot { asked, shared }
+        OfRobot { asked, shared, ..OfRobot::default() }
     };
     shared.into_iter().enumerate().map(of).collect()
 }
