@@ -31,8 +31,8 @@ pub struct ThriftRobot {
     port: u16,
     block: InitializationBlock,
     connection: Option<Connection>,
-    /// How long the robot may take to accept a connection, to take a call, to answer one.
-    wait_max: Duration,
+    /// How long the robot may take to accept a connection, to take a call, to answer one. `None`: as long as it likes.
+    wait_max: Option<Duration>,
 }
 
 impl ThriftRobot {
@@ -52,7 +52,13 @@ impl ThriftRobot {
             );
             return Err(DriverError::Refused(message));
         }
-        Ok(Self { host: host.to_owned(), port, block: block.clone(), connection: None, wait_max: WAIT_MAX })
+        Ok(Self {
+            host: host.to_owned(),
+            port,
+            block: block.clone(),
+            connection: None,
+            wait_max: Some(WAIT_MAX),
+        })
     }
 
     fn call<T>(&mut self, call: impl FnOnce(&mut Connection) -> thrift::Result<T>) -> Result<T, DriverError> {
@@ -135,19 +141,23 @@ fn has_ended(error: &thrift::Error) -> bool {
 /// # Errors
 /// Why there is none.
 pub fn describe(host: &str, port: u16) -> Result<String, DriverError> {
-    describe_within(host, port, WAIT_MAX)
+    describe_within(host, port, Some(WAIT_MAX))
 }
 
-fn describe_within(host: &str, port: u16, wait_max: Duration) -> Result<String, DriverError> {
+fn describe_within(host: &str, port: u16, wait_max: Option<Duration>) -> Result<String, DriverError> {
     let mut connection = Connection::open(host, port, wait_max)?;
     connection.schema().map_err(|error| DriverError::Away(format!("{host}:{port}: {error}")))
 }
 
 /// A connection to the first of the host's addresses that takes one.
-fn stream(host: &str, port: u16, wait_max: Duration) -> io::Result<TcpStream> {
+fn stream(host: &str, port: u16, wait_max: Option<Duration>) -> io::Result<TcpStream> {
     let mut last = None;
     for address in (host, port).to_socket_addrs()? {
-        match TcpStream::connect_timeout(&address, wait_max) {
+        let connected = match wait_max {
+            Some(wait_max) => TcpStream::connect_timeout(&address, wait_max),
+            None => TcpStream::connect(address),
+        };
+        match connected {
             Ok(stream) => return Ok(stream),
             Err(error) => last = Some(error),
         }
@@ -174,7 +184,7 @@ enum Argument<'a> {
 }
 
 impl Connection {
-    fn open(host: &str, port: u16, wait_max: Duration) -> Result<Self, DriverError> {
+    fn open(host: &str, port: u16, wait_max: Option<Duration>) -> Result<Self, DriverError> {
         let away = |why: &dyn fmt::Display| {
             DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
         };
@@ -187,10 +197,10 @@ impl Connection {
         Self::over(stream, wait_max).map_err(|error| away(&error))
     }
 
-    fn over(stream: TcpStream, wait_max: Duration) -> thrift::Result<Self> {
+    fn over(stream: TcpStream, wait_max: Option<Duration>) -> thrift::Result<Self> {
         stream.set_nodelay(true)?;
-        stream.set_read_timeout(Some(wait_max))?;
-        stream.set_write_timeout(Some(wait_max))?;
+        stream.set_read_timeout(wait_max)?;
+        stream.set_write_timeout(wait_max)?;
         let watched = stream.try_clone()?;
         let (reader, writer) = TTcpChannel::with_stream(stream).split()?;
         let limits = TConfiguration::builder().max_string_size(Some(TEXT_BYTES_MAX)).build()?;
@@ -297,7 +307,8 @@ fn foreign(error: &thrift::Error) -> thrift::Error {
 
 #[cfg(test)]
 mod tests {
-    use std::net::TcpListener;
+    use std::net::{Shutdown, TcpListener};
+    use std::sync::Arc;
     use std::thread::JoinHandle;
 
     use urrcp::ControlType;
@@ -310,7 +321,8 @@ mod tests {
       {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
     const SCHEMA: &str = r#"{"id": "r", "devices": {"arm": {"min_value": 0, "max_value": 9}}}"#;
 
-    /// Of a test, however slow its machine is.
+    /// A test that takes longer fails. The limit is not one of the socket: when a process was suspended, Linux interrupts a read
+    /// that has such a limit, and the driver takes that for the end of the connection.
     const PATIENCE: Duration = Duration::from_secs(60);
 
     /// What the robot of a test answers.
@@ -332,10 +344,23 @@ mod tests {
     fn robot(reply: impl Fn(&str) -> Reply + Send + 'static) -> (ThriftRobot, JoinHandle<Vec<String>>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, reply));
+        let serving = std::thread::spawn(move || serve_one(&listener, reply));
         let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
         let robot = ThriftRobot::new("127.0.0.1", port, &block).unwrap();
-        (ThriftRobot { wait_max: PATIENCE, ..robot }, serving)
+        (ThriftRobot { wait_max: None, ..robot }, serving)
+    }
+
+    /// Takes one connection, and breaks it once the test has taken too long.
+    #[expect(clippy::disallowed_methods, reason = "the longest time that a real connection takes")]
+    fn serve_one(listener: &TcpListener, reply: impl Fn(&str) -> Reply) -> Vec<String> {
+        let stream = Arc::new(listener.accept().unwrap().0);
+        let watched = Arc::downgrade(&stream);
+        // Ends with the process, or has nothing left to break.
+        std::thread::spawn(move || {
+            std::thread::sleep(PATIENCE);
+            let _already_ended = watched.upgrade().map(|stream| stream.shutdown(Shutdown::Both));
+        });
+        serve(&stream, reply)
     }
 
     fn serve(stream: &TcpStream, reply: impl Fn(&str) -> Reply) -> Vec<String> {
@@ -441,8 +466,8 @@ mod tests {
     fn a_robot_is_asked_for_its_description_alone() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let serving = std::thread::spawn(move || serve(&listener.accept().unwrap().0, in_order));
-        assert_eq!(describe_within("127.0.0.1", port, PATIENCE), Ok(SCHEMA.to_owned()));
+        let serving = std::thread::spawn(move || serve_one(&listener, in_order));
+        assert_eq!(describe_within("127.0.0.1", port, None), Ok(SCHEMA.to_owned()));
         assert_eq!(serving.join().unwrap(), ["get_init_schema"]);
         let error = describe("127.0.0.1", port).unwrap_err().to_string();
         assert_eq!(error, format!("no connection to thrift://127.0.0.1:{port}: connection refused"));
