@@ -4,6 +4,7 @@ import contextlib
 import io
 import math
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -13,10 +14,12 @@ import unittest
 from pathlib import Path
 from unittest import mock
 
+import agree
 from downbeat_lab import fleet, ports, program, reports, sampling, shares
 from downbeat_lab.processes import Processes, wait_with_usage
 from downbeat_lab.tables import Table, figure
 
+LAB = Path(__file__).resolve().parent
 LISTENS = "print('r0 listens on tcp://127.0.0.1:7', flush=True); print('note'); print('r1 listens on tcp://127.0.0.1:8', flush=True); input()"
 
 
@@ -203,6 +206,36 @@ class Tables(unittest.TestCase):
         self.assertEqual(printed.getvalue(), "link    a long heading      s\n"
                                              "tcp                  1   2.00\n"
                                              "tls                 10   20.0\n")
+
+
+class FaultsOfAgree(unittest.TestCase):
+    def test_a_seed_draws_the_same_faults_for_processes_and_dry_runs(self):
+        for mission in range(50):
+            drawn = [agree.Faults(random.Random(f"0/{mission}")) for _ in range(2)]
+            self.assertEqual(drawn[0].signals(), drawn[1].signals())
+            self.assertEqual(len(drawn[0].signals()), 2 * ("stalls" in drawn[0].incidents()) + ("dies" in drawn[0].incidents()))
+
+    def test_no_faults_without_a_generator(self):
+        self.assertEqual((agree.Faults().signals(), agree.Faults().incidents(), str(agree.Faults())), ([], "", "no fault"))
+
+    def test_an_end_depends_on_the_robots_that_started(self):
+        self.assertEqual([agree.end("failed", started) for started in ("none", "some", "all")],
+                         ["none started", "some started, others not", "all started, then failed"])
+
+
+class Experiments(unittest.TestCase):
+    def test_the_readme_names_each_experiment_and_no_other_file(self):
+        listed = {line.split("`")[1] for line in (LAB / "README.md").read_text().splitlines() if line.startswith("| `")}
+        programs = {path.name for path in LAB.iterdir() if path.is_file() and os.access(path, os.X_OK)}
+        self.assertEqual(listed, programs)
+
+    def test_each_experiment_prints_its_options(self):
+        for experiment in LAB.glob("*.py"):
+            if os.access(experiment, os.X_OK):
+                with self.subTest(experiment.name):
+                    help_text = program.run(str(experiment), "--help", folder="/")
+                    self.assertIn("--downbeat", help_text)
+                    self.assertIn("exits 1", help_text.lower())
 
 
 if __name__ == "__main__":
