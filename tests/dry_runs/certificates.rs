@@ -42,7 +42,7 @@ fn what_was_certified_is_played_and_certified_again_gives_the_same_bytes() {
     let session = certified();
     let first = fs::read(session.path("show.cert.json")).unwrap();
     session.run(&["preflight", "show.yaml", "--require-certificate", "show.cert.json"]).says(0, &[]);
-    session.run(&REQUIRED).says(0, &["show: done"]);
+    session.play(&REQUIRED).says(0, &["show: done"]);
     certify(&session);
     assert_eq!(fs::read(session.path("show.cert.json")).unwrap(), first);
 }
@@ -168,7 +168,7 @@ fn what_changes_nothing_that_is_played_needs_no_new_certificate() {
         "left: {init: arm.yaml, address: sim",
         "left: {init: arm.yaml, simulate: {jitter: 1us}, address: sim",
     );
-    session.run(&REQUIRED).says(0, &["show: done"]);
+    session.play(&REQUIRED).says(0, &["show: done"]);
 }
 
 #[test]

@@ -181,7 +181,7 @@ fn names_from_outside_drive_no_terminal() {
 fn two_missions_are_compared_by_what_became_of_them() {
     let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
     for name in ["one.mcap", "two.mcap"] {
-        let ran = stage.run(&["run", "play.yaml", "--record", name]);
+        let ran = stage.play(&["run", "play.yaml", "--record", name]);
         assert_eq!(ran.code, Some(0), "{ran}");
     }
     let same = stage.run(&["diff", "one.mcap", "one.mcap"]);
@@ -234,7 +234,7 @@ fn the_page_of_two_missions_has_what_the_first_was_sent_behind_the_second() {
     assert_ne!(play, changed);
     stage.file("changed.yaml", changed);
     for (scenario, recording) in [("play.yaml", "one.mcap"), ("changed.yaml", "two.mcap")] {
-        let ran = stage.run(&["run", scenario, "--record", recording]);
+        let ran = stage.play(&["run", scenario, "--record", recording]);
         assert_eq!(ran.code, Some(0), "{ran}");
     }
     let ran = stage.run(&["diff", "one.mcap", "two.mcap", "--html", "page.html"]);

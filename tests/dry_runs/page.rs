@@ -209,7 +209,7 @@ fn an_act_that_nobody_began_is_not_shown_as_played() {
     let fleet = "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim, simulate: {fault: refuse}}\ngroups: {arms: [left, right]}\n";
     session.file("fleet.yaml", fleet).file("show.yaml", SHOW);
     session.run(&["dry-run", "show.yaml", "--html", "dry.html"]).says(1, &[]);
-    session.run(&["run", "show.yaml", "--record", "show.mcap"]).says(1, &[]);
+    session.play(&["run", "show.yaml", "--record", "show.mcap"]).says(1, &[]);
     session
         .run(&["report", "show.mcap", "--html", "run.html"])
         .says(0, &["show: ", "withdrawn before anything moved", "right: "]);
@@ -228,7 +228,7 @@ fn recorded() -> Session {
     let session = Session::new();
     let (example, fleet) = (root().join(SWAP), root().join("fleet.yaml"));
     let (example, fleet) = (example.display().to_string(), fleet.display().to_string());
-    session.run(&["run", &example, "--fleet", &fleet, "--record", "swap.mcap"]).says(0, &["done"]);
+    session.play(&["run", &example, "--fleet", &fleet, "--record", "swap.mcap"]).says(0, &["done"]);
     session
 }
 

@@ -111,7 +111,7 @@ fn what_a_mission_leaves_is_for_its_user_alone() {
 #[test]
 fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
     let session = session();
-    session.run(&["run", "show.yaml"]).says(0, &["show: done"]);
+    session.play(&["run", "show.yaml"]).says(0, &["show: done"]);
     let state = session.path("state");
     let permit = |mode| std::fs::set_permissions(&state, std::fs::Permissions::from_mode(mode)).unwrap();
     permit(0o755);
@@ -122,7 +122,7 @@ fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
         session.run(args).says(2, &["may be written by other users (mode 1777)", "chmod -R go= "]);
     }
     session
-        .run(&["run", "show.yaml", "--no-journal"])
+        .play(&["run", "show.yaml", "--no-journal"])
         .says(0, &["warning: ", "may be written by other users"]);
     permit(0o700);
     let link = session.path("link");
@@ -142,7 +142,7 @@ fn a_state_folder_of_another_user_or_open_to_others_is_refused() {
 #[test]
 fn a_folder_of_a_mission_that_was_planted_is_named_and_nothing_of_it_is_done() {
     let session = session();
-    session.run(&["run", "show.yaml"]).says(0, &["show: done"]);
+    session.play(&["run", "show.yaml"]).says(0, &["show: done"]);
     let state = session.path("state");
     let folder = missions(&state).pop().unwrap();
     symlink(&folder, state.join("a-link")).unwrap();
@@ -205,7 +205,7 @@ fn a_command_that_only_looks_starts_no_program_unless_it_is_told_to() {
         assert!(started.exists(), "{args:?} did not start it");
         std::fs::remove_file(&started).unwrap();
     }
-    session.run(&["run", "show.yaml"]).says(0, &["show: done"]);
+    session.play(&["run", "show.yaml"]).says(0, &["show: done"]);
     assert!(started.exists());
 }
 

@@ -285,8 +285,12 @@ fn dry_runs_in_the_measured_world_agree_with_the_missions_of_processes_in_decisi
     std::thread::scope(|scope| {
         for show in &SHOWS {
             scope.spawn(move || {
-                let stage = show.stage();
-                let real = show.play(&stage);
+                let play = || {
+                    let stage = show.stage();
+                    let real = show.play(&stage);
+                    (stage, real)
+                };
+                let (stage, real) = stage::held_up::played(play, |(_, real)| real.to_string());
                 agree(show, &stage, &real, &show.rehearse(&stage));
             });
         }

@@ -5,12 +5,13 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use tempfile::TempDir;
 
 use stage::free_port;
+use stage::held_up::played;
 use stage::session::{Ran, program, root};
 
 fn downbeat(folder: &Path, args: &[&str]) -> Ran {
@@ -50,7 +51,8 @@ fn every_template_runs_at_once() {
             }
             Ran(run.wait_with_output().unwrap()).says(0, &["show: done"]);
         } else {
-            downbeat(folder, &["run", "show.yaml"]).says(0, &["show: done"]);
+            let played = played(|| downbeat(folder, &["run", "show.yaml"]), Ran::text);
+            played.says(0, &["show: done"]);
         }
     }
 }
@@ -133,14 +135,11 @@ fn the_tutorial_works_word_for_word_in_an_empty_folder() {
     works_word_for_word("docs/tutorial.md");
 }
 
-/// Plays every command of a document in an empty folder, and compares what it quotes with what they print.
-#[track_caller]
-fn works_word_for_word(document: &str) {
+/// Plays the commands of a document in an empty folder; returns how the shell ended, and the output of each block.
+fn play(blocks: &[Block]) -> (ExitStatus, Vec<String>) {
     let folder = TempDir::new().unwrap();
     let out = TempDir::new().unwrap();
-    let blocks = tour(document);
-    assert!(blocks.iter().filter(|block| matches!(block, Block::Commands { .. })).count() >= 4);
-    let mut script = script(&blocks, out.path());
+    let mut script = script(blocks, out.path());
     for port in ["7401", "7402"] {
         script = script.replace(port, &free_port().to_string());
     }
@@ -151,13 +150,21 @@ fn works_word_for_word(document: &str) {
     shell.env("PATH", format!("{program}:{paths}")).env("DOWNBEAT_STATE", folder.path().join(".state"));
     let ended = shell.status().unwrap();
     let printed = |number: usize| fs::read_to_string(out.path().join(number.to_string())).unwrap_or_default();
-    let all: String = (0..blocks.len()).map(printed).collect();
-    assert!(ended.success(), "{ended}\n{all}");
+    (ended, (0..blocks.len()).map(printed).collect())
+}
+
+/// Plays every command of a document, and compares its quotations with the output.
+#[track_caller]
+fn works_word_for_word(document: &str) {
+    let blocks = tour(document);
+    assert!(blocks.iter().filter(|block| matches!(block, Block::Commands { .. })).count() >= 4);
+    let (ended, printed) = played(|| play(&blocks), |(_, printed)| printed.concat());
+    assert!(ended.success(), "{ended}\n{}", printed.concat());
     // Every line that is quoted stands in what the commands before it printed, in that order.
     let mut before = String::new();
     for (number, block) in blocks.iter().enumerate() {
         match block {
-            Block::Commands { .. } => before = printed(number),
+            Block::Commands { .. } => before.clone_from(&printed[number]),
             Block::Output(text) => {
                 let mut lines = before.lines();
                 for quoted in text.lines().filter(|line| *line != "...") {

@@ -1,10 +1,12 @@
 //! Robots and schedulers as processes on loopback, what the robots' logs say they did, and links that fail when told to.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::print_stderr, reason = "missions that are played again are counted")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 #![expect(missing_docs, reason = "a crate of the tests")]
 
 pub mod busy;
 pub mod compiled;
+pub mod held_up;
 pub mod meddler;
 pub mod operators;
 pub mod play;
@@ -234,6 +236,12 @@ impl Stage {
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
         self.start(args).ended()
+    }
+
+    /// Plays a mission to its end, again if this machine was too slow for it.
+    #[track_caller]
+    pub fn play(&self, args: &[&str]) -> Ended {
+        held_up::played(|| self.run(args), |ended| format!("{}{}", ended.told, ended.out))
     }
 }
 
@@ -475,6 +483,14 @@ impl Running {
 }
 
 impl Ended {
+    /// Fails unless the report says that this machine was too slow.
+    #[track_caller]
+    pub fn assert_held_up(&self) {
+        let reason = held_up::reason(&format!("{}{}", self.told, self.out));
+        let reason = reason.unwrap_or_else(|| panic!("it ended before its robots moved: {self}"));
+        eprintln!("started again at {}: {reason}", std::panic::Location::caller());
+    }
+
     /// The report of a run with `--format json`.
     #[track_caller]
     pub fn report(&self) -> Value {

@@ -6,6 +6,8 @@ use std::sync::LazyLock;
 
 use tempfile::TempDir;
 
+use crate::held_up;
+
 /// The program under test. Cargo builds it before the tests of its package, into the folder above theirs.
 pub fn program() -> &'static str {
     static PROGRAM: LazyLock<String> = LazyLock::new(|| {
@@ -72,6 +74,12 @@ impl Session {
 
     pub fn run(&self, args: &[&str]) -> Ran {
         Ran(self.command(args).output().unwrap())
+    }
+
+    /// Plays a mission to its end, again if this machine was too slow for it.
+    #[track_caller]
+    pub fn play(&self, args: &[&str]) -> Ran {
+        held_up::played(|| self.run(args), Ran::text)
     }
 }
 

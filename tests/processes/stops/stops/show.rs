@@ -107,7 +107,10 @@ impl Show {
         for _ in 0..3 {
             match Self::try_to_begin(trouble, starter) {
                 Ok(show) => return show,
-                Err(why) => told.push(why),
+                Err(why) => {
+                    assert!(stage::held_up::reason(&why).is_some(), "no mission begins:\n{why}");
+                    told.push(why);
+                }
             }
         }
         panic!("no mission begins:\n{}", told.join("\n"))
@@ -171,7 +174,7 @@ impl Show {
         while !show.stage.robots.iter().all(|robot| robot.sets().len() >= 8) {
             let over = show.started.0.try_wait().unwrap().is_some();
             if over || began.elapsed() > Duration::from_secs(30) {
-                return Err(super::text(&show.stage, "told"));
+                return Err(super::text(&show.stage, "told") + &reported(&show.stage));
             }
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -261,4 +264,12 @@ pub fn fill(mut pipe: &PipeWriter) {
         while pipe.write(&vec![b'.'; size]).is_ok() {}
     }
     rustix::io::ioctl_fionbio(pipe, false).unwrap();
+}
+
+/// The reports of the missions in the state folder, wherever their own output went.
+fn reported(stage: &Stage) -> String {
+    let Ok(missions) = std::fs::read_dir(stage.path("state")) else { return String::new() };
+    let journals = missions.map(|mission| mission.unwrap().path().join("journal"));
+    let journals = journals.filter(|journal| journal.exists());
+    journals.map(|journal| stage.run(&["report", journal.to_str().unwrap()]).out).collect()
 }

@@ -1,0 +1,52 @@
+//! Missions for which this machine was too slow, by Downbeat's own report.
+//!
+//! A test may play a mission again for these reasons and for no other: a failure that has another reason is a fault.
+
+/// A sentence or word of a report, and the outcome or failure that it stands for.
+const REASONS: [(&str, &str); 5] = [
+    ("this machine was held up", "outcome `decision_late`"),
+    ("this machine or its disk was held up", "outcome `commitment_late`"),
+    ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),
+    ("the link to it is too slow", "failure `too_slow` on a link of this machine"),
+    ("\"failure\":\"too_slow\"", "failure `too_slow` on a link of this machine"),
+];
+
+/// The number of times that a mission is played at the most.
+const ATTEMPTS: usize = 5;
+
+/// The reason for which this machine was too slow, if a report names one.
+pub fn reason(report: &str) -> Option<&'static str> {
+    let report: String = report.split_whitespace().collect::<Vec<_>>().join(" ").replace("\": ", "\":");
+    REASONS.iter().find(|(words, _)| report.contains(words)).map(|(_, reason)| *reason)
+}
+
+/// Plays a mission, and plays it again if its report says that this machine was too slow. Each attempt is counted on standard error.
+#[track_caller]
+pub fn played<T>(mut play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+    for attempt in 2..=ATTEMPTS {
+        let played = play();
+        let Some(reason) = reason(&report(&played)) else { return played };
+        eprintln!("attempt {attempt} of {ATTEMPTS} at {}: {reason}", std::panic::Location::caller());
+    }
+    play()
+}
+
+#[test]
+fn only_a_machine_that_is_reported_as_too_slow_is_a_reason_to_play_again() {
+    let attempts = |reports: &[&str]| {
+        let mut count = 0;
+        let play = || {
+            count += 1;
+            reports.get(count - 1).copied().unwrap_or("show: failed").to_owned()
+        };
+        let last = played(play, Clone::clone);
+        (count, last)
+    };
+    let slow = "show: not started: this machine or its disk was held up, the commitment came too late";
+    assert_eq!(attempts(&["show: done"]).0, 1);
+    assert_eq!(attempts(&["show: failed and stopped", "show: done"]).0, 1);
+    assert_eq!(attempts(&[slow, "show: done"]), (2, "show: done".to_owned()));
+    assert_eq!(attempts(&[slow; 9]), (ATTEMPTS, slow.to_owned()));
+    assert!(reason("{\"outcome\": {\n  \"commitment_late\": {\n    \"by_ms\": 3}}}").is_some());
+    assert!(reason("{\"failures\": [{\"robot\": \"r0\", \"failure\": \"silent\"}]}").is_none());
+}
