@@ -57,8 +57,8 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
     command.get_subcommands().for_each(|inner| options(inner, found));
 }
 
-/// Options of cargo, systemctl, zenohd, Blender and `soak`, which documents call too.
-const FOREIGN: [&str; 16] = [
+/// Options of cargo, cargo-mutants, systemctl, zenohd, Blender, `soak` and the experiments in `lab/`, which documents call too.
+const FOREIGN: [&str; 23] = [
     "version",
     "locked",
     "now",
@@ -75,6 +75,13 @@ const FOREIGN: [&str; 16] = [
     "objects",
     "seeds",
     "trace",
+    "links",
+    "minutes",
+    "zenohd",
+    "shard",
+    "iterate",
+    "in-diff",
+    "re",
 ];
 
 /// Calls package managers, systemd and containers.
