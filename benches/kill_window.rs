@@ -11,7 +11,6 @@
     clippy::print_stdout,
     reason = "a program that measures, and stops if it cannot"
 )]
-#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
 
 use std::collections::BTreeMap;

@@ -1,6 +1,5 @@
 //! A few missions on robots as processes, for everyone who runs `cargo test`. They wait for events and allow for a slow machine: long
 //! leases, wide tolerances. `tests/processes/` has the others.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::time::Duration;
 

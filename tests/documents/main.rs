@@ -1,6 +1,5 @@
 //! README, docs, schemas, examples and vectors are true.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
-#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod documents;
 mod examples;

@@ -1,5 +1,5 @@
 //! The first steps of a newcomer on real robots: the shows that `init` writes, and the tours of README and tutorial word for word.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 use std::fmt::Write as _;

@@ -2,7 +2,7 @@
 //! acts with two or three scripts a device: report and exit code have to agree with what the robots' own logs say.
 //! `DOWNBEAT_INSTANTS=100` plays so many missions, `DOWNBEAT_INSTANTS_FIRST=17` begins with that one.
 
-#![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 use std::collections::{BTreeMap, HashSet};

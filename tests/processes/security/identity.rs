@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use stage::play::{LONG, Play, SHORT};
+use stage::quiet::stays;
 use stage::session::Session;
 use stage::{Ended, Running, Stage, Via};
 
@@ -160,7 +161,8 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
 
 #[test]
 fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is_not_confirmed_by_it() {
-    let stage = Play { running: "none", ..LONG }.stage(&[Via::Proxy, Via::Direct]);
+    let play = Play { running: "none", steps: 200, every_ms: 200, ..LONG };
+    let stage = play.stage(&[Via::Proxy, Via::Direct]);
     let mut run = moving(&stage, &["run", "play.yaml"]);
     run.process.kill();
     stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
@@ -172,10 +174,10 @@ fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is
     });
     let stopped = stage.run(&["stop", "--patience", "2s"]);
     says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
-    let sets = stage.robots[0].sets().len();
-    assert!(sets < 100, "it played on to its end: {sets} of 120");
-    std::thread::sleep(Duration::from_millis(500));
-    assert_eq!(stage.robots[0].sets().len(), sets, "it plays on");
+    stage.await_rest();
+    // Its steps would come every 200 ms.
+    let sets = stays(Duration::from_secs(1), || stage.robots[0].sets().len());
+    assert!(sets < 180, "it played on to its end: {sets} of 200");
 }
 
 #[test]

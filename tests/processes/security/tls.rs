@@ -137,7 +137,8 @@ fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
     let mut playing = site.session.command(&["run", "long.yaml", "--format", "json"]);
     let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let begun = std::time::Instant::now();
-    while site.moved() < 3 {
+    // Two lines of each robot.
+    while site.moved() < 6 {
         assert!(begun.elapsed().as_secs() < 30, "nothing moves");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }

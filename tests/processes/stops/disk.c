@@ -1,5 +1,5 @@
 /* A disk that stands still while the file $STALL_DISK exists, and has no room under $DOWNBEAT_STATE while $FULL_DISK does.
-   Preloaded into the program under test. */
+   Preloaded into the program under test. Once something waits for the disk, there is a file $STALL_DISK.waits. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -24,8 +24,12 @@ static int (*real(const char *name))(int)
 static void stand_still(void)
 {
     const struct timespec moment = {0, 10 * 1000 * 1000};
-    while (holds("STALL_DISK"))
+    char waits[4096];
+    while (holds("STALL_DISK")) {
+        snprintf(waits, sizeof waits, "%s.waits", getenv("STALL_DISK"));
+        close(open(waits, O_WRONLY | O_CREAT, 0600));
         nanosleep(&moment, NULL);
+    }
 }
 
 int fsync(int fd)

@@ -13,13 +13,15 @@ fn failed_robots(report: &Value) -> Vec<&str> {
     failures.iter().map(|failure| failure["robot"].as_str().unwrap()).collect()
 }
 
-/// Freezes the second of two robots as soon as it plays, and sees the first one stopped before its script is over.
+/// Forty seconds in one script: ten times as long as silence may take to be noticed, and what follows from it to be done.
+const FORTY_SECONDS: Play = Play { steps: 200, every_ms: 200, ..LONG };
+
+/// Freezes the second of two robots as soon as both play, and sees the first one stopped before its script is over.
 #[track_caller]
 fn check_that_silence_is_noticed(play: &Play, within: Duration) {
     let stage = play.stage(&[Via::Direct, Via::Direct]);
     let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
-    stage.robots[1].await_sets(1, SOON);
-    std::thread::sleep(Duration::from_millis(25));
+    stage.robots.iter().for_each(|robot| robot.await_sets(2, SOON));
     stage.robots[1].freeze();
     let frozen = epoch_nanos();
     let ended = running.ended();
@@ -35,12 +37,12 @@ fn check_that_silence_is_noticed(play: &Play, within: Duration) {
 
 #[test]
 fn a_robot_that_is_frozen_while_it_plays_has_failed_when_its_lease_is_over() {
-    check_that_silence_is_noticed(&LONG, Duration::from_secs(3));
+    check_that_silence_is_noticed(&FORTY_SECONDS, Duration::from_secs(21));
 }
 
 #[test]
 fn a_robot_without_a_lease_that_is_frozen_while_it_plays_is_noticed_before_its_script_is_over() {
-    check_that_silence_is_noticed(&Play { running: "none", ..LONG }, Duration::from_secs(10));
+    check_that_silence_is_noticed(&Play { running: "none", ..FORTY_SECONDS }, Duration::from_secs(35));
 }
 
 #[test]
@@ -172,14 +174,14 @@ fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
 
 #[test]
 fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
-    let mut stage = LONG.stage(&[Via::Proxy, Via::Direct]);
+    let mut stage = FORTY_SECONDS.stage(&[Via::Proxy, Via::Direct]);
     let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
     stage.robots[0].await_sets(3, SOON);
     // Its proxy goes on listening.
     stage.robots[0].kill();
     let ended = running.ended();
     let set = stage.robots[1].sets().len();
-    assert!(set < 100, "its partner set {set} values\n{ended}");
+    assert!(set < 180, "its partner set {set} values of 200\n{ended}");
     assert_eq!(failed_robots(&ended.report()), ["r0"], "{ended}");
 }
 
@@ -207,7 +209,9 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     let ended = running.ended();
     assert_eq!(ended.code, Some(0), "{ended}");
     let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
-    assert!(leads.iter().all(|lead| *lead < 2_000.0), "leads of {leads:?} ms\n{ended}");
+    // The first act was prepared before the pause: how long its lead is shows how busy this machine is.
+    let bound = leads[0] + 2_000.0;
+    assert!(leads.iter().all(|lead| *lead < bound), "leads of {leads:?} ms\n{ended}");
 }
 
 /// A first act in which the first robot is lost, and a second one that is sent while the first plays.
@@ -220,11 +224,10 @@ fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
     };
     let head =
         "scenario: play\nstart_tolerance: 1s\non_failure: without\nstop_condition: {running: 600ms}\nacts:\n";
-    stage.file("play.yaml", format!("{head}{}{}", act(1, 900), act(3, 300)));
+    stage.file("play.yaml", format!("{head}{}{}", act(1, 900), act(3, 3_000)));
     let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "1s"]);
-    stage.robots[0].await_sets(1, SOON);
-    // The second act is committed, and the end of the first is never reported.
-    std::thread::sleep(Duration::from_millis(840));
+    // The second act is committed some 70 ms before the first ends, whose end is never reported.
+    stage.await_record(r#""record":"committed","number":1"#);
     lose(&mut stage.robots[0]);
     let ended = running.ended();
     for robot in &stage.robots[1..] {

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use stage::{Ended, Running, Stage, Via, epoch_nanos, one_device};
+use stage::quiet::{await_that, stays};
+use stage::{Ended, Running, Stage, Via, epoch_nanos, nanos, one_device, sleep_until};
 
 /// Robots without a lease play this for half a minute, a step every 300 ms.
 const PLAYS: &str = "scenario: NAME
@@ -72,14 +73,16 @@ fn cut_off(robots: usize) -> Stage {
     stage
 }
 
-/// No robot sets a value of its script any more.
+/// No robot sets a value of its script any more. Its steps come every 300 ms.
 #[track_caller]
 fn all_rest(stage: &Stage) {
-    let sets = || stage.robots.iter().map(|robot| robot.sets().len()).collect::<Vec<_>>();
-    std::thread::sleep(Duration::from_millis(300));
-    let before = sets();
-    std::thread::sleep(Duration::from_millis(1_000));
-    assert_eq!(before, sets(), "a robot still moves");
+    stage.await_rest();
+    stays(Duration::from_millis(1_000), || sets(stage));
+}
+
+/// How many values of scripts each robot has set.
+fn sets(stage: &Stage) -> Vec<usize> {
+    stage.robots.iter().map(|robot| robot.sets().len()).collect()
 }
 
 #[track_caller]
@@ -153,10 +156,11 @@ fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
     let stage = cut_off(2);
     stage.robots[1].freeze();
     let first = stage.start(&["stop", "--patience", "30s"]);
-    while !stage.run(&["missions"]).out.contains("running") {
-        std::thread::sleep(Duration::from_millis(50));
-    }
+    await_that("the first stop", || stage.run(&["missions"]).out.contains("running"));
+    // Where it listens there is one socket, and one more for each that it has accepted.
+    await_that("its socket", || control_sockets(&stage) == 1);
     let second = stage.start(&["stop", "--patience", "30s"]);
+    await_that("the second stop", || control_sockets(&stage) == 2);
     // Longer than a mission may stand still.
     std::thread::sleep(Duration::from_secs(4));
     stage.robots[1].thaw();
@@ -166,6 +170,13 @@ fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
         assert!(!ended.told.contains("SIGTERM") && !ended.told.contains("directly"), "{ended}");
     }
     all_rest(&stage);
+}
+
+/// How many sockets there are at the places where missions of this stage listen.
+fn control_sockets(stage: &Stage) -> usize {
+    let state = stage.path("state").to_str().unwrap().to_owned();
+    let sockets = std::fs::read_to_string("/proc/net/unix").unwrap();
+    sockets.lines().filter(|line| line.contains(&state) && line.ends_with("/control")).count()
 }
 
 #[test]
@@ -357,7 +368,10 @@ fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
     mission.process.signal(Signal::STOP);
     says(&stage.run(&["go"]), 1, &["it does not answer within 1 s"]);
     mission.process.signal(Signal::CONT);
-    std::thread::sleep(Duration::from_millis(1_000));
+    let again = || stage.run(&["go", "three"]).to_string().contains("no act is called `three`");
+    await_that("an answer of the scheduler", again);
+    // The first step of the act would come about 400 ms after a go.
+    stays(Duration::from_millis(1_000), || sets(&stage));
     says(&stage.run(&["go", "two"]), 0, &["`two` begins"]);
     assert_eq!(mission.ended().code, Some(0));
 }
@@ -385,7 +399,7 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
     assert!(mission.line("`two` waits for the operator's go").is_some());
     // Said once the act before has ended, and not while it plays.
     let said = epoch_nanos();
-    std::thread::sleep(Duration::from_millis(300));
+    stage.robots[0].await_sets(20, Duration::from_secs(20));
     let sets = stage.robots[0].sets();
     assert!(sets.len() == 20 && sets.iter().all(|set| set.at <= said), "{said}: {sets:?}");
     let started = stage.run(&["go", "two", "--format", "json"]);
@@ -425,7 +439,7 @@ fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     let address = fleet.split("tcp://").nth(1).unwrap().split('"').next().unwrap().to_owned();
     let taken: Vec<_> = (0..40).map(|_| std::net::TcpStream::connect(&address).unwrap()).collect();
-    std::thread::sleep(Duration::from_millis(500));
+    await_that("its connections", || stage.robots[0].connections() >= taken.len());
     says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
     assert_eq!(taken.len(), 40);
     all_rest(&stage);
@@ -440,6 +454,12 @@ fn cut_off_name(stage: &Stage) -> String {
     found.unwrap()["mission"].as_str().unwrap().to_owned()
 }
 
+/// Waits until the lease of a mission that was cut off has run out: until then the robot belongs to it.
+#[track_caller]
+fn await_end_of_lease(stage: &Stage) {
+    await_that("the end of the lease", || stage.robots[0].rests());
+}
+
 /// A mission that was cut off, with its name, and one that drives its robot by now.
 fn taken_over() -> (Stage, String, Running) {
     let stage = stage(1);
@@ -448,17 +468,9 @@ fn taken_over() -> (Stage, String, Running) {
     let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
     old.process.kill();
     let name = cut_off_name(&stage);
-    for _ in 0..20 {
-        // Until the lease has run out the robot belongs to the old one.
-        let mut new = stage.start(&["run", "new.yaml"]);
-        if new.line("every lease reaches over the start").is_some() {
-            let before = stage.robots[0].sets().len();
-            stage.robots[0].await_sets(before + 2, Duration::from_secs(20));
-            return (stage, name, new);
-        }
-        std::thread::sleep(Duration::from_millis(500));
-    }
-    panic!("the robot never gets free")
+    await_end_of_lease(&stage);
+    let new = playing(&stage, &["run", "new.yaml"], &[0]);
+    (stage, name, new)
 }
 
 #[test]
@@ -478,7 +490,7 @@ fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was
     assert!(!format!("{}{}", resumed.out, resumed.told).contains("its lease ends"), "{resumed}");
     // The other mission is left alone.
     let before = stage.robots[0].sets().len();
-    stage.robots[0].await_sets(before + 3, Duration::from_secs(5));
+    stage.robots[0].await_sets(before + 3, Duration::from_secs(20));
     says(&stage.run(&["stop"]), 0, &["r0: default state confirmed"]);
     new.ended();
     all_rest(&stage);
@@ -498,17 +510,10 @@ fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
     let other = stage.run(&["run", "other.yaml"]);
     says(&other, 0, &["other: done"]);
     assert!(!other.told.contains("was cut off"), "{other}");
-    // As soon as its lease has run out.
-    let mut new = stage.run(&["run", "new.yaml"]);
-    for _ in 0..20 {
-        assert_eq!(new.told.matches(&warning).count(), 1, "{new}");
-        if new.code == Some(0) {
-            return;
-        }
-        std::thread::sleep(Duration::from_millis(500));
-        new = stage.run(&["run", "new.yaml"]);
-    }
-    panic!("{new}")
+    await_end_of_lease(&stage);
+    let new = stage.play(&["run", "new.yaml"]);
+    assert_eq!(new.told.matches(&warning).count(), 1, "{new}");
+    says(&new, 0, &["new: done"]);
 }
 
 #[test]
@@ -521,9 +526,8 @@ fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
     let stop = || stage.run(&["stop", "--patience", "500ms", "--format", "json"]);
     let ends = |ended: &Ended| ended.report()["robots"][0]["stop"]["lease_ends"].as_str().unwrap().to_owned();
     let first = ends(&stop());
-    std::thread::sleep(Duration::from_millis(300));
     assert_eq!(ends(&stop()), first);
-    std::thread::sleep(Duration::from_secs(2));
+    sleep_until(nanos(&first) + 1_000_000);
     assert_eq!(ends(&stop()), first);
     says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ended at"]);
     stage.robots[0].thaw();

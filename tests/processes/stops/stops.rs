@@ -8,7 +8,7 @@ mod scheduler_signals;
 mod show;
 mod standstill;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::process::Signal;
 
@@ -34,14 +34,6 @@ enum Way {
 
 fn text(stage: &Stage, name: &str) -> String {
     std::fs::read_to_string(stage.path(name)).unwrap_or_default()
-}
-
-fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
-    let began = Instant::now();
-    while !holds() {
-        assert!(began.elapsed() < Duration::from_secs(20), "{what} never came");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 #[test]
@@ -90,7 +82,7 @@ fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
     stage.robots[1].await_sets(5, Duration::from_secs(30));
     stage.robots[1].kill();
     assert!(running.line("stopping all robots").is_some());
-    std::thread::sleep(Duration::from_millis(100));
+    stage.await_record(r#""record":"stop_confirmed","robot":"r0""#);
     running.process.signal(Signal::INT);
     let ended = running.ended();
     assert!(ended.out.contains("r0: held where it was"), "{ended}");

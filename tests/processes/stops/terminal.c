@@ -1,5 +1,6 @@
 /* Runs a command on a terminal of its own, and stops the output like Ctrl-S when SIGUSR1 comes.
-   terminal PIDFILE COMMAND ARGUMENT...: the command's process is in the file, its exit code is this program's. */
+   terminal PIDFILE COMMAND ARGUMENT...: the command's process is in the file, its exit code is this program's.
+   Once the output is stopped, there is a file PIDFILE.stopped. */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <poll.h>
@@ -56,6 +57,9 @@ int main(int count, char **arguments)
             int terminal = open(ptsname(master), O_RDWR | O_NOCTTY);
             tcflow(terminal, TCOOFF);
             stopped = 2;
+            char name[4096];
+            snprintf(name, sizeof name, "%s.stopped", arguments[1]);
+            close(open(name, O_WRONLY | O_CREAT, 0600));
         }
         if (stopped)
             usleep(10000);

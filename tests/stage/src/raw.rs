@@ -16,8 +16,8 @@ pub enum Floods {
     AtOnce,
     /// With its first answer about its times.
     WhenAvailable,
-    /// So long after it has accepted a script.
-    AfterAccepting(Duration),
+    /// So long after the start of a script that it has accepted.
+    AfterStarting(Duration),
 }
 
 /// What it says without end.
@@ -135,10 +135,10 @@ impl Own {
                 answer["status"] = json!(if stop { "OK" } else { "Accepted" });
                 answer["status_value"] = if stop { Value::Null } else { asked["control_value"].clone() };
                 writeln!(out, "{}", json!({"control_response": answer}))?;
-                if let (Floods::AfterAccepting(pause), false) = (self.floods, stop) {
-                    let (own, mut out) = (self.clone(), out.try_clone()?);
+                if let (Floods::AfterStarting(pause), false) = (self.floods, stop) {
+                    let (own, mut out, ahead) = (self.clone(), out.try_clone()?, until_start(asked));
                     std::thread::spawn(move || {
-                        std::thread::sleep(pause);
+                        std::thread::sleep(ahead + pause);
                         own.pour(&mut out)
                     });
                 }
@@ -178,6 +178,14 @@ impl Own {
             self.said.fetch_add(bytes.len() as u64, Ordering::Relaxed);
         }
     }
+}
+
+/// How long it is until a script starts, by the clock of this machine.
+fn until_start(script: &Value) -> Duration {
+    let sent = crate::nanos(script["timestamp"].as_str().unwrap());
+    let since = u64::try_from(crate::epoch_nanos() - sent).unwrap_or(0);
+    let offset = Duration::from_secs_f64(script["time_offset_to_start"].as_f64().unwrap_or(0.0) / 1_000.0);
+    offset.saturating_sub(Duration::from_nanos(since))
 }
 
 fn block(id: &str) -> Value {

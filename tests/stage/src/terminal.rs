@@ -61,6 +61,16 @@ impl Terminal {
         rustix::io::write(&self.ours, keys.as_bytes()).unwrap();
     }
 
+    /// Waits until what was written to it so far has been read.
+    #[track_caller]
+    pub fn settle(&self, watched: &Watched) {
+        const MARK: &str = "(nothing more was written)";
+        let marks = || watched.raw().matches(MARK).count();
+        let before = marks();
+        writeln!(&self.theirs, "{MARK}").unwrap();
+        crate::quiet::await_that(MARK, || marks() > before);
+    }
+
     /// Reads what is written to it from here on.
     pub fn watch(&self) -> Watched {
         let mut reader = File::from(self.ours.try_clone().unwrap());

@@ -4,11 +4,42 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
 
 use super::cell::stop;
 use super::show::{Show, Trouble, WHEELED, scenario, wheel};
-use super::{Way, await_that, text};
-use stage::{Stage, Via, one_device};
+use super::{Way, text};
+use stage::quiet::await_that;
+use stage::{Robot, Stage, Via, held_up, one_device};
+
+/// A robot sets values for a second more: a stop would have ended that long before.
+#[track_caller]
+fn plays_on(robot: &Robot) {
+    robot.await_sets(robot.sets().len() + 50, Duration::from_secs(20));
+}
+
+/// Starts a mission in the background, and waits until it moves the first robot or has ended. Returns what the command tells.
+#[track_caller]
+fn in_the_background(stage: &Stage) -> Value {
+    let detached = stage.run(&["--format", "json", "run", "play.yaml", "--detach"]);
+    assert_eq!(detached.code, Some(0), "{detached}");
+    let told = detached.report();
+    await_that("its start or its end", || moves(stage) || logged(&told).contains("\"outcome\""));
+    told
+}
+
+fn moves(stage: &Stage) -> bool {
+    stage.robots[0].sets().len() >= 5
+}
+
+fn logged(told: &Value) -> String {
+    std::fs::read_to_string(told["log"].as_str().unwrap()).unwrap()
+}
+
+/// The log of a mission that has ended before it moved the first robot; empty where it moves.
+fn ended_early(stage: &Stage, told: &Value) -> String {
+    if moves(stage) { String::new() } else { logged(told) }
+}
 
 #[test]
 fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command() {
@@ -17,21 +48,17 @@ fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command()
     for robot in 0..6 {
         stage.robot(if robot == WHEELED { "wheel.yaml" } else { "arm.yaml" }, Via::Direct);
     }
-    let detached = stage.run(&["--format", "json", "run", "play.yaml", "--detach"]);
-    assert_eq!(detached.code, Some(0), "{detached}");
-    let told: serde_json::Value = serde_json::from_str(&detached.out).unwrap();
+    let told = held_up::played(|| in_the_background(&stage), |told| ended_early(&stage, told));
+    assert_eq!(ended_early(&stage, &told), "", "it ended before its robots moved");
     let process = Pid::from_raw(told["process"].as_i64().unwrap().try_into().unwrap()).unwrap();
     let log = PathBuf::from(told["log"].as_str().unwrap());
     assert!(
         log.starts_with(stage.path("state")) && log.parent().unwrap().join("journal").exists(),
         "{log:?}"
     );
-    stage.robots[0].await_sets(5, Duration::from_secs(30));
     assert_eq!(rustix::process::getsid(Some(process)).unwrap(), process, "it belongs to a terminal");
     kill_process(process, Signal::HUP).unwrap();
-    std::thread::sleep(Duration::from_millis(200));
-    let before = stage.robots[0].sets().len();
-    stage.robots[0].await_sets(before + 5, Duration::from_secs(5));
+    plays_on(&stage.robots[0]);
     let stopped = stage.run(&["stop", told["mission"].as_str().unwrap()]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
     await_that("its report", || std::fs::read_to_string(&log).unwrap().contains("\"outcome\": \"stopped\""));
@@ -55,8 +82,7 @@ fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
 fn a_program_that_was_told_to_ignore_the_end_of_its_terminal_goes_on() {
     let mut show = Show::begin_by(Trouble::Nothing, &["nohup"]);
     kill_process(show.pid, Signal::HUP).unwrap();
-    let before = show.stage.robots[0].sets().len();
-    show.stage.robots[0].await_sets(before + 5, Duration::from_secs(5));
+    plays_on(&show.stage.robots[0]);
     let stopped = stop(&mut show, Way::Terminate);
     assert_eq!(stopped.code, Some(3), "{}", text(&show.stage, "told"));
 }

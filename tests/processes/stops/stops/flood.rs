@@ -2,49 +2,70 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
+
+use stage::quiet::await_that;
 
 /// An answer to nothing that was asked.
 const NOISE: &str = r#"{"control_response":{"timestamp":"2026-01-01T00:00:00Z","device_id":"d","status":"Accepted","request_id":"noise"}}"#;
 
+/// Times that the noise is repeated in one write.
+const REPEATED: usize = 50;
+/// Writes that the scheduler has to take before it counts as flooded.
+const WRITES: u32 = 20;
+
 pub struct Flood {
     pub port: u16,
-    begun: Arc<AtomicBool>,
-    over: Arc<AtomicBool>,
+    state: Arc<State>,
+}
+
+#[derive(Default)]
+struct State {
+    begun: AtomicBool,
+    over: AtomicBool,
+    /// Writes that were taken.
+    taken: AtomicU32,
+    /// The scheduler has hung up on it.
+    hung_up: AtomicBool,
 }
 
 impl Flood {
     pub fn before(robot: u16) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let (begun, over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-        let (begin, end) = (Arc::clone(&begun), Arc::clone(&over));
+        let state = Arc::<State>::default();
+        let own = Arc::clone(&state);
         std::thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
-                if end.load(Ordering::Relaxed) {
+                if own.over.load(Ordering::Relaxed) {
                     return;
                 }
                 let Ok(robot) = TcpStream::connect(("127.0.0.1", robot)) else { continue };
-                carry(client, robot, &begin, &end);
+                carry(client, robot, &own);
             }
         });
-        Self { port, begun, over }
+        Self { port, state }
     }
 
+    /// Returns once the scheduler has taken much of it, or has hung up.
     pub fn begin(&self) {
-        self.begun.store(true, Ordering::Relaxed);
+        let State { begun, taken, hung_up, .. } = &*self.state;
+        begun.store(true, Ordering::Relaxed);
+        await_that("the flood", || {
+            taken.load(Ordering::Relaxed) >= WRITES || hung_up.load(Ordering::Relaxed)
+        });
     }
 }
 
 impl Drop for Flood {
     fn drop(&mut self) {
-        self.over.store(true, Ordering::Relaxed);
+        self.state.over.store(true, Ordering::Relaxed);
         let _wakes_it = TcpStream::connect(("127.0.0.1", self.port));
     }
 }
 
-fn carry(client: TcpStream, robot: TcpStream, begun: &Arc<AtomicBool>, over: &Arc<AtomicBool>) {
+fn carry(client: TcpStream, robot: TcpStream, state: &Arc<State>) {
     client.set_nodelay(true).unwrap();
     robot.set_nodelay(true).unwrap();
     let copy = |stream: &TcpStream| stream.try_clone().unwrap();
@@ -53,14 +74,17 @@ fn carry(client: TcpStream, robot: TcpStream, begun: &Arc<AtomicBool>, over: &Ar
     std::thread::spawn(move || pump(from_client, &to_robot));
     let answers = Arc::clone(&to_client);
     std::thread::spawn(move || pump(from_robot, &answers));
-    let (begun, over) = (Arc::clone(begun), Arc::clone(over));
+    let state = Arc::clone(state);
     std::thread::spawn(move || {
-        let noise = format!("{NOISE}\n").repeat(50);
-        while !over.load(Ordering::Relaxed) {
-            if !begun.load(Ordering::Relaxed) {
+        let noise = format!("{NOISE}\n").repeat(REPEATED);
+        while !state.over.load(Ordering::Relaxed) {
+            if !state.begun.load(Ordering::Relaxed) {
                 std::thread::sleep(std::time::Duration::from_millis(5));
             } else if to_client.lock().unwrap().write_all(noise.as_bytes()).is_err() {
+                state.hung_up.store(true, Ordering::Relaxed);
                 return;
+            } else {
+                state.taken.fetch_add(1, Ordering::Relaxed);
             }
         }
         let _closed = client.shutdown(Shutdown::Both);

@@ -19,7 +19,7 @@ fn signals_that_ask_for_nothing_do_not_end_a_mission() {
     for signal in [Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE] {
         kill_process(show.pid, signal).unwrap();
         for robot in &show.stage.robots {
-            robot.await_sets(robot.sets().len() + 2, Duration::from_secs(5));
+            robot.await_sets(robot.sets().len() + 2, Duration::from_secs(20));
         }
     }
     let stopped = stop(&mut show, Way::Terminate);

@@ -11,6 +11,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::flood::Flood;
 use stage::compiled::{SHARED, compiled};
+use stage::quiet::await_that;
 use stage::{Process, Stage, Via, one_device, with_devices};
 
 /// What stands still, is full, has changed or is gone.
@@ -181,11 +182,14 @@ impl Show {
         Ok(show)
     }
 
-    /// The trouble begins.
+    /// The trouble begins, and has begun on return.
     pub fn strike(&mut self) {
         let fleet = || std::fs::read_to_string(self.stage.path("fleet.yaml")).unwrap();
         match self.trouble {
-            Trouble::Terminal => self.started.signal(Signal::USR1),
+            Trouble::Terminal => {
+                self.started.signal(Signal::USR1);
+                await_that("the terminal's stop", || self.stage.path("pid.stopped").exists());
+            }
             Trouble::Pipes => fill(self.full.as_ref().unwrap()),
             Trouble::Nothing | Trouble::StdoutFull => {}
             Trouble::DiskFull => {
@@ -207,7 +211,12 @@ impl Show {
             Trouble::Flood => self.flood.as_ref().unwrap().begin(),
             Trouble::Dead => self.stage.robots[ODD].kill(),
         }
-        std::thread::sleep(Duration::from_millis(200));
+    }
+
+    /// Ends the scheduler as a power cut would.
+    pub fn kill(&mut self) {
+        kill_process(self.pid, Signal::KILL).unwrap();
+        self.started.0.wait().unwrap();
     }
 }
 
@@ -252,7 +261,7 @@ fn pid_in(path: &Path) -> Pid {
         if let Some(pid) = text.trim().parse().ok().filter(|_| text.ends_with('\n')).and_then(Pid::from_raw) {
             return pid;
         }
-        assert!(began.elapsed() < Duration::from_secs(10), "no terminal");
+        assert!(began.elapsed() < Duration::from_secs(60), "no terminal");
         std::thread::sleep(Duration::from_millis(5));
     }
 }

@@ -4,12 +4,13 @@ use std::io::{Read, pipe};
 use std::process::Stdio;
 use std::time::Duration;
 
-use rustix::process::{Signal, kill_process};
+use rustix::process::Signal;
 
-use super::cell::{bound, ended, held_up, stop};
+use super::Way;
+use super::cell::{AT_REST_MAX, ended, stop};
 use super::show::{Show, Trouble, fill, program, scenario};
-use super::{Way, await_that};
-use stage::{Process, Stage, Via, epoch_nanos, one_device};
+use stage::quiet::{await_that, stays};
+use stage::{Process, Robot, Stage, Via, epoch_nanos, one_device};
 
 #[test]
 fn a_disk_that_stands_still_before_the_mission_has_begun_does_not_keep_the_operator_from_ending_it() {
@@ -24,8 +25,7 @@ fn a_disk_that_stands_still_before_the_mission_has_begun_does_not_keep_the_opera
     );
     let mut command = program(&stage, &["run", "play.yaml"], Trouble::DiskStalled);
     let mut running = Process(command.stderr(Stdio::piped()).spawn().unwrap());
-    await_that("the journal", || stage.path("state").is_dir());
-    std::thread::sleep(Duration::from_millis(300));
+    await_that("what waits for the disk", || stage.path("disk-stalled.waits").exists());
     running.signal(Signal::TERM);
     let code = ended(&mut running.0);
     let mut said = String::new();
@@ -47,31 +47,29 @@ fn a_report_is_printed_while_the_disk_stands_still() {
     assert_eq!(stopped.code, Some(3));
 }
 
+/// How many connections each robot has.
+fn connections(show: &Show) -> Vec<usize> {
+    show.stage.robots.iter().map(Robot::connections).collect()
+}
+
 #[test]
 fn what_a_killed_scheduler_has_moved_is_stopped_while_the_one_that_takes_over_stands_still() {
-    let show = Show::begin(Trouble::Nothing);
-    kill_process(show.pid, Signal::KILL).unwrap();
-    std::thread::sleep(Duration::from_millis(100));
+    let mut show = Show::begin(Trouble::Nothing);
+    show.kill();
+    await_that("the end of its connections", || connections(&show) == [0; 6]);
     let (_kept, full) = pipe().unwrap();
     fill(&full);
     let mut resume = show.stage.command(&["resume"]);
     resume.stdout(full.try_clone().unwrap()).stderr(full);
     let resume = Process(resume.spawn().unwrap());
-    await_that("its socket", || {
-        let folders = std::fs::read_dir(show.stage.path("state")).unwrap();
-        let log = |folder: std::fs::DirEntry| {
-            std::fs::metadata(folder.path().join("control")).ok()?.modified().ok()
-        };
-        let latest = folders.flatten().filter_map(log).max().unwrap();
-        latest > std::fs::metadata(show.stage.path("told")).unwrap().modified().unwrap()
-    });
-    std::thread::sleep(Duration::from_millis(500));
+    await_that("its connections", || connections(&show).iter().all(|count| *count > 0));
     let at = epoch_nanos();
-    let ((), held_up) = held_up(|| {
-        resume.signal(Signal::TERM);
-        std::thread::sleep(Duration::from_secs(2));
+    resume.signal(Signal::TERM);
+    show.stage.await_rest();
+    stays(Duration::from_secs(1), || {
+        show.stage.robots.iter().map(|robot| robot.sets().len()).collect::<Vec<_>>()
     });
-    let bound = i64::try_from(bound(Duration::from_millis(700) + held_up * 2).as_nanos()).unwrap();
+    let bound = i64::try_from(AT_REST_MAX.as_nanos()).unwrap();
     for robot in &show.stage.robots {
         let log = robot.log();
         let moved = log.iter().rev().find(|entry| entry.motion == "set").unwrap().at;
