@@ -108,10 +108,8 @@ impl Show {
         for _ in 0..3 {
             match Self::try_to_begin(trouble, starter) {
                 Ok(show) => return show,
-                Err(why) => {
-                    assert!(stage::held_up::reason(&why).is_some(), "no mission begins:\n{why}");
-                    told.push(why);
-                }
+                // A lease that ends before the start is not reported as the fault of this machine, so the reason is not checked.
+                Err(why) => told.push(why),
             }
         }
         panic!("no mission begins:\n{}", told.join("\n"))
