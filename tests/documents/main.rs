@@ -3,6 +3,7 @@
 
 mod documents;
 mod examples;
+mod first_steps;
 mod help;
 mod schema;
 mod tied;
