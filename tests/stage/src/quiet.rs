@@ -1,15 +1,15 @@
-//! Waiting for what another process does, and seeing that nothing happens afterwards.
+//! Waits for an event in another process, and windows in which nothing may happen.
 
 use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
 use crate::{Robot, Stage};
 
-/// Within which what a test waits for comes, however busy the machine is.
+/// The time within which an event happens, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
-/// Waits until this holds, a minute at most.
+/// Waits for a condition, a minute at most.
 #[track_caller]
 pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     let began = Instant::now();
@@ -19,7 +19,7 @@ pub fn await_that(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Sees that a value stays as it is for so long, and returns it. What may change it has to be over when this begins.
+/// Fails if a value changes within `window`; returns the value. Whatever may change it has to be over before the call.
 #[track_caller]
 pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T {
     let before = what();
@@ -30,16 +30,16 @@ pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T 
 }
 
 impl Robot {
-    /// Whether its log ends with something else than a value of a script, or is empty.
+    /// Whether its log is empty, or its last entry is not a value of a script.
     pub fn rests(&self) -> bool {
         self.log().last().is_none_or(|entry| entry.motion != "set")
     }
 
-    /// How many connections it has accepted that stand, of all those to its own port.
+    /// The number of open connections to its own port that it has accepted.
     pub fn connections(&self) -> usize {
         let table = std::fs::read_to_string("/proc/net/tcp").unwrap();
         let own = format!("0100007F:{:04X}", self.port());
-        // A connection that the system has made and the robot has not accepted yet has no inode.
+        // Before the robot accepts a connection, it has no inode.
         let accepted = |line: &&str| {
             let fields: Vec<_> = line.split_whitespace().collect();
             fields.get(1) == Some(&own.as_str()) && fields[3] == "01" && fields[9] != "0"
@@ -49,7 +49,7 @@ impl Robot {
 }
 
 impl Stage {
-    /// The journals of all missions that were begun here, one after another.
+    /// The journals of all missions in the state folder, one after another.
     pub fn journals(&self) -> String {
         let Ok(missions) = std::fs::read_dir(self.path("state")) else { return String::new() };
         let journals =
@@ -57,13 +57,13 @@ impl Stage {
         journals.flatten().collect()
     }
 
-    /// Waits until a mission has written this down.
+    /// Waits until a journal contains `text`.
     #[track_caller]
     pub fn await_record(&self, text: &str) {
         await_that(text, || self.journals().contains(text));
     }
 
-    /// Waits until no robot's log ends with a value of a script.
+    /// Waits until every robot [rests](Robot::rests).
     #[track_caller]
     pub fn await_rest(&self) {
         await_that("the robots' rest", || self.robots.iter().all(Robot::rests));

@@ -16,7 +16,7 @@ pub enum Floods {
     AtOnce,
     /// With its first answer about its times.
     WhenAvailable,
-    /// So long after the start of a script that it has accepted.
+    /// This time after the start of a script that it has accepted.
     AfterStarting(Duration),
 }
 

@@ -151,7 +151,7 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
         let logged = site.logged(1).split_off(logged);
         assert!(logged.contains("altered, repeated or put in another order"), "{deed:?}: {logged}");
     }
-    // What was said on an earlier connection, said again.
+    // The bytes of an earlier connection, sent again.
     let before = site.moved();
     assert!(meddler.said_again().is_empty() || site.scheme == "tls");
     let begun = std::time::Instant::now();

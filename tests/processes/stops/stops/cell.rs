@@ -1,6 +1,6 @@
-//! One cell of the matrix of stops: a mission in trouble is stopped, its robots' logs say when they came to rest, and what the
-//! operator reads is compared with that. No cell is played again: what it may take is ten times what it takes on a machine at
-//! leisure, and each row shows what its cells took.
+//! One cell of the matrix of stops: a mission in trouble is stopped, its robots' logs show when they came to rest, and the test
+//! compares the operator's report with them. No cell is played again: each limit is ten times the duration on an idle machine, and
+//! each row prints the durations of its cells.
 
 use std::fs::File;
 use std::io::Read;
@@ -16,17 +16,17 @@ use stage::{Logged, Process, Robot, epoch_nanos};
 
 /// Cells that are played at once.
 const AT_ONCE: usize = 3;
-/// Within which every robot has to be at rest: ten times 300 ms. A stop that waits for a disk of six seconds is found out.
+/// The time within which every robot has to be at rest: ten times 300 ms, and less than the six seconds of the stalled disk.
 pub const AT_REST_MAX: Duration = Duration::from_secs(3);
 /// How long the robot with the wheel takes to slow down.
 const SLOWS_DOWN: Duration = Duration::from_millis(500);
-/// From a signal to what the first robot does by it: ten times 50 ms.
+/// From a signal to the reaction of the first robot: ten times 50 ms.
 const FIRST_BYTE_MAX: Duration = Duration::from_millis(500);
 /// When a scheduler that does not answer is given up by `downbeat stop`.
 const GIVEN_UP: Duration = Duration::from_secs(1);
-/// By then a process has to have ended, and every robot to be at rest by its log, be it late.
+/// The time after which the test no longer waits for the end of a process, or for the rest of a robot.
 const ENDS_WITHIN: Duration = Duration::from_secs(20);
-/// For so long no robot moves again that has come to rest: its steps come every 20 ms.
+/// The time during which a robot at rest may not move again. Its steps are 20 ms apart.
 const STAYS_AT_REST: Duration = Duration::from_millis(300);
 
 /// How a stop went.
@@ -102,7 +102,7 @@ impl Way {
     }
 }
 
-/// What went wrong, with what was said and how it ended.
+/// The reason for a failure, with the output and the exit code.
 fn with_all(why: &str, show: &Show, stopped: &Stopped) -> String {
     let told = text(&show.stage, "told") + &text(&show.stage, "stop-told");
     format!("{why}; exit code {:?}\n{told}{}", stopped.code, stopped.said.as_deref().unwrap_or(""))
@@ -197,7 +197,7 @@ fn held_up<T>(work: impl FnOnce() -> T) -> (T, Duration) {
     })
 }
 
-/// Waits until the robots' logs end as those of robots at rest do; one whose log does not is told of by [`at_rest`].
+/// Waits until the logs end with robots at rest. [`at_rest`] reports a robot that still moves.
 fn await_rest(show: &Show) {
     let stands = |(index, robot): (usize, &Robot)| {
         robot.rests() && (index != WHEELED || robot.log().last().is_some_and(|last| last.value == 0.0))
@@ -240,8 +240,8 @@ fn since(stopped: &Stopped, entry: &Logged) -> Duration {
     Duration::from_nanos(u64::try_from(entry.at - stopped.at).unwrap_or(0))
 }
 
-/// How long after the stop it did no more what its scripts say. Where it slows down, that is when it begins to.
-/// `None`: it was at rest before.
+/// The time from the stop to the first entry that no script caused; for a robot that slows down, to the beginning of that. `None` if
+/// it was at rest before.
 fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
     let after = log.iter().rev().take_while(|entry| entry.motion != "set").last();
     let Some(after) = after else {
@@ -255,7 +255,7 @@ fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Dur
 fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), String> {
     let Some(stands) = log.iter().rev().take_while(|entry| entry.value == 0.0).last() else {
         let last = log.last().map_or(f64::NAN, |last| last.value);
-        return Err(format!("the wheel goes on at {last}"));
+        return Err(format!("the wheel still turns at {last}"));
     };
     let after = since(stopped, stands);
     match after <= within {
