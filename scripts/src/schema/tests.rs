@@ -136,14 +136,14 @@ latency: latency.yaml
 space: {distance: 1, keep_in: {x: [0, 1], y: [0, 1], z: [0, 1]}, keep_out: {pillar: {x: [0, 1]}}}
 robots:
   thrift:
-    init: DIAGNOSTICS/../thrift/tank.json
+    init: FINDINGS/../../../processes/thrift/tank.json
     address: thrift://192.0.2.7:9090
     devices:
       left: {control_type: speed, granularity: 1, unit: deg, max_number_of_steps: 9, interpolation: hold,
         min_value: 0, max_value: 1, default_value: 0, max_error: 1, script_queue: 2}
     body: {urdf: arm.urdf, end: hand, devices: {elbow: left}, drive: {speed: left, turn: left}}
   rover:
-    init: DIAGNOSTICS/robots/rover.yaml
+    init: FINDINGS/robots/rover.yaml
     address: sim
     robot_id: another
     limits: {wheel: {speed: 1, acceleration: 1}}
@@ -343,8 +343,8 @@ fn fleet() -> Fleet {
 
 #[test]
 fn the_schema_of_fleets_lists_what_is_read() {
-    let diagnostics = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/sessions/findings/folder");
-    let text = FLEET.replace("DIAGNOSTICS", diagnostics);
+    let findings = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/sessions/findings/folder");
+    let text = FLEET.replace("FINDINGS", findings);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fleet.yaml");
     std::fs::write(&path, &text).unwrap();
