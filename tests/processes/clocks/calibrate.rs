@@ -3,11 +3,12 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::process::Signal;
 use serde_json::Value;
 
+use stage::quiet::{await_that, stays};
 use stage::session::{Ran, Session};
 use stage::{Proxy, free_port, signal};
 
@@ -69,26 +70,29 @@ impl Show {
         command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 
-    /// What the robot has set so far.
+    /// What the robot has logged so far, without a line that is not whole yet.
     fn log(&self) -> Vec<Value> {
-        // The log is written within 50 ms.
-        std::thread::sleep(Duration::from_millis(200));
         let log = std::fs::read_to_string(self.session.path("log.jsonl")).unwrap_or_default();
-        log.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+        let whole = log.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
+        whole.map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    /// What the robot has logged half a second after nobody drives it any longer: an idle machine writes the log within 50 ms.
+    fn settled_log(&self) -> Vec<Value> {
+        std::thread::sleep(Duration::from_millis(500));
+        self.log()
     }
 
     /// At most it was told to stay where it is.
     fn has_not_moved(&self) {
         let stays = |set: &Value| set["motion"] == "default" && set["value"] == 0.0;
-        let log = self.log();
+        let log = self.settled_log();
         assert!(log.iter().all(stays), "{log:?}");
     }
 
     fn await_movements(&self, count: usize) {
-        let began = Instant::now();
-        while self.log().iter().filter(|set| set["motion"] == "ramp").count() < count {
-            assert!(began.elapsed() < Duration::from_secs(30), "nothing moves");
-        }
+        let ramps = || self.log().iter().filter(|set| set["motion"] == "ramp").count();
+        await_that("a movement", || ramps() >= count);
     }
 }
 
@@ -116,14 +120,14 @@ fn a_lag_is_measured_and_written_and_the_device_is_back_where_it_was() {
     let ran = show.calibrate(&["--trials", "10", "--format", "json"]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
     let device = &ran.json()["devices"][0];
-    // The machine of the test may be busy: what is late by a few milliseconds is not the estimator's.
+    // An idle machine measures 55 to 75 ms. A busy one makes the lag longer, never shorter.
     let median = device["median_ms"].as_f64().unwrap();
-    assert!((55.0..75.0).contains(&median), "{device}");
+    assert!((55.0..165.0).contains(&median), "{device}");
     assert!(device["p95_ms"].as_f64().unwrap() >= median, "{device}");
     let written = std::fs::read_to_string(show.session.path("latency.yaml")).unwrap();
     assert!(written.contains("wheel: {median: 5ms}") && !written.contains("median: 1ms"), "{written}");
-    let last = show.log().into_iter().rfind(|set| set["device"] == "elbow").unwrap();
-    assert!(last["value"].as_f64().unwrap().abs() < 0.1, "{last}");
+    let last = || show.log().into_iter().rfind(|set| set["device"] == "elbow");
+    await_that("the way back", || last().is_some_and(|set| set["value"].as_f64().unwrap().abs() < 0.1));
 }
 
 #[test]
@@ -132,7 +136,7 @@ fn a_dry_run_moves_nothing_and_says_what_would_move_and_what_not() {
     let ran = show.session.run(&["calibrate", "--dry-run"]);
     ran.says(0, &["elbow", "angle", "2 deg", "grip: not measured: no sensor shows where it is"]);
     show.session.run(&["calibrate"]).says(2, &["give --yes"]);
-    assert_eq!(show.log(), Vec::<Value>::new());
+    assert_eq!(show.settled_log(), Vec::<Value>::new());
 }
 
 #[test]
@@ -173,14 +177,14 @@ fn a_device_that_does_not_move_is_given_up_soon() {
     // The sensor of the body shows nothing of it for longer than anything is watched.
     let show = Show::new("latency: 10s, sensor: angle", BY);
     show.calibrate(&[]).says(1, &["the sensor shows no movement"]);
-    assert!(show.log().iter().filter(|set| set["motion"] == "ramp").count() < 8);
+    assert!(show.settled_log().iter().filter(|set| set["motion"] == "ramp").count() < 8);
 }
 
 #[test]
 fn a_file_that_cannot_be_written_is_noticed_before_anything_moves() {
     let show = Show::new(MOVES, BY);
     show.calibrate(&["--output", "no/such/folder.yaml"]).says(2, &["cannot write no/such/folder.yaml"]);
-    assert_eq!(show.log(), Vec::<Value>::new());
+    assert_eq!(show.settled_log(), Vec::<Value>::new());
 }
 
 #[test]
@@ -191,7 +195,7 @@ fn a_robot_of_another_session_is_left_alone() {
     BufReader::new(other.try_clone().unwrap()).read_line(&mut String::new()).unwrap();
     show.calibrate(&[]).says(1, &["belongs to another session"]);
     drop(other);
-    assert!(show.log().iter().all(|set| set["motion"] != "ramp"));
+    assert!(show.settled_log().iter().all(|set| set["motion"] != "ramp"));
 }
 
 #[test]
@@ -218,9 +222,8 @@ fn an_interrupt_leaves_the_device_where_it_is_and_the_robot_free() {
     show.await_movements(2);
     signal(&running, Signal::INT);
     ended(running).says(3, &["interrupted"]);
-    let moves = show.log().len();
-    std::thread::sleep(Duration::from_millis(1_500));
-    assert_eq!(show.log().len(), moves, "it still moves");
+    show.settled_log();
+    stays(Duration::from_millis(1_500), || show.log().len());
     assert_eq!(show.calibrate(&["--trials", "6"]).code(), 0);
 }
 

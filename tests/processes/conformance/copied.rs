@@ -13,6 +13,7 @@ use urrcp::{
     Command as Signal, ControlRequest, ControlType, Decoder, Message, Setpoint, Span, Status, encode,
 };
 
+use stage::quiet::await_that;
 use stage::session::root;
 use stage::standstill::undisturbed;
 
@@ -119,9 +120,7 @@ fn the_driver_to_copy_sets_and_reads_its_hardware() {
         ControlRequest::immediate("fan".parse().unwrap(), Signal::Set(Setpoint::new(ControlType::Speed, 7.0)))
     };
     // Until the driver has connected, the robot refuses.
-    while answer(&mut stream, fan()) != Status::Accepted {
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
+    await_that("the driver's connection", || answer(&mut stream, fan()) == Status::Accepted);
     assert_eq!(set.recv().unwrap(), ("fan".to_owned(), 7.0));
     let warmth = ControlRequest::immediate("warmth".parse().unwrap(), Signal::ReadSensor);
     let mut other = TcpStream::connect(address).unwrap();

@@ -20,6 +20,7 @@ use rustix::process::Signal;
 use urrcp::Span;
 
 use faults::{Mutant, Robot};
+use stage::quiet::await_that;
 use stage::session::{Session, program, root};
 use stage::signal;
 use stage::standstill::undisturbed;
@@ -286,16 +287,23 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
 
 #[test]
 fn ctrl_c_leaves_the_robot_at_rest() {
+    static HOLDS: AtomicBool = AtomicBool::new(false);
     let robot = proxy::robot(ARM, Settings::default());
+    let watched = proxy::faulty(robot, proxy::Serving::All, |_, passing| {
+        if passing.response().is_some_and(|response| response["status"] == "Accepted") {
+            HOLDS.store(true, Ordering::Relaxed);
+        }
+        proxy::Then::Pass
+    });
     let mut command = std::process::Command::new(program());
     command.args([
         "conformance",
-        &format!("tcp://{robot}"),
+        &format!("tcp://{watched}"),
         "--only",
         "lease-renewal,lease-noise,lease-two-links",
     ]);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    await_that("a script that the robot holds", || HOLDS.load(Ordering::Relaxed));
     signal(&child, Signal::INT);
     let ended = child.wait_with_output().unwrap();
     let printed = String::from_utf8_lossy(&ended.stdout);

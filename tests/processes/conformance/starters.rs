@@ -18,7 +18,7 @@ struct Peer(TcpStream);
 impl Peer {
     fn new(address: &str) -> Self {
         let stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
         Self(stream)
     }
 
@@ -70,7 +70,7 @@ fn check(mut robot: Command, strangers_max: usize) {
     for (peer, seconds) in [(silent, 5), (half, 10)] {
         let took = peer.ended() - began;
         let limit = Duration::from_secs(seconds);
-        assert!(took >= limit && took < limit + Duration::from_secs(3), "{took:?}, not {limit:?}");
+        assert!(took >= limit && took < limit + Duration::from_secs(30), "{took:?}, not {limit:?}");
     }
     let owner = owner.says(REST).told_ok();
     let strangers: Vec<_> = (0..40).map(|_| Peer::new(address)).collect();

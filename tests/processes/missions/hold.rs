@@ -1,10 +1,11 @@
 //! The operator's hold: every robot stops, and stays where it is.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::process::Signal;
 
 use stage::play::SOON;
+use stage::quiet::{await_that, stays};
 use stage::terminal::Terminal;
 use stage::{Process, Running, Stage, Via, epoch_nanos, one_device};
 
@@ -147,9 +148,9 @@ fn a_lost_terminal_sends_no_robot_away_that_is_held() {
     let mission = playing(&stage);
     stage.robots[1].freeze();
     let stopping = stage.start(&["stop", "--hold"]);
-    std::thread::sleep(Duration::from_millis(300));
+    stage.await_record(r#""record":"stop_confirmed""#);
     mission.process.signal(Signal::HUP);
-    std::thread::sleep(Duration::from_millis(300));
+    stays(Duration::from_millis(300), || stage.robots[0].log().len());
     stage.robots[1].thaw();
     let stopped = stopping.ended();
     assert_eq!(stopped.code, Some(0), "{stopped}");
@@ -164,7 +165,7 @@ fn a_resumed_mission_that_was_to_hold_holds() {
     let mut mission = playing(&stage);
     stage.robots[1].freeze();
     let mut stopping = stage.start(&["stop", "--hold"]);
-    await_that("the record", || journal(&stage).contains(r#""record":"stop_confirmed""#));
+    stage.await_record(r#""record":"stop_confirmed""#);
     // It would take the mission up itself.
     stopping.process.kill();
     mission.process.kill();
@@ -173,18 +174,6 @@ fn a_resumed_mission_that_was_to_hold_holds() {
     assert_eq!(resumed.code, Some(0), "{resumed}");
     BOTH.iter().for_each(|said| assert!(resumed.out.contains(said), "{resumed}"));
     stand_where_they_were(&stage);
-}
-
-fn journal(stage: &Stage) -> String {
-    std::fs::read_to_string(stage.path("state").join(only_mission(stage)).join("journal")).unwrap_or_default()
-}
-
-fn await_that(what: &str, holds: impl Fn() -> bool) {
-    let begin = Instant::now();
-    while !holds() {
-        assert!(begin.elapsed() < SOON, "{what} never came");
-        std::thread::sleep(Duration::from_millis(5));
-    }
 }
 
 /// A robot that a program of the scheduler's own drives.

@@ -4,8 +4,9 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Duration;
 
+use stage::quiet::await_that;
 use stage::session::{Ran, Session};
-use stage::{Process, Proxy, free_port};
+use stage::{Logged, Process, Proxy, free_port};
 
 const TWO_ACTS: &str = "scenario: evening
 start_tolerance: 1s
@@ -87,8 +88,6 @@ fn the_operator_lets_an_act_begin_from_another_terminal() {
     let session = evening("wait: operator");
     let child =
         start(&session, &["run", "evening.yaml", "--format", "text"], "`finale` waits for the operator's go");
-    // The act before still plays: go counts only for an act that waits.
-    std::thread::sleep(Duration::from_millis(900));
     session.run(&["missions"]).says(0, &["running", "2 robots"]);
     session.run(&["go"]).says(0, &[]);
     finished(child).says(0, &["evening: done", "finale"]);
@@ -188,10 +187,26 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
 
 fn on_tcp(session: &Session) -> Process {
     let _both = ports(session);
-    let mut sim = session.command(&["sim", "fleet.yaml"]);
-    let sim = Process(sim.stdout(Stdio::null()).spawn().unwrap());
-    std::thread::sleep(Duration::from_millis(300));
+    let mut sim = session.command(&["sim", "fleet.yaml", "--log-file", "sim.jsonl"]);
+    let mut sim = Process(sim.stdout(Stdio::piped()).spawn().unwrap());
+    let mut listening = BufReader::new(sim.0.stdout.take().unwrap()).lines();
+    for robot in ["left", "right"] {
+        let line = listening.next().unwrap().unwrap();
+        assert!(line.starts_with(&format!("robot {robot} listens on ")), "{line}");
+    }
     sim
+}
+
+/// Waits until each robot that logs to one of these files has set a value of its script.
+#[track_caller]
+fn await_moves(session: &Session, logs: &[&str]) {
+    let text = |log: &&str| std::fs::read_to_string(session.path(log)).unwrap_or_default();
+    let moves = |robot: &str| {
+        let all: String = logs.iter().map(text).collect();
+        let mut entries = all.lines().filter_map(Logged::read);
+        entries.any(|entry| entry.robot == robot && ["set", "ramp"].contains(&entry.motion.as_str()))
+    };
+    await_that("a move of each robot", || ["left", "right"].into_iter().all(moves));
 }
 
 const LONG: &str = "scenario: long
@@ -211,7 +226,7 @@ fn a_mission_whose_scheduler_was_killed_is_resumed_to_its_end() {
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
     let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
-    std::thread::sleep(Duration::from_millis(700));
+    await_moves(&session, &["sim.jsonl"]);
     drop(child);
     session.run(&["missions"]).says(0, &["cut off"]);
     session.run(&["resume"]).says(0, &["long: done", "2/2"]);
@@ -224,7 +239,7 @@ fn a_mission_whose_scheduler_was_killed_is_stopped() {
     let _sim = on_tcp(&session);
     session.file("long.yaml", LONG);
     let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
-    std::thread::sleep(Duration::from_millis(700));
+    await_moves(&session, &["sim.jsonl"]);
     drop(child);
     session.run(&["stop"]).says(0, &["left: default state confirmed", "right: default state confirmed"]);
     // Nothing is left to resume, and the robots are free.
@@ -296,7 +311,7 @@ fn ports(session: &Session) -> (u16, u16) {
 
 fn robot(session: &Session, id: &str, port: u16) -> Process {
     let mut command = session.command(&["robot", "--init", "arm.yaml", "--id", id, "--listen"]);
-    command.arg(format!("127.0.0.1:{port}"));
+    command.arg(format!("127.0.0.1:{port}")).args(["--log-file", &format!("{id}.jsonl")]);
     let mut child = Process(command.stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(child.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
@@ -310,10 +325,14 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
     let _left = robot(&session, "left", left);
     session.run(&["run", "evening.yaml"]).says(1, &["not started", "right: link down"]);
     let args = ["run", "evening.yaml", "--join", "next_act", "--format", "text"];
-    let child = start(&session, &args, "waits for the operator's go");
+    let told = session.path("told");
+    let mut command = session.command(&args);
+    command.stdout(Stdio::piped()).stderr(std::fs::File::create(&told).unwrap());
+    let child = Process(command.spawn().unwrap());
+    let await_line = |text: &str| await_that(text, || std::fs::read_to_string(&told).unwrap().contains(text));
+    await_line("waits for the operator's go");
     let _right = robot(&session, "right", right);
-    // It is reached within a second of its coming.
-    std::thread::sleep(Duration::from_millis(2_500));
+    await_line("right: back");
     session.run(&["go"]).says(0, &[]);
     let ran = finished(child);
     ran.says(0, &["evening: done"]);
@@ -332,8 +351,9 @@ fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
     session.file("fleet.yaml", fleet.replace(&right.to_string(), &link.port.to_string()));
     let child = start(&session, &["run", "long.yaml", "--format", "json"], "");
-    std::thread::sleep(Duration::from_millis(1_600));
+    await_moves(&session, &["left.jsonl", "right.jsonl"]);
     link.interrupt();
+    // The outage lasts for this time.
     std::thread::sleep(Duration::from_millis(5));
     link.open();
     let ran = finished(child);

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use rustix::process::Signal;
 
+use stage::quiet::await_that;
 use stage::session::{ARM, Session, program};
 use stage::{free_port, signal};
 
@@ -63,15 +64,28 @@ impl Fleet {
         line.trim().rsplit(':').next().unwrap().parse().unwrap_or_else(|_| panic!("no port in `{line}`"))
     }
 
-    /// How many robots have set a value of a script.
+    /// The log of a robot so far.
+    fn log(&self, id: usize) -> String {
+        std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap()
+    }
+
+    /// The number of robots that have set a value of a script.
     fn moved(&self) -> usize {
-        // The logs are written within 50 ms.
-        std::thread::sleep(Duration::from_millis(200));
-        let moved = |id: usize| {
-            let log = std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap();
-            log.contains(r#""motion":"set""#) || log.contains(r#""motion":"ramp""#)
-        };
-        (0..6).filter(|id| moved(*id)).count()
+        let moved = |log: &str| log.contains(r#""motion":"set""#) || log.contains(r#""motion":"ramp""#);
+        (0..6).filter(|id| moved(&self.log(*id))).count()
+    }
+
+    /// Waits until all robots have set a value of a script.
+    #[track_caller]
+    fn await_moves(&self) {
+        await_that("a move of each robot", || self.moved() == 6);
+    }
+
+    /// Asserts that no robot sets a value of a script, neither until now nor within `window`.
+    #[track_caller]
+    fn assert_none_moves(&self, window: Duration) {
+        std::thread::sleep(window);
+        assert_eq!(self.moved(), 0);
     }
 
     fn run_in_background(&self, args: &[&str]) -> Child {
@@ -108,7 +122,7 @@ fn six_processes_with_clocks_of_their_own_start_and_report() {
     let report = ran.json();
     assert_eq!(report["outcome"], "done");
     assert!(report["robots"].as_array().unwrap().iter().all(|robot| robot["steps_done"] == 3));
-    assert_eq!(fleet.moved(), 6);
+    fleet.await_moves();
 }
 
 #[track_caller]
@@ -119,8 +133,7 @@ fn check_none_starts(third: &[&str], says: &[&str]) {
     for part in says {
         assert!(ran.text().contains(part), "`{part}` is missing in:\n{}", ran.text());
     }
-    std::thread::sleep(Duration::from_secs(3));
-    assert_eq!(fleet.moved(), 0, "{}", ran.text());
+    fleet.assert_none_moves(Duration::from_secs(3));
 }
 
 #[test]
@@ -150,19 +163,18 @@ fn if_one_of_six_is_not_there_none_starts_and_the_report_names_it() {
         .session
         .run(&["run", "test.yaml"])
         .says(1, &["test: not started", "r3: link down: no connection to 127.0.0.1"]);
-    assert_eq!(fleet.moved(), 0);
+    fleet.assert_none_moves(Duration::from_secs(3));
 }
 
 #[test]
 fn if_the_scheduler_is_killed_before_the_decision_none_starts() {
     let fleet = Fleet::start(&[]);
-    let mut scheduler = fleet.run_in_background(&["--lead", "5s"]);
-    await_line(&mut scheduler, "preparing `");
-    std::thread::sleep(Duration::from_millis(700));
+    let mut scheduler = fleet.run_in_background(&["--lead", "5s", "--format", "json"]);
+    // The first of six robots has accepted its script.
+    await_line(&mut scheduler, r#""progress":"accepted""#);
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
-    std::thread::sleep(Duration::from_secs(6));
-    assert_eq!(fleet.moved(), 0);
+    fleet.assert_none_moves(Duration::from_secs(6));
 }
 
 #[test]
@@ -171,14 +183,13 @@ fn ctrl_c_returns_every_robot_to_its_default_state() {
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
     let mut scheduler = fleet.run_in_background(&[]);
     await_line(&mut scheduler, "all have accepted");
-    std::thread::sleep(Duration::from_secs(4));
+    fleet.await_moves();
     signal(&scheduler, Signal::INT);
     let mut printed = String::new();
     scheduler.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(scheduler.wait().unwrap().code(), Some(3), "{printed}");
     assert!(printed.contains("stopped by the operator"), "{printed}");
     assert_eq!(printed.matches("default state confirmed").count(), 6, "{printed}");
-    assert_eq!(fleet.moved(), 6);
 }
 
 #[test]
@@ -187,8 +198,8 @@ fn a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running() {
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
     let mut scheduler = fleet.run_in_background(&[]);
     await_line(&mut scheduler, "all have accepted");
+    fleet.await_moves();
     // A robot that is stopped by its debugger confirms nothing.
-    std::thread::sleep(Duration::from_secs(3));
     signal(&fleet.robots[3], Signal::STOP);
     signal(&scheduler, Signal::INT);
     await_line(&mut scheduler, "stopping all robots");
@@ -208,15 +219,12 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
     );
     let mut scheduler = fleet.run_in_background(&[]);
     await_line(&mut scheduler, "all have accepted");
-    std::thread::sleep(Duration::from_secs(4));
+    fleet.await_moves();
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
-    std::thread::sleep(Duration::from_secs(2));
-    assert_eq!(fleet.moved(), 6);
-    for id in 0..6 {
-        let log = std::fs::read_to_string(fleet.session.path(&format!("r{id}.jsonl"))).unwrap();
-        assert!(log.lines().last().unwrap().contains(r#""motion":"default""#), "{log}");
-    }
+    let rests =
+        |id: usize| fleet.log(id).lines().last().is_some_and(|line| line.contains(r#""motion":"default""#));
+    await_that("the default state of each robot", || (0..6).all(rests));
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! What single commands say and with which code they end, where nothing or something unusual is there for them.
 
 use std::fs::File;
-use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 use stage::play::{LONG, SHORT, SOON};
+use stage::quiet::await_that;
 use stage::session::{Session, root};
 use stage::{Process, Via};
 
@@ -98,20 +98,11 @@ fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_
         "fleet.yaml",
         format!("robots:\n  r0: {{init: robot.yaml, address: 'tcp://{address}'}}\ngroups: {{all: [r0]}}\n"),
     );
-    for _ in 0..50 {
-        if std::net::TcpStream::connect(&address).is_ok() {
-            break;
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    await_that("the robot's port", || std::net::TcpStream::connect(&address).is_ok());
     let ran = stage.run(&["run", "play.yaml"]);
     assert_eq!(ran.code, Some(0), "the robot goes on: {ran}");
     let says = || std::fs::read_to_string(&told).unwrap();
-    let began = Instant::now();
-    while !says().contains("error: cannot write the log /dev/full: No space left") {
-        assert!(began.elapsed() < SOON, "{}", says());
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    await_that("the error", || says().contains("error: cannot write the log /dev/full: No space left"));
     kill_process(Pid::from_child(&robot.0), Signal::TERM).unwrap();
     assert_eq!(robot.0.wait().unwrap().code(), Some(7), "{}", says());
     assert_eq!(says().matches("No space left").count(), 1, "{}", says());

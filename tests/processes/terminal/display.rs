@@ -7,6 +7,7 @@ use rustix::process::Signal;
 
 use stage::compiled::{SHARED, compiled};
 use stage::play::{LONG, Play, SOON};
+use stage::quiet::await_that;
 use stage::session::Session;
 use stage::terminal::{Terminal, Watched};
 use stage::{Process, Stage, Via};
@@ -51,7 +52,7 @@ impl OnTerminal {
 
     /// Waits until the terminal is as before, or is not.
     fn is_as_before(&self, wanted: bool) -> bool {
-        (0..500).any(|_| {
+        (0..6_000).any(|_| {
             std::thread::sleep(Duration::from_millis(10));
             (self.terminal.settings() == self.before) == wanted
         })
@@ -60,8 +61,7 @@ impl OnTerminal {
     /// Its exit code, and what stands on the terminal in the end.
     fn ended(mut self) -> (Option<i32>, String) {
         let code = self.process.0.wait().unwrap().code();
-        // What it wrote last may still be on its way.
-        std::thread::sleep(Duration::from_millis(200));
+        self.terminal.settle(&self.watched);
         (code, self.watched.screen())
     }
 }
@@ -105,6 +105,13 @@ fn a_key_stops_and_the_terminal_is_as_before() {
     assert!(mission.watched.raw().ends_with('\n'), "nothing is drawn after the report");
 }
 
+/// Whether a process has yet to take a SIGINT that was sent to it.
+fn awaits_interrupt(process: &Process) -> bool {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", process.0.id())).unwrap();
+    let pending = status.lines().find_map(|line| line.strip_prefix("ShdPnd:")).unwrap();
+    u64::from_str_radix(pending.trim(), 16).unwrap() & (1 << (Signal::INT.as_raw() - 1)) != 0
+}
+
 #[test]
 fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is_as_before() {
     let stage = long();
@@ -114,10 +121,10 @@ fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is
     let mut mission = OnTerminal::start(command, 100);
     mission.watched.shows("playing", SOON);
     stage.file("stand-still", "");
-    std::thread::sleep(Duration::from_secs(1));
+    await_that("the standstill", || stage.run(&["go"]).to_string().contains("it does not answer within 1 s"));
     assert_ne!(mission.terminal.settings(), mission.before);
     mission.process.signal(Signal::INT);
-    std::thread::sleep(Duration::from_millis(300));
+    await_that("the first Ctrl-C", || !awaits_interrupt(&mission.process));
     mission.process.signal(Signal::INT);
     assert_eq!(mission.process.0.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
     assert_eq!(mission.terminal.settings(), mission.before);
