@@ -16,8 +16,10 @@ const ATTEMPTS: usize = 5;
 
 /// The reason for which this machine was too slow, if a report names one.
 pub fn reason(report: &str) -> Option<&'static str> {
-    let report: String = report.split_whitespace().collect::<Vec<_>>().join(" ").replace("\": ", "\":");
-    REASONS.iter().find(|(words, _)| report.contains(words)).map(|(_, reason)| *reason)
+    // Sentences may be wrapped and JSON may be indented.
+    let without_spaces = |text: &str| text.split_whitespace().collect::<String>();
+    let report = without_spaces(report);
+    REASONS.iter().find(|(words, _)| report.contains(&without_spaces(words))).map(|(_, reason)| *reason)
 }
 
 /// Plays a mission, and plays it again if its report says that this machine was too slow. Each attempt is counted on standard error.
