@@ -167,11 +167,10 @@ fn if_one_of_six_is_not_there_none_starts_and_the_report_names_it() {
 }
 
 #[test]
-fn if_the_scheduler_is_killed_before_the_decision_none_starts() {
+fn if_the_scheduler_is_killed_before_the_commitment_none_starts() {
     let fleet = Fleet::start(&[]);
-    let mut scheduler = fleet.run_in_background(&["--lead", "5s", "--format", "json"]);
-    // The first of six robots has accepted its script.
-    await_line(&mut scheduler, r#""progress":"accepted""#);
+    let mut scheduler = fleet.run_in_background(&["--lead", "5s"]);
+    await_line(&mut scheduler, "all have accepted");
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
     fleet.assert_none_moves(Duration::from_secs(6));
