@@ -109,7 +109,8 @@ fn check_that_a_lost_script_is_sent_again(value: u32) {
     let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();
     link.lose(&format!("\"control_value\":{value}}}"), Duration::from_millis(50));
-    let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
+    // There is time before the start to connect again, however busy this machine is.
+    let ended = stage.run(&["run", "play.yaml", "--format", "json", "--lead", "3s"]);
     assert_eq!(link.lines_lost(), 1, "nothing was lost\n{ended}");
     assert_eq!(ended.code, Some(0), "{ended}");
     stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
