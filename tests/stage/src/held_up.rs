@@ -3,7 +3,8 @@
 //! A test may play a mission again for these reasons and for no other: a failure that has another reason is a fault.
 
 /// A sentence or word of a report, and the outcome or failure that it stands for.
-const REASONS: [(&str, &str); 5] = [
+const REASONS: [(&str, &str); 6] = [
+    ("a late command is never started", "failure `late` of a robot on this machine"),
     ("this machine was held up", "outcome `decision_late`"),
     ("this machine or its disk was held up", "outcome `commitment_late`"),
     ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),

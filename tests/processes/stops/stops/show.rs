@@ -56,6 +56,7 @@ pub fn wheel() -> String {
     )
 }
 
+const RECORDING: &str = "play.mcap";
 /// The robot with the wheel.
 pub const WHEELED: usize = 4;
 /// The robot that floods or is dead.
@@ -133,7 +134,12 @@ impl Show {
             stage.file("fleet.yaml", fleet.replace(&port.to_string(), &flood.port.to_string()));
             flood
         });
-        let mut command = program(&stage, &["run", "play.yaml", "--patience", "4s"], trouble);
+        let mut args = vec!["run", "play.yaml", "--patience", "4s"];
+        if matches!(trouble, Trouble::Terminal | Trouble::Pipes) {
+            // Its words are not read, and a journal keeps no failures.
+            args.extend(["--record", RECORDING]);
+        }
+        let mut command = program(&stage, &args, trouble);
         if !starter.is_empty() {
             let mut args: Vec<_> = command.get_args().map(OsStr::to_owned).collect();
             let program = args.iter().position(|arg| arg == stage::session::program()).unwrap();
@@ -278,6 +284,9 @@ pub fn fill(mut pipe: &PipeWriter) {
 
 /// The reports of the missions in the state folder, wherever their own output went.
 fn reported(stage: &Stage) -> String {
+    if stage.path(RECORDING).exists() {
+        return stage.run(&["report", RECORDING, "--partial"]).out;
+    }
     let Ok(missions) = std::fs::read_dir(stage.path("state")) else { return String::new() };
     let journals = missions.map(|mission| mission.unwrap().path().join("journal"));
     let journals = journals.filter(|journal| journal.exists());
