@@ -23,12 +23,28 @@ pub fn reason(report: &str) -> Option<&'static str> {
     REASONS.iter().find(|(words, _)| report.contains(&without_spaces(words))).map(|(_, reason)| *reason)
 }
 
+/// The reason for which this machine was too slow to start a mission at all: nothing has moved.
+fn reason_of_no_start(report: &str) -> Option<&'static str> {
+    reason(report).filter(|reason| reason.starts_with("outcome"))
+}
+
 /// Plays a mission, and plays it again if its report says that this machine was too slow. Each attempt is counted on standard error.
 #[track_caller]
-pub fn played<T>(mut play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+pub fn played<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+    played_unless(play, |played| reason(&report(played)))
+}
+
+/// Plays a mission, and plays it again if its report says that this machine was too slow to start it.
+#[track_caller]
+pub fn begun<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+    played_unless(play, |played| reason_of_no_start(&report(played)))
+}
+
+#[track_caller]
+fn played_unless<T>(mut play: impl FnMut() -> T, reason: impl Fn(&T) -> Option<&'static str>) -> T {
     for attempt in 2..=ATTEMPTS {
         let played = play();
-        let Some(reason) = reason(&report(&played)) else { return played };
+        let Some(reason) = reason(&played) else { return played };
         eprintln!("attempt {attempt} of {ATTEMPTS} at {}: {reason}", std::panic::Location::caller());
     }
     play()

@@ -233,16 +233,17 @@ impl Stage {
         Running::new(self.command(args))
     }
 
-    /// Runs the program to its end.
+    /// Runs the program to its end. A mission that this machine was too slow to start is played again.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
-        self.start(args).ended()
+        let run = || self.start(args).ended();
+        if args.first() == Some(&"run") { held_up::begun(run, Ended::said) } else { run() }
     }
 
     /// Plays a mission to its end, again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ended {
-        held_up::played(|| self.run(args), |ended| format!("{}{}", ended.told, ended.out))
+        held_up::played(|| self.start(args).ended(), Ended::said)
     }
 }
 
@@ -418,6 +419,13 @@ pub struct Ended {
     pub out: String,
     /// What it said while it ran.
     pub told: String,
+}
+
+impl Ended {
+    /// All that it said, its report included.
+    pub fn said(&self) -> String {
+        format!("{}{}", self.told, self.out)
+    }
 }
 
 impl Running {
