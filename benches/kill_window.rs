@@ -36,7 +36,7 @@ const CONSTANT_LEASE: i64 = 240_000_000;
 
 const SCENARIO: &str = "scenario: window
 start_tolerance: 1s
-on_failure: abort
+on_failure: stop
 cues:
   - {at: 0s, robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 150ms, to: 2}, {at: 300ms, to: 3}]}}
 ";

@@ -98,7 +98,7 @@ fn a_stop_by_ctrl_c_is_confirmed_by_every_robot() {
     assert_eq!(ended.code, Some(3), "{ended}");
     assert!(ended.out.contains("stopped by the operator"), "{ended}");
     for robot in &stage.robots {
-        assert!(ended.out.contains(&format!("{}: default state confirmed", robot.id)), "{ended}");
+        assert!(ended.out.contains(&format!("{}: stop confirmed", robot.id)), "{ended}");
         assert!(!robot.values("d").contains(&4.0), "{} played on", robot.id);
     }
 }

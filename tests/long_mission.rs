@@ -137,7 +137,7 @@ fn an_hour_with_a_hundred_robots_and_a_thousand_acts_takes_no_more_memory_than_h
         if now >= BEGIN + HOUR && after.is_none() {
             // Before the report is made.
             after = Some(resident());
-            world.tell(now, Event::StopRequested { rest: Rest::Default, by: None });
+            world.tell(now, Event::StopRequested { rest: Rest::InPlace, by: None });
         }
         world.round(now);
         now = world.next().map_or(now, |next| next.max(now));

@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::error::ErrorCode;
-use crate::limits::{OFFSET_MS_MAX, STRING_CHARS_MAX};
+use crate::limits::{CONTROL_VALUES_MAX, OFFSET_MS_MAX, STRING_CHARS_MAX};
 use crate::message::{
     ControlRequest, ControlTypes, Limits, Message, Script, ScriptParameters, SensorParameters, Status,
     StatusValue, Step, StopCondition,
@@ -213,8 +213,8 @@ struct ControlRequestKeys {
     content_hash: Option<ContentHash>,
     /// On whose behalf.
     session: Option<SessionId>,
-    /// With an empty script: the device stays where it is instead of going to its default state.
-    hold: Option<bool>,
+    /// With an empty script: the device goes to its default state instead of coming to rest where it is.
+    home: Option<bool>,
     /// One of the device's available control types; a name that is none is one that the device lacks.
     control_type: Label,
 }
@@ -229,7 +229,16 @@ schema_of!(ControlTypes, "ControlTypes", |generator| {
         "properties": {
             "position": motion, "speed": motion, "acceleration": motion, "script": script, "sensor": sensor,
         },
-        "patternProperties": {"^custom_(0|[1-9][0-9]{0,9})$": {"type": "object"}},
+        "patternProperties": {"^custom_(0|[1-9][0-9]{0,9})$": {
+            "type": "object",
+            "properties": {"at_rest": {
+                "description": "Where its values go when a command ends early: a number for all of them, or one for each.",
+                "anyOf": [
+                    {"type": "number"},
+                    {"type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": CONTROL_VALUES_MAX},
+                ],
+            }},
+        }},
         "additionalProperties": false,
     })
 });

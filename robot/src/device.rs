@@ -1,4 +1,4 @@
-//! One device as a machine: its queue of commands, its steps on absolute deadlines, its default state.
+//! One device as a machine: its queue of commands, its steps on absolute deadlines, how it comes to rest.
 //!
 //! Order of events at one instant:
 //! 1. leases that run out, those of what runs ahead of those of what is pending, counting the lease that would hold after a
@@ -19,7 +19,7 @@ use crate::lease::{LastHeard, Lease};
 use crate::plans::Lookahead;
 use crate::reach::Reach;
 use crate::robot::LinkId;
-use crate::signal::{Rates, Signal, default_of, first_value, is_rate, resting_value};
+use crate::signal::{Rates, Signal, default_of, first_value, rest_of, with_values};
 
 /// What a driver does with a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,7 +37,7 @@ pub enum Motion {
         /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
-    /// Come to rest within the acceleration that the device declares: part of a stop.
+    /// Come to rest, or go to the default state, within the limits that the device declares.
     Slow {
         /// Which signal.
         control_type: ControlType,
@@ -48,8 +48,19 @@ pub enum Motion {
         /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
+    /// Rest at this: part of a stop. A position is the one that the device has at that instant.
+    Rest(Setpoint),
     /// Go to this: part of the default state.
     Default(Setpoint),
+}
+
+/// Where a device goes when what it does ends early.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// Nowhere: it slows down from where it is.
+    InPlace,
+    /// To its default state.
+    Home,
 }
 
 /// What a device machine wants done or told.
@@ -61,6 +72,8 @@ pub(crate) enum Effect {
         request_id: Option<RequestId>,
         step: Option<u32>,
     },
+    /// It comes to rest, and none of its commands continues.
+    Stopped,
     Started {
         command: CommandId,
         link: LinkId,
@@ -114,8 +127,8 @@ struct Guard {
 pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
-    /// The custom types that a command has driven, with the number of their values.
-    driven: BTreeMap<ControlType, usize>,
+    /// The latest values of the control types that a command has driven.
+    driven: BTreeMap<ControlType, Setpoint>,
     queue: VecDeque<Held>,
     /// At most one for each control type: a command that drives the rate takes it over.
     guards: Vec<Guard>,
@@ -276,9 +289,7 @@ impl DeviceMachine {
     /// A rate that is driven again is no longer under the lease of the command that drove it before.
     fn take_over(&mut self, setpoint: &Setpoint) {
         let driven = setpoint.control_type;
-        if matches!(driven, ControlType::Custom(_)) {
-            self.driven.insert(driven, setpoint.values().count());
-        }
+        self.driven.insert(driven, setpoint.clone());
         for guard in &mut self.guards {
             guard.rates.retain(|guarded| *guarded != driven);
         }
@@ -319,14 +330,12 @@ impl DeviceMachine {
         }
     }
 
+    /// The speeds, accelerations and custom values that go on, not at rest.
     fn rates_left_on(&self) -> impl Iterator<Item = ControlType> + '_ {
-        self.signals
-            .iter()
-            .filter(|(control_type, signal)| {
-                is_rate(**control_type)
-                    && self.rest(**control_type).is_some_and(|rest| signal.target() != rest)
-            })
-            .map(|(control_type, _)| *control_type)
+        let left_on = |(control_type, last): &(&ControlType, &Setpoint)| {
+            rest_of(&self.spec, **control_type, Some(last)).is_some_and(|rest| rest != **last)
+        };
+        self.driven.iter().filter(left_on).map(|(control_type, _)| *control_type)
     }
 
     /// A lease of the device ends at `at`: that of what runs ends everything, one that is pending only what is pending.
@@ -337,12 +346,8 @@ impl DeviceMachine {
         let from = self.queue.iter().find(lost).map(|held| held.start);
         match from.filter(|_| self.running_lease_end(heard) != Some(at)) {
             None => self.link_lost(at, &error, effects),
-            Some(from) => {
-                self.cancel_from(from, &error, effects);
-                if self.queue.is_empty() && self.rates_left_on().next().is_none() {
-                    self.come_to_rest(at, false, effects);
-                }
-            }
+            // What has not begun has moved nothing, and its end moves nothing.
+            Some(from) => self.cancel_from(from, &error, effects),
         }
     }
 
@@ -352,44 +357,38 @@ impl DeviceMachine {
             effects.push(Effect::Failed { command, link, request_id, error, steps_done });
         }
         self.drop_all(error, effects);
-        self.come_to_rest(at, false, effects);
+        self.come_to_rest(at, Rest::InPlace, effects);
     }
 
-    /// Ends everything that is held or runs, and goes to the default state or stays where it is.
+    /// Ends everything that is held or runs, and comes to rest.
     pub(crate) fn stop(
         &mut self,
         now: Timestamp<Robot>,
         error: &ControlError,
-        hold: bool,
+        rest: Rest,
         effects: &mut Vec<Effect>,
     ) {
         self.drop_all(error, effects);
-        self.come_to_rest(now, hold, effects);
+        self.come_to_rest(now, rest, effects);
     }
 
     /// The hardware is gone: ends everything that is held or runs. Nothing can be set.
     pub(crate) fn fail(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         self.drop_all(error, effects);
         self.guards.clear();
-        for (control_type, signal) in &mut self.signals {
-            let default = default_of(&self.spec, *control_type);
-            let rest = resting_value(default, *control_type, self.driven.contains_key(control_type));
-            let value = rest.unwrap_or_else(|| signal.value(now));
-            *signal = Signal::resting(value, now);
+        for signal in self.signals.values_mut() {
+            *signal = Signal::resting(signal.value(now), now);
         }
     }
 
-    /// Where the default state brings a signal; `None`: it stays as it is.
-    fn rest(&self, control_type: ControlType) -> Option<f64> {
-        let driven = self.driven.contains_key(&control_type);
-        resting_value(default_of(&self.spec, control_type), control_type, driven)
-    }
-
-    /// The hardware is back, from wherever it is to its default state at once. What has none stays.
-    pub(crate) fn restore(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
-        for control_type in self.signals.keys() {
-            let Some(value) = self.rest(*control_type) else { continue };
-            let motion = at_rest(&self.driven, *control_type, value);
+    /// The hardware is back, and it is unknown whether it took the last values: speeds, accelerations and custom values that were
+    /// ever driven come to rest at once. Positions stay.
+    pub(crate) fn rest_rates(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
+        for (control_type, last) in &mut self.driven {
+            let Some(rest) = rest_of(&self.spec, *control_type, Some(last)) else { continue };
+            self.signals.insert(*control_type, Signal::resting(rest.value, now));
+            last.clone_from(&rest);
+            let motion = Motion::Rest(rest);
             effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
         }
     }
@@ -445,40 +444,58 @@ impl DeviceMachine {
         effects.extend(dropped.into_iter().map(|held| failed(held, error)));
     }
 
-    /// The default state, or with `hold` the one of a device without `default_value`. What moves slows down as the
-    /// device can.
-    fn come_to_rest(&mut self, now: Timestamp<Robot>, hold: bool, effects: &mut Vec<Effect>) {
+    /// Where it is, or in the default state, comes to rest what moves, as fast as the device can.
+    fn come_to_rest(&mut self, now: Timestamp<Robot>, rest: Rest, effects: &mut Vec<Effect>) {
         self.guards.clear();
-        let linear = self.spec.interpolation == Interpolation::Linear;
-        for (control_type, signal) in &mut self.signals {
-            let position = *control_type == ControlType::Position;
-            let default = default_of(&self.spec, *control_type).filter(|_| !hold);
-            let rest = resting_value(default, *control_type, self.driven.contains_key(control_type));
-            let value = match rest {
-                Some(rest) => rest,
-                None if position => signal.value(now),
-                None => continue,
-            };
-            let slowed = rates(&self.spec, *control_type).filter(|_| linear || !position).and_then(|rates| {
-                if !position {
-                    return signal.slowed_to(now, value, rates.acceleration);
-                }
-                let limits = self.spec.available_control_types.limits(*control_type);
-                signal.brought_to_rest(now, rest, rates, limits)
-            });
-            let motion = match slowed {
-                Some(slowed) => {
-                    *signal = slowed;
-                    let (from, to) = (signal.value(now), signal.target());
-                    Motion::Slow { control_type: *control_type, from, to, until: signal.rests_at() }
-                }
-                None => {
-                    *signal = Signal::resting(value, now);
-                    at_rest(&self.driven, *control_type, value)
-                }
-            };
-            effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
+        effects.push(Effect::Stopped);
+        for control_type in self.signals.keys().copied().collect::<Vec<_>>() {
+            if let Some(motion) = self.motion_to_rest(control_type, now, rest) {
+                effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
+            }
         }
+    }
+
+    /// How a signal comes to rest; `None` for what stays as it is.
+    fn motion_to_rest(
+        &mut self,
+        control_type: ControlType,
+        now: Timestamp<Robot>,
+        rest: Rest,
+    ) -> Option<Motion> {
+        let signal = *self.signals.get(&control_type)?;
+        let home = default_of(&self.spec, control_type).filter(|_| rest == Rest::Home);
+        let driven = self.driven.get(&control_type);
+        let target = match home {
+            Some(home) => Some(with_values(Setpoint::new(control_type, home), driven)),
+            // What no command has driven stays as it is, but a wheel that turns from before this process.
+            None if driven.is_none() && !is_main_rate(&self.spec, control_type) => None,
+            None => rest_of(&self.spec, control_type, driven),
+        };
+        let slowed = match (control_type, &target) {
+            (ControlType::Position, None) if !signal.moves(now) => return None,
+            (ControlType::Position, _) => {
+                let limits = self.spec.available_control_types.limits(control_type);
+                let rates = rates(&self.spec).filter(|_| home.is_some() || signal.moves(now));
+                rates.and_then(|rates| signal.brought_to_rest(now, home, rates, limits))
+            }
+            (ControlType::Speed, Some(target)) => acceleration(&self.spec)
+                .and_then(|acceleration| signal.slowed_to(now, target.value, acceleration)),
+            (_, _) => None,
+        };
+        if let Some(slowed) = slowed {
+            self.signals.insert(control_type, slowed);
+            let (from, to, until) = (signal.value(now), slowed.target(), slowed.rests_at());
+            return Some(Motion::Slow { control_type, from, to, until });
+        }
+        let target = match control_type {
+            ControlType::Position => target.unwrap_or_else(|| Setpoint::new(control_type, signal.value(now))),
+            _ => target?,
+        };
+        self.signals.insert(control_type, Signal::resting(target.value, now));
+        if let Some(driven) = self.driven.get_mut(&control_type) {
+            driven.clone_from(&target);
+        }
+        Some(if home.is_some() { Motion::Default(target) } else { Motion::Rest(target) })
     }
 
     /// A stop of this party that was sent then has arrived: what was sent before it and comes behind it must not begin. A
@@ -604,27 +621,26 @@ impl DeviceMachine {
     }
 }
 
-/// A custom type of several values rests with as many.
-fn at_rest(driven: &BTreeMap<ControlType, usize>, control_type: ControlType, value: f64) -> Motion {
-    let values = driven.get(&control_type).copied().unwrap_or(1);
-    Motion::Default(Setpoint {
-        more: vec![0.0; values.saturating_sub(1)].into(),
-        ..Setpoint::new(control_type, value)
-    })
+/// Whether a device is driven by its speed or acceleration in the first place.
+fn is_main_rate(spec: &Device, control_type: ControlType) -> bool {
+    matches!(control_type, ControlType::Speed | ControlType::Acceleration)
+        && spec.primary_control_type() == Some(control_type)
 }
 
-/// How fast a device changes its position or speed, where it declares an acceleration.
-fn rates(spec: &Device, control_type: ControlType) -> Option<Rates> {
-    let declared = |rate| {
-        let limits = spec.available_control_types.limits(rate)?;
-        Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
-    };
-    let acceleration = declared(ControlType::Acceleration)?;
-    let speed = declared(ControlType::Speed);
-    match control_type {
-        ControlType::Position | ControlType::Speed => Some(Rates { speed, acceleration }),
-        _ => None,
-    }
+/// The largest value of speed or acceleration that a device declares.
+fn largest(spec: &Device, rate: ControlType) -> Option<f64> {
+    let limits = spec.available_control_types.limits(rate)?;
+    Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
+}
+
+fn acceleration(spec: &Device) -> Option<f64> {
+    largest(spec, ControlType::Acceleration)
+}
+
+/// How fast a device changes its position, if it declares a speed or an acceleration.
+fn rates(spec: &Device) -> Option<Rates> {
+    let rates = Rates { speed: largest(spec, ControlType::Speed), acceleration: acceleration(spec) };
+    (rates.speed.is_some() || rates.acceleration.is_some()).then_some(rates)
 }
 
 fn started(held: &Held, value: f64) -> Effect {

@@ -6,8 +6,7 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtStart, Demand, Mailbox, News, PlanNews, Wanted};
-use crate::hardware::AtEnd;
+use crate::driver::{Demand, Mailbox, News, PlanNews, Wanted};
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
@@ -18,7 +17,6 @@ pub(crate) struct Edge {
     mailbox: Arc<Mailbox>,
     /// Which connection of the driver the machine knows of.
     connection: u64,
-    at_start: AtStart,
     outputs: Vec<Output>,
     wanted: Vec<Wanted>,
     leaving: Vec<Outgoing>,
@@ -27,12 +25,11 @@ pub(crate) struct Edge {
 
 impl Edge {
     /// Around a machine whose hardware is yet to be found by the driver behind the mailbox.
-    pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>, at_start: AtStart) -> Self {
+    pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>) -> Self {
         Self {
             machine: machine.confirmed_by_its_driver(),
             mailbox,
             connection: 0,
-            at_start,
             outputs: Vec::new(),
             wanted: Vec::new(),
             leaving: Vec::new(),
@@ -89,9 +86,9 @@ impl Edge {
         });
     }
 
-    /// The edge ends: hardware that was moved goes to its default state, or stays.
-    pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>, at_end: AtEnd) {
-        self.tell(now, |machine, now, out| machine.shut_down(now, at_end, out));
+    /// The edge ends: hardware that moves comes to rest.
+    pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>) {
+        self.tell(now, Robot::shut_down);
     }
 
     /// Takes what its driver's thread says.
@@ -102,9 +99,6 @@ impl Edge {
                 self.machine.declare_latencies(&latency);
                 self.machine.plans_ahead(&lookahead);
                 self.tell(now, Robot::hardware_found);
-                if connection == 1 && self.at_start == AtStart::Default {
-                    self.tell(now, Robot::restore);
-                }
             }
             News::Away { reason } => {
                 self.tell(now, |machine, now, out| machine.hardware_failed(now, &reason, out));
@@ -195,7 +189,7 @@ impl Drop for Edge {
 fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
     let key = |control_type| (set.device.clone(), control_type);
     Some(match &set.motion {
-        Motion::Set(setpoint) | Motion::Default(setpoint) => {
+        Motion::Set(setpoint) | Motion::Rest(setpoint) | Motion::Default(setpoint) => {
             let due = set.step.map(|_| set.due);
             Wanted::Set(key(setpoint.control_type), setpoint.clone(), due)
         }

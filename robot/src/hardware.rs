@@ -52,15 +52,6 @@ pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 /// Silence that counts as such where something is held, beyond twice what the calls of the hardware take.
 pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 
-/// What the devices of a robot do when its host stops.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AtEnd {
-    /// They go to their default state.
-    Default,
-    /// They stay where they are, as they were told before; speeds go to zero.
-    Held,
-}
-
 /// Names a reading that the hardware was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ReadingId(pub u64);

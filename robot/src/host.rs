@@ -79,9 +79,9 @@ pub enum HostError {
     Realtime(Scheduling),
 }
 
-/// A robot whose hardware was moved and, when its host stopped, may not have come to its default state.
+/// A robot whose hardware was moved and, when its host stopped, may not be at rest.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the devices of `{robot}` may not be in their default state: {reason}")]
+#[error("the devices of `{robot}` may not be at rest: {reason}")]
 #[non_exhaustive]
 pub struct NotAtRest {
     /// Id of the robot.
@@ -228,21 +228,14 @@ impl Host {
         self.log_lost.take()
     }
 
-    /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved;
-    /// returns the robots of which that is not certain.
-    pub fn stop(self) -> Vec<NotAtRest> {
-        self.stop_but(&[])
+    /// Stops the robots where they are and completes the log. Hardware that moves comes to rest; returns the robots of which that
+    /// is not certain.
+    pub fn stop(mut self) -> Vec<NotAtRest> {
+        self.shut_down()
     }
 
-    /// The same, but hardware of these robots stays where it is, as they were told before.
-    pub fn stop_but(mut self, held: &[RobotId]) -> Vec<NotAtRest> {
-        self.shut_down(held)
-    }
-
-    fn shut_down(&mut self, held: &[RobotId]) -> Vec<NotAtRest> {
-        let stays = |(index, id)| held.contains(id).then_some(index);
-        let held = self.handle.robots.iter().enumerate().filter_map(stays).collect();
-        let _already_gone = self.handle.orders.send(Order::Stop { held });
+    fn shut_down(&mut self) -> Vec<NotAtRest> {
+        let _already_gone = self.handle.orders.send(Order::Stop);
         for thread in [self.thread.take(), self.writer.take()].into_iter().flatten() {
             if thread.join().is_err() {
                 tracing::error!("a thread of the robots' host panicked");
@@ -260,7 +253,7 @@ impl Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        for robot in self.shut_down(&[]) {
+        for robot in self.shut_down() {
             tracing::error!("{robot}");
         }
     }

@@ -77,8 +77,8 @@ pub enum Then {
     Keep,
     /// It stays where it is.
     Hold,
-    /// It goes to its default state, by values that follow.
-    Default,
+    /// It comes to rest, or goes to its default state, by values that follow.
+    Rest,
     /// It slows down as it can, by values that follow.
     Slow,
 }
@@ -90,7 +90,7 @@ impl Then {
         match self {
             Self::Keep => "keep",
             Self::Hold => "hold",
-            Self::Default => "default",
+            Self::Rest => "rest",
             Self::Slow => "slow",
         }
     }

@@ -18,7 +18,7 @@ use urrcp::{
 use crate::answers::Answers;
 use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::counts::Counts;
-use crate::device::{DeviceMachine, Effect, Motion};
+use crate::device::{DeviceMachine, Effect, Motion, Rest};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 #[cfg(feature = "host")]
@@ -113,7 +113,7 @@ pub struct SetValue {
     pub motion: Motion,
     /// When it was due.
     pub due: Timestamp<urrcp::Robot>,
-    /// The request behind it; `None` for the default state.
+    /// The request behind it; `None` for coming to rest and for the default state.
     pub request_id: Option<RequestId>,
     /// Index of the script's step.
     pub step: Option<u32>,
@@ -372,10 +372,10 @@ impl Robot {
         out.push(Output::Send { link, message });
     }
 
-    /// Ends all that a device holds or does, and sends it to its default state, or lets it stay where it is.
-    fn stop(&mut self, now: Now, index: usize, why: &str, hold: bool, out: &mut Vec<Output>) {
+    /// Ends all that a device holds or does, and brings it to rest.
+    fn stop(&mut self, now: Now, index: usize, why: &str, rest: Rest, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Cancelled, why);
-        self.devices[index].stop(now, &error, hold, &mut self.effects);
+        self.devices[index].stop(now, &error, rest, &mut self.effects);
         self.settle(now, index, out);
     }
 
@@ -424,6 +424,7 @@ impl Robot {
                     self.moved = true;
                     out.push(Output::Set(SetValue { device: device.clone(), motion, due, request_id, step }));
                 }
+                Effect::Stopped => {}
                 report => self.reports.push((index, now, report)),
             }
         }
@@ -458,7 +459,7 @@ impl Robot {
             ..ControlResponse::new(now, device, status)
         };
         let (link, report) = match effect {
-            Effect::Move { .. } => return,
+            Effect::Move { .. } | Effect::Stopped => return,
             Effect::Started { link, request_id, value, .. } => {
                 self.counts.started += 1;
                 let status_value = StatusValue::Number(value);

@@ -58,9 +58,11 @@ impl Role {
     }
 }
 
-/// An empty script that counts at once: it ends what the device does, whichever session asked for that.
+/// An empty script that counts at once: it ends what the device does, whichever session asked for that. One that sends the device
+/// home moves it, and is none.
 pub(crate) fn is_stop(request: &ControlRequest) -> bool {
-    matches!(&request.command, Command::Script(script) if script.is_empty()) && request.starts_at().is_none()
+    let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
+    empty && request.starts_at().is_none() && !request.home
 }
 
 impl fmt::Display for Role {

@@ -18,12 +18,12 @@ pub enum RunError {
     /// The host could not be started. Nothing was moved.
     #[error(transparent)]
     Host(#[from] HostError),
-    /// The robot has ended, and its devices may not be in their default state.
+    /// The robot has ended, and its devices may not be at rest.
     #[error(transparent)]
     NotAtRest(#[from] NotAtRest),
 }
 
-/// Runs one robot on a port until Ctrl-C or SIGTERM, and then sends its devices to their default state. The whole of a program;
+/// Runs one robot on a port until Ctrl-C or SIGTERM, and then brings its devices to rest. The whole of a program;
 /// use [`Host`] and [`serve()`] for several robots, or next to other tasks.
 ///
 /// It tells nothing by itself: install a `tracing` subscriber to see what happens.

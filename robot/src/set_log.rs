@@ -35,7 +35,7 @@ pub struct LogEntry {
     pub due: Timestamp<Robot>,
     /// Which device.
     pub device: DeviceId,
-    /// `set`, `ramp`, `slow` or `default`.
+    /// `set`, `ramp`, `slow`, `rest` or `default`.
     pub motion: &'static str,
     /// position, speed, acceleration or custom_N.
     pub control_type: String,
@@ -59,6 +59,7 @@ impl LogEntry {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
             Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
             Motion::Slow { control_type, to, .. } => ("slow", control_type, to),
+            Motion::Rest(setpoint) => ("rest", setpoint.control_type, setpoint.value),
             Motion::Default(setpoint) => ("default", setpoint.control_type, setpoint.value),
         };
         Self {

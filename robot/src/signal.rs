@@ -1,6 +1,6 @@
 //! One signal of a device: where it rests, or how it moves.
 
-use urrcp::{ControlType, Device, Limits, Robot, Span, Timestamp};
+use urrcp::{ControlType, Device, Limits, Robot, Setpoint, Span, Timestamp};
 
 /// A signal under way or at rest.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +36,7 @@ pub(crate) struct Rates {
     /// A second.
     pub(crate) speed: Option<f64>,
     /// A second squared.
-    pub(crate) acceleration: f64,
+    pub(crate) acceleration: Option<f64>,
 }
 
 impl Signal {
@@ -46,6 +46,11 @@ impl Signal {
 
     pub(crate) const fn ramp(from: f64, since: Timestamp<Robot>, to: f64, until: Timestamp<Robot>) -> Self {
         Self { from, since, to, until, slowing: None }
+    }
+
+    /// Whether it is under way.
+    pub(crate) fn moves(&self, now: Timestamp<Robot>) -> bool {
+        self.since <= now && now < self.until
     }
 
     /// Where it rests in the end.
@@ -111,7 +116,8 @@ impl Signal {
             true => limits.max_value - value,
             false => value - limits.min_value,
         });
-        let brake = rates.acceleration.max(rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)));
+        let Some(acceleration) = rates.acceleration else { return self.ramp_home(now, to, rates.speed?) };
+        let brake = acceleration.max(rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)));
         let (least, largest) =
             limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |limits| (limits.min_value, limits.max_value));
         let standstill = value + (rate * rate.abs() / (2.0 * brake)).clamp(-room.abs(), room.abs());
@@ -121,7 +127,7 @@ impl Signal {
         if rate == 0.0 && way == 0.0 {
             return None;
         }
-        let (direction, a) = ((to - standstill).signum(), rates.acceleration);
+        let (direction, a) = ((to - standstill).signum(), acceleration);
         let peak = (a * way).sqrt().min(rates.speed.unwrap_or(f64::INFINITY));
         let going_on = if peak > 0.0 { (way - peak * peak / a) / peak } else { 0.0 };
         let plan = [
@@ -152,6 +158,14 @@ impl Signal {
 }
 
 impl Signal {
+    /// The way to `to` at the speed of a device that declares no acceleration. `None` if it has arrived, or has no target.
+    fn ramp_home(&self, now: Timestamp<Robot>, to: Option<f64>, speed: f64) -> Option<Self> {
+        let (from, to) = (self.value(now), to?);
+        let seconds = (to - from).abs() / speed;
+        (from != to && seconds.is_finite())
+            .then(|| Self::ramp(from, now, to, now + Span::from_millis_f64(seconds * 1_000.0)))
+    }
+
     /// The way of a speed to `to` at constant acceleration. `None` where it is there already.
     pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
         let from = self.value(now);
@@ -169,6 +183,7 @@ impl Slowing {
 }
 
 /// Whether it is a signal under which the device continues moving after its last command.
+#[cfg(feature = "host")]
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
 }
@@ -178,21 +193,35 @@ pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64
     spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type))
 }
 
-/// Where the default state brings a signal: to its `default_value`, else to zero; `None` for what stays as it is, a
-/// position and a custom type that no command has `driven`, for which the meaning of zero is unknown.
-pub(crate) fn resting_value(default: Option<f64>, control_type: ControlType, driven: bool) -> Option<f64> {
-    let stays = match control_type {
-        ControlType::Position => true,
-        ControlType::Custom(_) => !driven,
-        _ => false,
-    };
-    default.or_else(|| (!stays).then_some(0.0))
+/// The values with which a signal rests where it is: speed and acceleration at zero, a custom type at what it declares; `None` for
+/// what stays as it is. A custom type has as many values as were `driven` last.
+pub(crate) fn rest_of(
+    spec: &Device,
+    control_type: ControlType,
+    driven: Option<&Setpoint>,
+) -> Option<Setpoint> {
+    match control_type {
+        ControlType::Speed | ControlType::Acceleration => Some(Setpoint::new(control_type, 0.0)),
+        ControlType::Custom(_) => {
+            let count = driven.map_or(1, |driven| driven.values().count());
+            spec.available_control_types.at_rest(control_type, count)
+        }
+        _ => None,
+    }
 }
 
-/// Where a signal is taken to be before anything is known of it: in its default state, else the nearest to zero.
+/// With as many values as were `driven` last, the further ones zero.
+pub(crate) fn with_values(first: Setpoint, driven: Option<&Setpoint>) -> Setpoint {
+    let more = driven.map_or(0, |driven| driven.more.len());
+    Setpoint { more: vec![0.0; more].into(), ..first }
+}
+
+/// Where a signal is taken to be before anything is known of it: in its default state, else at rest, else the nearest to zero.
 pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
     let limits = spec.available_control_types.limits(control_type);
-    resting_value(default_of(spec, control_type), control_type, false)
+    let rest = || rest_of(spec, control_type, None).map(|rest| rest.value);
+    default_of(spec, control_type)
+        .or_else(rest)
         .unwrap_or_else(|| limits.map_or(0.0, |limits| 0.0_f64.max(limits.min_value).min(limits.max_value)))
 }
 
@@ -219,7 +248,7 @@ mod tests {
     #[test]
     fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
-        let rates = Rates { speed: Some(10.0), acceleration: 20.0 };
+        let rates = Rates { speed: Some(10.0), acceleration: Some(20.0) };
         // 8 a second upwards, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
         let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
         let stopped = moving.brought_to_rest(at(4_000), Some(0.0), rates, None).unwrap();
@@ -242,7 +271,7 @@ mod tests {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let limits = Limits { min_value: 0.0, max_value: 10.0, granularity: 0.1, max_error: None };
         let moving = Signal::ramp(0.0, at(0), 10.0, at(1_000));
-        let rates = Rates { speed: None, acceleration: 1.0 };
+        let rates = Rates { speed: None, acceleration: Some(1.0) };
         let stopped = moving.brought_to_rest(at(900), None, rates, Some(&limits)).unwrap();
         assert!((stopped.target() - 10.0).abs() < 1e-9);
         assert!((900..2_000).all(|millis| stopped.value(at(millis)) <= 10.0 + 1e-9));
@@ -251,7 +280,7 @@ mod tests {
     #[test]
     fn a_ramp_that_begins_elsewhere_than_at_zero_comes_to_rest_from_its_own_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
-        let rates = Rates { speed: None, acceleration: 20.0 };
+        let rates = Rates { speed: None, acceleration: Some(20.0) };
         // 4 a second, up and down: 0.4 further in 0.2 s.
         for (to, standstill) in [(140.0, 120.4), (60.0, 79.6)] {
             let moving = Signal::ramp(100.0, at(0), to, at(10_000));
@@ -264,7 +293,7 @@ mod tests {
     #[test]
     fn what_has_not_begun_or_has_arrived_has_no_speed_to_slow_down_from() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
-        let rates = Rates { speed: None, acceleration: 20.0 };
+        let rates = Rates { speed: None, acceleration: Some(20.0) };
         let moving = Signal::ramp(10.0, at(1_000), 20.0, at(2_000));
         for instant in [999, 2_000, 3_000] {
             assert!(moving.brought_to_rest(at(instant), None, rates, None).is_none(), "{instant}");
@@ -277,13 +306,13 @@ mod tests {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let resting = Signal::resting(10.0, at(0));
         // 5 with 20 a second squared: half of the way in half a second each; no time at a speed of its own.
-        let free = Rates { speed: None, acceleration: 20.0 };
+        let free = Rates { speed: None, acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), free, None).unwrap();
         assert_eq!(back.rests_at(), at(1_000));
         let values = [0, 250, 500, 750, 1_000].map(|millis| back.value(at(millis)));
         assert_eq!(values, [10.0, 9.375, 7.5, 5.625, 5.0]);
         // At 2 a second: 0.1 s each way for 0.1, and 2.4 s for the rest.
-        let slow = Rates { speed: Some(2.0), acceleration: 20.0 };
+        let slow = Rates { speed: Some(2.0), acceleration: Some(20.0) };
         let back = resting.brought_to_rest(at(0), Some(5.0), slow, None).unwrap();
         assert_eq!(back.rests_at(), at(2_600));
         assert!((back.value(at(1_300)) - 7.5).abs() < 1e-9, "{}", back.value(at(1_300)));
@@ -295,7 +324,7 @@ mod tests {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let limits = Limits { min_value: 2.0, max_value: 10.0, granularity: 0.1, max_error: None };
         let moving = Signal::ramp(10.0, at(0), 2.0, at(800));
-        let rates = Rates { speed: None, acceleration: 1.0 };
+        let rates = Rates { speed: None, acceleration: Some(1.0) };
         let stopped = moving.brought_to_rest(at(700), None, rates, Some(&limits)).unwrap();
         assert!((stopped.target() - 2.0).abs() < 1e-9, "{}", stopped.target());
         // 1 is left at 10 a second: 0.2 s.
@@ -307,7 +336,7 @@ mod tests {
     fn a_way_that_is_beyond_all_numbers_is_none() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let moving = Signal::ramp(0.0, at(0), 1e300, at(1_000));
-        let rates = Rates { speed: None, acceleration: 1.0 };
+        let rates = Rates { speed: None, acceleration: Some(1.0) };
         assert!(moving.brought_to_rest(at(500), None, rates, None).is_none());
     }
 
@@ -322,23 +351,20 @@ mod tests {
     }
 
     #[test]
-    fn a_signal_rests_at_its_default_value_or_at_zero_and_a_position_where_it_is() {
-        let custom = ControlType::Custom(1);
-        for (default, control_type, driven, expected) in [
-            (None, ControlType::Position, true, None),
-            (Some(3.0), ControlType::Position, true, Some(3.0)),
-            (None, ControlType::Speed, false, Some(0.0)),
-            (None, custom, false, None),
-            (None, custom, true, Some(0.0)),
-        ] {
-            assert_eq!(resting_value(default, control_type, driven), expected, "{control_type:?}");
-        }
+    fn a_device_that_declares_only_a_speed_goes_home_at_that_speed_and_stops_at_once() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: Some(10.0), acceleration: None };
+        let resting = Signal::resting(80.0, at(0));
+        let home = resting.brought_to_rest(at(0), Some(0.0), rates, None).unwrap();
+        assert_eq!((home.target(), home.rests_at()), (0.0, at(8_000)));
+        let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
+        assert!(moving.brought_to_rest(at(5_000), None, rates, None).is_none());
     }
 
     #[test]
     fn what_slows_down_and_is_stopped_again_comes_to_rest_at_the_same_place_and_time() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
-        let rates = Rates { speed: None, acceleration: 20.0 };
+        let rates = Rates { speed: None, acceleration: Some(20.0) };
         let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
         let stopped = moving.brought_to_rest(at(4_000), None, rates, None).unwrap();
         let again = stopped.brought_to_rest(at(4_200), None, rates, None).unwrap();

@@ -54,7 +54,7 @@ async fn main() -> Result<(), Box<dyn Error>> {
     let (operator, orders) = mpsc::channel(1);
     tokio::spawn(async move {
         if tokio::signal::ctrl_c().await.is_ok() {
-            let _ended_meanwhile = operator.send(Operator::Stop { rest: Rest::Default, by: None }).await;
+            let _ended_meanwhile = operator.send(Operator::Stop { rest: Rest::InPlace, by: None }).await;
         }
     });
     let report = play(fleet.as_ref(), scenario.as_ref(), orders).await?;

@@ -1,6 +1,6 @@
 //! Which signals end the program in good order, and which it ignores.
 //!
-//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end, as do SIGPWR and SIGXCPU; SIGRTMIN+1 asks a scheduler to hold. SIGUSR1,
+//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end, as do SIGPWR and SIGXCPU; SIGRTMIN+1 asks a scheduler to send its robots home. SIGUSR1,
 //! SIGUSR2, SIGXFSZ, SIGIO, SIGSTKFLT and those of timers would kill it by default and are taken without effect; a file that has
 //! reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
 
@@ -29,8 +29,8 @@ pub enum Asked {
     Quit,
     /// The terminal was closed, or the connection to it lost.
     HangUp,
-    /// Another process asks a scheduler to have its robots stay where they are.
-    Hold,
+    /// Another process asks a scheduler to send its robots to their default state.
+    Home,
 }
 
 /// Whether the end of the terminal is the end of the program.
@@ -87,7 +87,7 @@ impl Asked {
     const fn number(self) -> i32 {
         match self {
             Self::Interrupt => SIGINT,
-            Self::Terminate | Self::Hold => SIGTERM,
+            Self::Terminate | Self::Home => SIGTERM,
             Self::Quit => SIGQUIT,
             Self::HangUp => SIGHUP,
         }
@@ -103,7 +103,7 @@ pub struct Signals {
     hang_up: Option<Signal>,
     /// The supply fails, or the time of the processor is used up: more will not be said before the process is killed.
     last: [Signal; 2],
-    hold: Option<Signal>,
+    home: Option<Signal>,
 }
 
 impl Signals {
@@ -123,23 +123,23 @@ impl Signals {
         let (interrupt, terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
         let raw = |number| signal(SignalKind::from_raw(number));
         let last = [raw(uapi::c::SIGPWR)?, raw(SIGXCPU)?];
-        Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up, last, hold: None })
+        Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up, last, home: None })
     }
 
-    /// Those of a scheduler, which can be asked to hold, too.
+    /// Those of a scheduler, which can be asked to send its robots home, too.
     ///
     /// # Errors
     /// The system gives no handler.
     pub fn of_scheduler(on_hang_up: OnHangUp) -> io::Result<Self> {
-        let hold = Some(signal(SignalKind::from_raw(hold_number()))?);
-        Ok(Self { hold, ..Self::listen(on_hang_up)? })
+        let home = Some(signal(SignalKind::from_raw(home_number()))?);
+        Ok(Self { home, ..Self::listen(on_hang_up)? })
     }
 
     /// The next one.
     pub async fn next(&mut self) -> Asked {
         let [power, processor] = &mut self.last;
         tokio::select! {
-            () = received(&mut self.hold) => Asked::Hold,
+            () = received(&mut self.home) => Asked::Home,
             _ = self.interrupt.recv() => Asked::Interrupt,
             _ = self.terminate.recv() => Asked::Terminate,
             _ = self.quit.recv() => Asked::Quit,
@@ -159,16 +159,16 @@ async fn received(signal: &mut Option<Signal>) {
     }
 }
 
-/// The signal that asks a scheduler to hold.
-fn hold_number() -> i32 {
+/// The signal that asks a scheduler to send its robots home.
+fn home_number() -> i32 {
     uapi::c::SIGRTMIN() + 1
 }
 
 /// Has a scheduler stop its robots once it goes on; returns the signal's name, if it could be sent.
 pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
     let (name, sent) = match rest {
-        Rest::Default => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),
-        Rest::Hold => ("SIGRTMIN+1", uapi::kill(scheduler.as_raw_nonzero().get(), hold_number()).is_ok()),
+        Rest::InPlace => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),
+        Rest::Home => ("SIGRTMIN+1", uapi::kill(scheduler.as_raw_nonzero().get(), home_number()).is_ok()),
     };
     sent.then_some(name)
 }

@@ -622,6 +622,16 @@ impl Reader {
 
     /// One of a few words.
     pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
+        self.word_or(at, words, |_| None)
+    }
+
+    /// The same, with a hint of its own for some words that are none.
+    pub(crate) fn word_or<T: Copy>(
+        &mut self,
+        at: &At<'_>,
+        words: &[(&'static str, T)],
+        hint: impl FnOnce(&str) -> Option<String>,
+    ) -> Option<T> {
         let known = || words.iter().map(|(word, _)| *word);
         #[cfg(test)]
         crate::known::words(at, known());
@@ -631,7 +641,7 @@ impl Reader {
         }
         let message = format!("unknown word `{}`", shortened(&text));
         let expected = one_of(known());
-        let hint = self.did_you_mean(&text, known());
+        let hint = hint(&text).or_else(|| self.did_you_mean(&text, known()));
         self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None
     }

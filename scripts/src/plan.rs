@@ -80,6 +80,15 @@ pub struct FailurePolicy {
     pub then: Option<usize>,
 }
 
+impl FailurePolicy {
+    /// Whether all robots go to their default state, whichever of them fails.
+    pub(crate) fn sends_home(&self) -> bool {
+        std::iter::once(&self.default)
+            .chain(self.robots.iter().map(|(_, rule)| rule))
+            .all(|rule| *rule == OnFailure::Home)
+    }
+}
+
 /// A cue with its times, counted from the act's start.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedCue {

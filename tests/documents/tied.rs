@@ -161,9 +161,9 @@ fn the_vectors_have_every_key_of_every_message() {
 #[test]
 fn the_vectors_with_every_key_have_every_key() {
     let schema = schema("protocol");
-    // `hold` belongs to an empty script only.
+    // `home` belongs to an empty script only.
     for (name, kind, definition, apart) in [
-        ("control-request-every-key", "control_request", "ControlRequest", "hold"),
+        ("control-request-every-key", "control_request", "ControlRequest", "home"),
         ("initialization-block-full", "initialization_block", "InitializationBlock", ""),
         ("inquiry-every-key", "inquiry", "Inquiry", ""),
     ] {

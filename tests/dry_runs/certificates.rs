@@ -126,8 +126,8 @@ fn the_ways_between_acts_their_order_and_their_policies_are_named() {
     refused(
         "show.yaml",
         "next: end",
-        "next: end, on_failure: hold",
-        &[r#"act `two`: on_failure is "hold", certified was "abort""#],
+        "next: end, on_failure: home",
+        &[r#"act `two`: on_failure is "home", certified was "stop""#],
     );
     refused("show.yaml", "{act: one,", "{act: one, wait: operator,", &["act `one`: wait is", "operator"]);
     let session = certified();
@@ -206,7 +206,7 @@ fn a_robot_that_may_be_left_out_is_and_the_others_play() {
         &session,
         "show.yaml",
         "start_tolerance: 1s",
-        "start_tolerance: 1s\non_failure: {default: abort, right: without}",
+        "start_tolerance: 1s\non_failure: {default: stop, right: without}",
     );
     certify(&session).says(0, &["certified plan"]);
     let text = fs::read_to_string(session.path("show.cert.json")).unwrap();

@@ -393,7 +393,7 @@ fn many_findings_in_one_long_line_carry_it_in_bounded_memory() {
 fn zones_and_rules_are_shared_by_very_many_acts() {
     let session = Session::new();
     let zones: Vec<_> = (0..5_000).map(|i| format!("z{i}")).collect();
-    let rules: Vec<_> = (0..5_000).map(|i| format!("r{i}: hold")).collect();
+    let rules: Vec<_> = (0..5_000).map(|i| format!("r{i}: stop")).collect();
     let fleet: String = (0..5_000).map(|i| format!("  r{i}: {{init: arm.yaml, address: sim}}\n")).collect();
     session.file("fleet.yaml", format!("robots:\n{fleet}"));
     let act = |i: usize| {

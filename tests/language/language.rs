@@ -275,14 +275,14 @@ fn so_many_steps_have_the_smallest_error_and_a_tolerance_leaves_keyframes_out() 
 #[test]
 fn acts_carry_what_they_wait_for_and_where_they_lead() {
     let plan = planned(
-        "on_failure: hold\nacts:\n  - act: one\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]\n    next: three\n    on_failure: {default: without, then: three}\n  - act: two\n    wait: {time: '19:30'}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 20}]}}]\n    next: end\n  - act: three\n    wait: {sensor: rover/range, within: [0.5, 1], timeout: 20s, otherwise: two}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 30}]}}]\n    next: end\n",
+        "on_failure: stop\nacts:\n  - act: one\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]\n    next: three\n    on_failure: {default: without, then: three}\n  - act: two\n    wait: {time: '19:30'}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 20}]}}]\n    next: end\n  - act: three\n    wait: {sensor: rover/range, within: [0.5, 1], timeout: 20s, otherwise: two}\n    cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 30}]}}]\n    next: end\n",
     );
     let acts = plan.0["acts"].as_array().unwrap();
     assert_eq!((&acts[0]["next"], &acts[0]["on_failure"]), (&Value::from("three"), &Value::from("without")));
     assert_eq!(acts[1]["wait"]["time_of_day"], 70_200_000);
     assert_eq!(acts[2]["wait"]["sensor"]["range"]["within"], serde_json::json!([0.5, 1.0]));
     assert_eq!((&acts[2]["on_timeout"], &acts[2]["timeout_ms"]), (&Value::from("two"), &Value::from(20_000)));
-    assert_eq!(acts[2]["on_failure"], "hold");
+    assert_eq!(acts[2]["on_failure"], "stop");
 }
 
 #[test]

@@ -67,7 +67,7 @@ impl Drawn {
             4 => Fault::Killed,
             _ => Fault::Restarted,
         };
-        let on_failure = if rng.u8(0..4) == 0 { "without" } else { "abort" };
+        let on_failure = if rng.u8(0..4) == 0 { "without" } else { "stop" };
         let steps: usize = acts.iter().map(|scripts| scripts * STEPS).sum();
         let whole = 900 + 300 * acts.len() + steps * every_ms;
         let after = Duration::from_millis(rng.u64(0..whole as u64));

@@ -88,7 +88,7 @@ fn a_fleet_behind_two_routers_prepares_starts_and_reports() {
 #[ignore = "needs zenohd: .ci/zenoh runs it"]
 fn a_router_that_is_killed_while_scripts_are_sent_lets_all_robots_start_or_none() {
     for after in [5, 60, 150] {
-        let mut hall = Hall::of(stage_where("5s", "abort"));
+        let mut hall = Hall::of(stage_where("5s", "stop"));
         let ended = hall.prepare_without_router(after);
         let (moved, _) = hall.agree(&ended, &format!("killed {after} ms after the first request"));
         assert!(moved == 0 || moved == hall.count, "{moved} moved: {ended}");

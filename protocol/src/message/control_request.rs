@@ -31,8 +31,8 @@ pub struct ControlRequest {
     pub content_hash: Option<ContentHash>,
     /// On whose behalf; a robot takes commands of one session at a time (our extension).
     pub session: Option<SessionId>,
-    /// With an empty script: the devices stay where they are instead of going to their default state (our extension).
-    pub hold: bool,
+    /// With an empty script: the device goes to its default state instead of coming to rest where it is (our extension).
+    pub home: bool,
     /// What to do: `control_type` with its values.
     pub command: Command,
 }
@@ -92,7 +92,7 @@ impl ControlRequest {
             request_id: None,
             content_hash: None,
             session: None,
-            hold: false,
+            home: false,
             command,
         }
     }
@@ -180,8 +180,8 @@ impl ControlRequest {
         if let Some(session) = &self.session {
             map.serialize_entry("session", session)?;
         }
-        if self.hold {
-            map.serialize_entry("hold", &true)?;
+        if self.home {
+            map.serialize_entry("home", &true)?;
         }
         match &self.command {
             Command::Unknown(name) => map.serialize_entry("control_type", name)?,
@@ -277,7 +277,7 @@ struct Fields {
     request_id: Option<Option<RequestId>>,
     content_hash: Option<Option<ContentHash>>,
     session: Option<Option<SessionId>>,
-    hold: Option<Option<bool>>,
+    home: Option<Option<bool>>,
     control_type: Option<Named>,
     control_value: Option<RawValue>,
     more: FurtherValues,
@@ -319,7 +319,7 @@ enum RequestKey {
     RequestId,
     ContentHash,
     Session,
-    Hold,
+    Home,
     ControlType,
     Value,
     /// `control_value_N`, counted from 2.
@@ -337,7 +337,7 @@ impl Keys for RequestKey {
             "request_id" => Self::RequestId,
             "content_hash" => Self::ContentHash,
             "session" => Self::Session,
-            "hold" => Self::Hold,
+            "home" => Self::Home,
             "control_type" => Self::ControlType,
             "control_value" => Self::Value,
             other => FurtherValues::index(other)?.map_or(Self::Unknown, Self::Further),
@@ -362,7 +362,7 @@ fn read_field<'de, A: MapAccess<'de>>(
         RequestKey::RequestId => set_once(&mut fields.request_id, "request_id", map.next_value()?),
         RequestKey::ContentHash => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
         RequestKey::Session => set_once(&mut fields.session, "session", map.next_value()?),
-        RequestKey::Hold => set_once(&mut fields.hold, "hold", map.next_value()?),
+        RequestKey::Home => set_once(&mut fields.home, "home", map.next_value()?),
         RequestKey::ControlType => set_once(&mut fields.control_type, "control_type", map.next_value()?),
         RequestKey::Value => set_once(&mut fields.control_value, "control_value", map.next_value()?),
         RequestKey::Further(index) => fields.more.put(index, map.next_value()?),
@@ -380,7 +380,7 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
         request_id: fields.request_id.flatten(),
         content_hash: fields.content_hash.flatten(),
         session: fields.session.flatten(),
-        hold: fields.hold.flatten().unwrap_or(false),
+        home: fields.home.flatten().unwrap_or(false),
         command: command(control_type, fields.control_value, fields.more)?,
     })
 }

@@ -10,7 +10,8 @@ use serde_json::{Map, Value};
 use super::parameters::Parameters;
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
-use crate::limits::LimitError;
+use crate::limits::{CONTROL_VALUES_MAX, LimitError};
+use crate::message::script::Setpoint;
 use crate::number;
 use crate::object::Object;
 
@@ -337,10 +338,36 @@ impl ControlTypes {
         }
     }
 
+    /// The `at_rest` that a custom type declares (our extension), for a command of this many values: a number is for all of them, a
+    /// list has one for each, and its last one also for those beyond it.
+    #[must_use]
+    pub fn at_rest(&self, control_type: ControlType, count: usize) -> Option<Setpoint> {
+        let ControlParameters::Custom(parameters) = self.get(control_type)? else { return None };
+        let declared = declared_at_rest(parameters).ok()??;
+        let value = |index: usize| declared.get(index).or(declared.last()).copied();
+        let more = (1..count.max(1)).filter_map(value).collect();
+        Some(Setpoint { more, ..Setpoint::new(control_type, value(0)?) })
+    }
+
     /// All of them, in the order of [`ControlType`].
     pub fn iter(&self) -> impl Iterator<Item = (ControlType, &ControlParameters)> {
         self.0.iter().map(|(control_type, parameters)| (*control_type, parameters))
     }
+}
+
+/// The values of `at_rest`, if there is one.
+fn declared_at_rest(parameters: &Map<String, Value>) -> Result<Option<Vec<f64>>, &'static str> {
+    const EXPECTED: &str =
+        "`at_rest` of a custom control type, expected a number or a list of 1 to 256 numbers";
+    let values = match parameters.get("at_rest") {
+        None => return Ok(None),
+        Some(Value::Array(values)) => values.iter().map(Value::as_f64).collect(),
+        Some(value) => value.as_f64().map(|value| vec![value]),
+    };
+    values
+        .filter(|values: &Vec<f64>| (1..=CONTROL_VALUES_MAX).contains(&values.len()))
+        .ok_or(EXPECTED)
+        .map(Some)
 }
 
 impl Serialize for ControlTypes {
@@ -389,7 +416,11 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
                     return Err(de::Error::custom(format!("duplicate control type `{control_type}`")));
                 }
                 ControlType::Sensor => ControlParameters::Sensor(map.next_value()?),
-                ControlType::Custom(_) => ControlParameters::Custom(map.next_value::<Parameters>()?.0),
+                ControlType::Custom(_) => {
+                    let Parameters(parameters) = map.next_value()?;
+                    declared_at_rest(&parameters).map_err(de::Error::custom)?;
+                    ControlParameters::Custom(parameters)
+                }
                 _ => ControlParameters::Motion(map.next_value()?),
             };
             if types.insert(control_type, parameters).is_some() {

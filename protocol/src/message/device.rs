@@ -38,7 +38,7 @@ pub struct Device {
     /// Unit of all values of this device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
-    /// The default state; without one: hold the last position, zero speed and acceleration (our extension).
+    /// Where it goes in the default state; without one it holds the last position there (our extension).
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,

@@ -10,7 +10,7 @@ use crate::number;
 use crate::time::Millis;
 
 /// How long the server may stay silent, in milliseconds, before the device drops what is pending, ends what is running
-/// and goes to its default state. `None` means without limit.
+/// and comes to rest. `None` means without limit.
 ///
 /// On the wire a number for both, or `{"pending": ms, "running": ms or null}`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -90,7 +90,7 @@ fn control_request() -> impl Strategy<Value = ControlRequest> {
     let times = (option::of(timestamp()), option::of(millis()), option::of(stop_condition()));
     (text(), command, times, extras).prop_map(|(device, command, times, extras)| {
         let (timestamp, time_offset_to_start, stop_condition) = times;
-        let (request_id, hashed, session, hold) = extras;
+        let (request_id, hashed, session, home) = extras;
         ControlRequest {
             timestamp,
             time_offset_to_start,
@@ -98,7 +98,7 @@ fn control_request() -> impl Strategy<Value = ControlRequest> {
             request_id: request_id.map(|id| RequestId::new(id).unwrap()),
             content_hash: hashed.then(|| command.content_hash()),
             session: session.map(|id| SessionId::new(id).unwrap()),
-            hold,
+            home,
             ..ControlRequest::immediate(DeviceId::new(device).unwrap(), command)
         }
     })

@@ -34,7 +34,7 @@ pub(crate) struct Movement {
 #[derive(Clone, Debug)]
 pub(crate) struct Value {
     pub(crate) setpoint: Setpoint,
-    /// `None`: the default state is never too old.
+    /// `None`: a stop is never too old.
     pub(crate) due: Option<Instant>,
 }
 

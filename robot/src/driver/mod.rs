@@ -79,7 +79,7 @@ pub struct Ramp {
 ///
 /// All calls come from one thread and may block, for a second or so: a call that may hang needs a time limit of its own.
 /// After an error, other than of a reading or a script, nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
-/// when its edge ends, after its devices were sent to their default state and a last [`Driver::ping`].
+/// when its edge ends, after its devices were brought to rest and a last [`Driver::ping`].
 ///
 /// ```
 /// use downbeat_robot::driver::{Driver, DriverError};
@@ -219,17 +219,8 @@ pub trait Driver: Send {
     }
 }
 
-/// What the devices do when their edge starts and finds them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AtStart {
-    /// They go to their default state: what ran before this process is unknown.
-    Default,
-    /// They are left as they are until they are told something: for a process that may be here only to look.
-    Untouched,
-}
-
 /// How a driver is used.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DriverOptions {
     /// Samples of a movement a second, for a driver that takes no ramps; `None`: as the driver declares, or [`SAMPLES_PER_SECOND`].
@@ -242,20 +233,6 @@ pub struct DriverOptions {
     /// So often a second each sensor is read at most; requests in between are answered with the last reading. `None`: as the driver
     /// declares, or as often as it is asked for.
     pub readings_per_second: Option<f64>,
-    /// What the devices do at the start.
-    pub at_start: AtStart,
-}
-
-impl Default for DriverOptions {
-    fn default() -> Self {
-        Self {
-            samples_per_second: None,
-            samples_of: BTreeMap::new(),
-            pings_per_second: None,
-            readings_per_second: None,
-            at_start: AtStart::Untouched,
-        }
-    }
 }
 
 impl DriverOptions {
@@ -286,19 +263,12 @@ impl DriverOptions {
         self.readings_per_second = Some(readings_per_second);
         self
     }
-
-    /// The same with what the devices do at the start.
-    #[must_use]
-    pub const fn with_at_start(mut self, at_start: AtStart) -> Self {
-        self.at_start = at_start;
-        self
-    }
 }
 
 /// What a machine wants of its hardware, in the robot's own time, which is the host's.
 #[derive(Clone, Debug)]
 pub(crate) enum Wanted {
-    /// A value of a script with when it was due, or one of the default state.
+    /// A value of a script with when it was due, or one of a stop.
     Set(Key, Setpoint, Option<Timestamp<Robot>>),
     Follow(Key, Signal),
     Read(ReadingId, DeviceId),

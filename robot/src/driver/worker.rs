@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use urrcp::{DeviceId, InitializationBlock, Setpoint};
+use urrcp::{ControlType, DeviceId, InitializationBlock, Setpoint};
 
 use super::grid::on_grid;
 use super::lifeline::Watcher;
@@ -15,7 +15,7 @@ use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanWord, Pushes, 
 use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::plans::Lookahead;
-use crate::signal::is_rate;
+use crate::signal::{is_rate, rest_of};
 use crate::tolerance::Tolerance;
 
 /// Between two tries to connect, at first and at most; it doubles.
@@ -98,6 +98,8 @@ pub(crate) struct Worker {
     /// Ramps that the hardware goes by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
+    /// It was told something that has to come to rest when it is back, as a speed. Positions stay.
+    owes_rest: bool,
     /// When what is sampled with each period is sampled next.
     beats: BTreeMap<Duration, Instant>,
     pub(super) given: Given,
@@ -140,6 +142,7 @@ impl Worker {
             moving: BTreeMap::new(),
             handed_over: BTreeMap::new(),
             touched: Touched::Never,
+            owes_rest: false,
             beats: BTreeMap::new(),
             given: Given::default(),
             readings: BTreeMap::new(),
@@ -149,7 +152,7 @@ impl Worker {
     /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
     ///
     /// # Errors
-    /// Why devices that were moved may not be in their default state.
+    /// Why devices that were moved may not be at rest.
     pub(crate) fn run(mut self) -> Result<(), String> {
         let mut pause = PAUSE.0;
         let mut connection = 0;
@@ -158,8 +161,8 @@ impl Worker {
             let reason = match self.driver.connect() {
                 Ok(()) => {
                     connection += 1;
-                    if self.touched == Touched::Now {
-                        self.touched = Touched::Before;
+                    if self.touched != Touched::Never {
+                        self.touched = if self.owes_rest { Touched::Before } else { Touched::Never };
                     }
                     self.rates = self.driver.rates();
                     let manners = Manners {
@@ -264,6 +267,12 @@ impl Worker {
         self.mailbox.tolerance()
     }
 
+    /// Whether a stop sets this signal to another value than its last one.
+    fn comes_to_rest(&self, device: &DeviceId, control_type: ControlType) -> bool {
+        let spec = self.block.device(device.as_str());
+        spec.is_some_and(|spec| rest_of(spec, control_type, None).is_some())
+    }
+
     /// The driver is told to move something.
     pub(super) const fn touch(&mut self) {
         self.touched = Touched::Now;
@@ -327,6 +336,9 @@ impl Worker {
             return Ok(());
         }
         self.touched = Touched::Now;
+        let rests =
+            |(device, setpoint): &(DeviceId, Setpoint)| self.comes_to_rest(device, setpoint.control_type);
+        self.owes_rest |= values.iter().any(rests);
         if self.driver.takes_frames() {
             let told = self.call(Sign::Unknown, |driver| driver.set_frame(values));
             return told.map_err(|error| Lost::untaken(error, values));
@@ -339,6 +351,7 @@ impl Worker {
 
     fn follow(&mut self, key: Key, movement: Movement) -> Result<(), Lost> {
         self.touched = Touched::Now;
+        self.owes_rest |= self.comes_to_rest(&key.0, key.1);
         if self.driver.takes_ramps() && movement.signal.is_linear() {
             self.moving.remove(&key);
             let to = on_grid(&self.block, &key, movement.signal.target());

@@ -7,7 +7,6 @@ use urrcp::Timestamp;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::{Mailbox, News};
 use crate::edge::Edge;
-use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Robot};
 use crate::set_log::LogEntry;
@@ -115,10 +114,10 @@ impl Body {
         }
     }
 
-    /// Hardware goes to its default state, because the host ends, or stays. A simulated robot stays where it is.
-    pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>, at_end: AtEnd) {
+    /// Hardware comes to rest, because the host ends. A simulated robot stays where it is.
+    pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>) {
         if let Self::Edge(edge) = self {
-            edge.shut_down(now, at_end);
+            edge.shut_down(now);
         }
     }
 

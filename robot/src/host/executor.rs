@@ -15,7 +15,6 @@ use super::outbox::Outbox;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::News;
 use crate::figures::Figures;
-use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
 use crate::precise_wait::{PreciseWait, Woken};
@@ -55,10 +54,8 @@ pub(super) enum Order {
     Beat {
         answer: oneshot::Sender<()>,
     },
-    /// The host ends; these robots, by their indices, were told to stay where they are.
-    Stop {
-        held: Vec<usize>,
-    },
+    /// The host ends.
+    Stop,
 }
 
 /// The precise thread, the channel on which it takes its robots, and what it was granted.
@@ -154,8 +151,8 @@ impl Executor {
             };
             match woken {
                 Woken::Deadline => self.advance_due(),
-                Woken::Message(Order::Stop { held }) => return self.shut_down(&held),
-                Woken::Closed => return self.shut_down(&[]),
+                Woken::Message(Order::Stop) => return self.shut_down(),
+                Woken::Closed => return self.shut_down(),
                 Woken::Message(order) => self.obey(order),
             }
         }
@@ -199,7 +196,7 @@ impl Executor {
                 self.advance(robot);
             }
             Order::Beat { answer } => drop(answer.send(())),
-            Order::Stop { .. } => {}
+            Order::Stop => {}
         }
     }
 
@@ -219,11 +216,10 @@ impl Executor {
         self.told.figures.robots()[robot].has_connections(*connections);
     }
 
-    /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
-    fn shut_down(mut self, held: &[usize]) {
+    /// Hardware comes to rest; the drivers' threads end when they have seen to that, as their ends here are gone.
+    fn shut_down(mut self) {
         for robot in 0..self.robots.len() {
-            let at_end = if held.contains(&robot) { AtEnd::Held } else { AtEnd::Default };
-            self.robots[robot].shut_down(self.clock.now(), at_end);
+            self.robots[robot].shut_down(self.clock.now());
             self.advance(robot);
         }
     }

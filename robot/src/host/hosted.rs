@@ -14,7 +14,7 @@ use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
 use crate::tolerance::Tolerance;
 
-/// A driver's thread; its error is why devices that were moved may not be in their default state.
+/// A driver's thread; its error is why devices that were moved may not be at rest.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
 /// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated one by `into`.
@@ -100,7 +100,7 @@ impl Hosted {
             Worker::new(driver, block.clone(), Arc::clone(&mailbox), options.clone(), Box::new(tell));
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
         let robot = Robot::driven(block).tolerating(tolerance);
-        let edge = Edge::new(robot, mailbox, options.at_start);
+        let edge = Edge::new(robot, mailbox);
         Ok((Body::Edge(Box::new(edge)), Some(thread)))
     }
 }

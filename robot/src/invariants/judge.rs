@@ -7,7 +7,7 @@ use urrcp::{
     Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
-use super::model::{DeviceModel, Heard, Order, Party, cancels_from};
+use super::model::{DeviceModel, Heard, Order, Party, Way, cancels_from};
 use super::{Violation, hold};
 use crate::device::{Motion, START_LATE_MAX};
 use crate::robot::{LinkId, Output, SetValue};
@@ -31,8 +31,10 @@ pub(super) struct Judge {
     pub(super) starts: HashMap<RequestId, Now>,
     /// What leases of each device have ended by what is being judged.
     lost: HashMap<DeviceId, Lost>,
-    /// Devices that went to their default state, and whether a rate went on until then.
-    rested: HashMap<DeviceId, bool>,
+    /// Devices that came to rest.
+    rested: HashSet<DeviceId>,
+    /// Whether what is being judged sends a device to its default state.
+    sends_home: bool,
     /// Devices that reported something else than the end of a lease.
     acted: HashSet<DeviceId>,
 }
@@ -72,7 +74,8 @@ impl Judge {
             hashes: HashMap::new(),
             starts: HashMap::new(),
             lost: HashMap::new(),
-            rested: HashMap::new(),
+            rested: HashSet::new(),
+            sends_home: false,
             acted: HashSet::new(),
         }
     }
@@ -106,6 +109,7 @@ impl Judge {
     fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.forget_the_last();
         self.cancels_from = None;
+        self.sends_home = false;
         for output in out {
             match output {
                 Output::Set(set) if set.step.is_none() => self.moved(now, set)?,
@@ -153,6 +157,7 @@ impl Judge {
     fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
         self.forget_the_last();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
+        self.sends_home = asked.is_some_and(|asked| asked.request.home) || out.iter().any(is_unsupported);
         let mut answers = 0;
         for output in out {
             match (output, asked) {
@@ -188,18 +193,20 @@ impl Judge {
                 format!("`{id}` still holds {left:?}, which a lease's end takes with it")
             })?;
         }
-        for (id, rate_went_on) in &self.rested {
+        for id in &self.rested {
             let lost = self.lost.get(id).copied().unwrap_or_default();
             let began = self.devices.get(id).is_some_and(|d| d.queue.iter().any(|order| order.began));
-            let due = asked || lost.everything || lost.from.is_some() && !rate_went_on;
-            hold(due && !began, || format!("`{id}` went to its default state by {lost:?}, {began}"))?;
+            let due = asked || lost.everything;
+            hold(due && !began, || format!("`{id}` was brought to rest by {lost:?}, {began}"))?;
         }
-        let silent =
-            self.lost.keys().filter(|id| !self.rested.contains_key(*id) && !self.acted.contains(*id));
-        let at_rest = |id: &&DeviceId| self.devices.get(*id).is_none_or(|device| !device.must_rest());
-        match silent.into_iter().find(|id| !at_rest(id)) {
+        let over = self.lost.iter().filter(|(_, lost)| lost.everything).map(|(id, _)| id);
+        let goes_on = |id: &&DeviceId| {
+            let must = self.devices.get(*id).is_some_and(DeviceModel::must_rest);
+            must && !self.rested.contains(*id) && !self.acted.contains(*id)
+        };
+        match over.into_iter().find(goes_on) {
             None => Ok(()),
-            Some(id) => Err(Violation(format!("`{id}` holds nothing and did not go to its default state"))),
+            Some(id) => Err(Violation(format!("`{id}` holds nothing and did not come to rest"))),
         }
     }
 
@@ -210,8 +217,8 @@ impl Judge {
         };
         hold(set.due <= now, || format!("early by {}: {set:?}", set.due - now))?;
         let Some(step) = set.step else {
-            self.rested.entry(set.device.clone()).or_insert_with(|| device.rate_goes_on());
-            return rested(device, set);
+            self.rested.insert(set.device.clone());
+            return rested(device, set, self.sends_home);
         };
         let step = step as usize;
         let found = device.queue.iter().position(|order| {
@@ -235,7 +242,13 @@ impl Judge {
         let in_time = order.began || now - order.start <= START_LATE_MAX || set.due > order.start;
         hold(in_time, || format!("{} late: {set:?}", now - order.start))?;
         hold_lease(order, heard, set, step)?;
-        device.drive(setpoint.control_type, setpoint.value);
+        let way = match &set.motion {
+            Motion::Ramp { from, to, until, .. } => {
+                Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: false }
+            }
+            _ => Way::at(setpoint.value, set.due),
+        };
+        device.drive(setpoint.control_type, way);
         if matches!(set.motion, Motion::Set(_)) {
             device.queue[at].done += 1;
             if device.queue[at].is_done() {
@@ -310,10 +323,10 @@ fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> 
     Some(device.queue.remove(at))
 }
 
-/// The device goes to its default state, which ends the leases of the rates that went on.
-fn rested(device: &mut DeviceModel, set: &SetValue) -> Result<(), Violation> {
+/// The device comes to rest where it is, or goes to its default state. That ends the leases of the rates that went on.
+fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<(), Violation> {
     let (control_type, to) = match &set.motion {
-        Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
+        Motion::Rest(setpoint) | Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
         Motion::Slow { control_type, to, .. } => (*control_type, *to),
         Motion::Set(_) | Motion::Ramp { .. } => {
             return Err(Violation(format!("a movement of no step: {set:?}")));
@@ -321,10 +334,44 @@ fn rested(device: &mut DeviceModel, set: &SetValue) -> Result<(), Violation> {
     };
     let limits = device.spec.available_control_types.limits(control_type);
     let within = limits.is_none_or(|limits| (limits.min_value..=limits.max_value).contains(&to));
-    hold(set.request_id.is_none() && within, || format!("the default state of `{}`: {set:?}", set.device))?;
-    device.targets.insert(control_type, to);
+    hold(set.request_id.is_none() && within, || format!("the rest of `{}`: {set:?}", set.device))?;
+    let before = device.ways.get(&control_type).copied();
+    hold(sends_home || stays(device, before, set), || {
+        format!("a stop began a movement of `{}`, {before:?}: {set:?}", set.device)
+    })?;
+    let way = match &set.motion {
+        Motion::Slow { from, to, until, .. } => {
+            Way { from: *from, since: set.due, to: *to, until: *until, is_slowing: true }
+        }
+        _ => Way::at(to, set.due),
+    };
+    device.ways.insert(control_type, way);
     device.released.append(&mut device.guards);
     Ok(())
+}
+
+/// Whether a movement only brings to rest what moves: a position continues in its direction or stays, a rate goes to its rest.
+fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
+    const ROUNDING: f64 = 1e-6;
+    match &set.motion {
+        Motion::Rest(rest) if rest.control_type == ControlType::Position => before.is_some_and(|way| {
+            let value = way.value(set.due);
+            way.moves(set.due)
+                && value.is_none_or(|value| (value - rest.value).abs() <= ROUNDING * (1.0 + value.abs()))
+        }),
+        Motion::Slow { control_type: ControlType::Position, from, to, .. } => before.is_some_and(|way| {
+            way.moves(set.due) && (way.is_slowing || (to - from) * (way.to - way.from) >= 0.0)
+        }),
+        Motion::Rest(rest) => device.rest(rest.control_type) == Some(rest.value),
+        Motion::Slow { control_type, to, .. } => device.rest(*control_type) == Some(*to),
+        Motion::Set(_) | Motion::Ramp { .. } | Motion::Default(_) => false,
+    }
+}
+
+/// Whether it refuses a control type that the device lacks, which goes to its default state.
+fn is_unsupported(output: &Output) -> bool {
+    matches!(output, Output::Send { message: Message::ControlResponse(answer), .. }
+        if is_refused(answer, &ErrorCode::UnsupportedControlType))
 }
 
 /// Whether this is the order's step at its time, or the way to it.
@@ -339,7 +386,7 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
                 && order.time_of(step) == Some(*until)
                 && before == Some(set.due)
         }
-        Motion::Slow { .. } | Motion::Default(_) => false,
+        Motion::Slow { .. } | Motion::Rest(_) | Motion::Default(_) => false,
     }
 }
 

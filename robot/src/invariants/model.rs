@@ -191,6 +191,36 @@ impl Guard {
     }
 }
 
+/// The last movement of a signal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Way {
+    pub(super) from: f64,
+    pub(super) since: Now,
+    pub(super) to: f64,
+    pub(super) until: Now,
+    /// It changes its speed on the way.
+    pub(super) is_slowing: bool,
+}
+
+impl Way {
+    pub(super) const fn at(value: f64, now: Now) -> Self {
+        Self { from: value, since: now, to: value, until: now, is_slowing: false }
+    }
+
+    /// Where it is, if it goes at one speed.
+    pub(super) fn value(&self, now: Now) -> Option<f64> {
+        if now >= self.until {
+            return Some(self.to);
+        }
+        let part = (now - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
+        (!self.is_slowing).then_some(self.from * (1.0 - part) + self.to * part)
+    }
+
+    pub(super) fn moves(&self, now: Now) -> bool {
+        now < self.until
+    }
+}
+
 /// One device, as its orders and movements tell.
 #[derive(Debug)]
 pub(super) struct DeviceModel {
@@ -198,10 +228,10 @@ pub(super) struct DeviceModel {
     /// In the order in which they are to be done.
     pub(super) queue: Vec<Order>,
     pub(super) guards: Vec<Guard>,
-    /// Guards that a default state of this very moment released; their reports follow.
+    /// Guards that a stop of this very moment released; their reports follow.
     pub(super) released: Vec<Guard>,
-    /// Where each signal rests in the end.
-    pub(super) targets: BTreeMap<ControlType, f64>,
+    /// How each signal moves, or where it rests.
+    pub(super) ways: BTreeMap<ControlType, Way>,
     /// What was sent up to then has been taken back, from any sender.
     pub(super) taken_back: Option<Timestamp<Server>>,
     /// What was sent later has not been, from any sender.
@@ -216,7 +246,7 @@ impl DeviceModel {
             queue,
             guards,
             released,
-            targets: BTreeMap::new(),
+            ways: BTreeMap::new(),
             taken_back: None,
             taken_back_at_most: None,
         }
@@ -229,8 +259,8 @@ impl DeviceModel {
     }
 
     /// A signal is driven: it is no longer under the lease of the command before.
-    pub(super) fn drive(&mut self, control_type: ControlType, to: f64) {
-        self.targets.insert(control_type, to);
+    pub(super) fn drive(&mut self, control_type: ControlType, way: Way) {
+        self.ways.insert(control_type, way);
         for guard in &mut self.guards {
             guard.rates.retain(|rate| *rate != control_type);
         }
@@ -246,8 +276,8 @@ impl DeviceModel {
         rates.sort_unstable();
         rates.dedup();
         rates.retain(|rate| {
-            let target = self.targets.get(rate).copied();
-            *rate != ControlType::Position && target.is_some_and(|target| target != self.rest(*rate))
+            let way = self.ways.get(rate);
+            way.zip(self.rest(*rate)).is_some_and(|(way, rest)| way.to != rest)
         });
         if silence.is_some() && !rates.is_empty() {
             let (id, party, accepted) = (order.id.clone(), order.party, order.accepted);
@@ -255,10 +285,12 @@ impl DeviceModel {
         }
     }
 
-    /// Where a rate rests in the default state.
-    fn rest(&self, rate: ControlType) -> f64 {
-        let primary = self.spec.primary_control_type() == Some(rate);
-        self.spec.default_value.filter(|_| primary).unwrap_or(0.0)
+    /// Where a rate rests; `None` for what stays as it is.
+    pub(super) fn rest(&self, rate: ControlType) -> Option<f64> {
+        match rate {
+            ControlType::Speed | ControlType::Acceleration => Some(0.0),
+            _ => Some(self.spec.available_control_types.at_rest(rate, 1)?.value),
+        }
     }
 
     /// The earliest instant at which the device has something to do.
@@ -280,17 +312,9 @@ impl DeviceModel {
         over.map(|order| order.start).min()
     }
 
-    /// Whether a rate continues that does not rest.
-    pub(super) fn rate_goes_on(&self) -> bool {
-        let rates = self.targets.iter().filter(|(rate, _)| **rate != ControlType::Position);
-        rates.into_iter().any(|(rate, target)| *target != self.rest(*rate))
-    }
-
-    /// Whether nothing is left on it that would keep it from its default state.
+    /// Whether its end is seen: a speed is set to zero.
     pub(super) fn must_rest(&self) -> bool {
-        let has = |control_type| self.spec.available_control_types.limits(control_type).is_some();
-        let moves = has(ControlType::Position) || has(ControlType::Speed);
-        moves && self.queue.is_empty() && !self.rate_goes_on()
+        self.spec.primary_control_type() == Some(ControlType::Speed)
     }
 
     /// Whether a request may set this: of a type that the device has, within its limits, on its grid.

@@ -107,7 +107,7 @@ pub struct Request {
     start: Start,
     lease: Option<Lease>,
     hash: Hash,
-    hold: bool,
+    home: bool,
     what: What,
 }
 
@@ -299,7 +299,7 @@ impl Request {
                 Hash::Wrong => Some(urrcp::ContentHash::of(b"another")),
             },
             session: session(self.session),
-            hold: self.hold,
+            home: self.home,
             ..ControlRequest::immediate(device_id, command)
         })
     }

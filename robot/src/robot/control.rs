@@ -6,7 +6,7 @@ use urrcp::{
 };
 
 use super::{LinkId, Now, Output, Robot, tell};
-use crate::device::{CommandId, DeviceMachine};
+use crate::device::{CommandId, DeviceMachine, Rest};
 use crate::role::{Role, is_stop};
 
 /// The party to which the robot belongs.
@@ -69,7 +69,7 @@ impl Robot {
                 if error.code == ErrorCode::UnsupportedControlType {
                     let why =
                         "the device went to its default state: it was sent a control type that it lacks";
-                    self.stop(now, index, why, false, out);
+                    self.stop(now, index, why, Rest::Home, out);
                 }
                 self.refuse(now, link, &request, error, out);
             }
@@ -189,7 +189,7 @@ impl Robot {
             let message = format!("`{}` is no sensor", spec.id);
             let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
             let why = "the device went to its default state: it was asked for a reading and is no sensor";
-            self.stop(now, index, why, false, out);
+            self.stop(now, index, why, Rest::Home, out);
             return self.refuse(now, link, request, error, out);
         };
         if !self.hardware.is_simulated() {
@@ -231,7 +231,8 @@ impl Robot {
                     let party = self.parties.party(link);
                     self.devices[index].take_back(now, sent, party);
                 }
-                self.stop(now, index, &why, request.hold, out);
+                let rest = if request.home { Rest::Home } else { Rest::InPlace };
+                self.stop(now, index, &why, rest, out);
             }
             Some(from) => {
                 let error = ControlError::new(ErrorCode::Cancelled, why);

@@ -13,8 +13,8 @@ use urrcp::{
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot, tell};
 use crate::confirmation::{Said, Ticket, Unconfirmed};
-use crate::device::Effect;
-use crate::hardware::{Asker, AtEnd, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
+use crate::device::{Effect, Rest};
+use crate::hardware::{Asker, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
 #[cfg(feature = "host")]
 use crate::signal::Signal;
 #[cfg(feature = "host")]
@@ -112,19 +112,12 @@ impl Robot {
         }
     }
 
-    /// The hardware is there. If something has been set before, its devices go to their default state: what they did
-    /// in between is unknown.
+    /// The hardware is there. Speeds that were driven before go to zero: whether it took the last ones is unknown. Nothing begins
+    /// to move.
     pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
         self.hardware.found();
-        if self.moved {
-            self.restore(now, out);
-        }
-    }
-
-    /// Sends every device to its default state at once, from wherever it is.
-    pub fn restore(&mut self, now: Now, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {
-            self.devices[index].restore(now, &mut self.effects);
+            self.devices[index].rest_rates(now, &mut self.effects);
             self.move_device(now, index, out);
         }
     }
@@ -178,14 +171,14 @@ impl Robot {
         let error = unanswered(silence);
         for index in 0..self.devices.len() {
             if self.devices[index].next_start(notice).is_some_and(|start| start <= now) {
-                self.devices[index].stop(now, &error, false, &mut self.effects);
+                self.devices[index].stop(now, &error, Rest::InPlace, &mut self.effects);
                 self.settle(now, index, out);
             }
         }
     }
 
     /// Ends as `Failed`, code `late`, what runs and has a step that is overdue by more than this: the edge was delayed,
-    /// and what would follow is out of sync. Those devices go to their default state.
+    /// and what would follow is out of sync. Those devices come to rest.
     pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {
             let late = self.devices[index].overdue(now).filter(|late| *late > late_max);
@@ -196,7 +189,7 @@ impl Robot {
     }
 
     /// A value came so late to the hardware that it was not set: the device is not where it should be, so what runs ends
-    /// as `Failed`, code `late`, and the device goes to its default state.
+    /// as `Failed`, code `late`, and the device comes to rest.
     pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
         if let Some(&index) = self.index_of.get(device) {
             let why = format!("a value reached the hardware {late} late and was not set");
@@ -207,7 +200,7 @@ impl Robot {
 
     fn fail_late(&mut self, now: Now, index: usize, why: &str, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Late, why);
-        self.devices[index].stop(now, &error, false, &mut self.effects);
+        self.devices[index].stop(now, &error, Rest::InPlace, &mut self.effects);
         self.settle(now, index, out);
     }
 
@@ -240,14 +233,13 @@ impl Robot {
         }
     }
 
-    /// Ends everything and sends every device to its default state, as it can, because the edge ends, or lets it stay where
-    /// it is. Nothing, if nothing was ever set.
-    pub fn shut_down(&mut self, now: Now, at_end: AtEnd, out: &mut Vec<Output>) {
+    /// Ends everything and brings every device to rest, because the edge ends. Nothing, if nothing was ever set.
+    pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
         if !self.moved || self.hardware.away().is_some() {
             return;
         }
         for index in 0..self.devices.len() {
-            self.stop(now, index, "the edge was ended", at_end == AtEnd::Held, out);
+            self.stop(now, index, "the edge was ended", Rest::InPlace, out);
         }
     }
 

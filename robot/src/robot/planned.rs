@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Setpoint, Timestamp};
+use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Timestamp};
 
 use super::{Now, Output, Robot, SetValue};
-use crate::device::{CommandId, Effect, Motion};
+use crate::device::{CommandId, Effect, Motion, Rest};
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
-use crate::signal::default_of;
 
 impl Robot {
     /// Which devices' scripts the driver is told ahead of their time, to time them by itself. To be said before
@@ -129,14 +128,14 @@ impl Robot {
         }
     }
 
-    /// The device cannot go on with this script: all that it holds ends, and it goes to its default state.
+    /// The device cannot go on with this script: all that it holds ends, and it comes to rest.
     fn fail_plan(&mut self, now: Now, id: PlanId, error: ControlError, out: &mut Vec<Output>) {
         let Some(plan) = self.plans.get(id) else { return };
         let (index, is_over) = (plan.index, plan.stage == Stage::Over);
         if is_over {
             self.plans.will_fail(id, error.clone());
         }
-        self.devices[index].stop(now, &error, false, &mut self.effects);
+        self.devices[index].stop(now, &error, Rest::InPlace, &mut self.effects);
         self.settle(now, index, out);
     }
 
@@ -144,7 +143,7 @@ impl Robot {
     /// reports wait for what the driver says.
     pub(super) fn plan_effects(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         let mut failed = self.plans.take_failing();
-        let mut rest = Vec::new();
+        let (mut rest, mut stopped) = (Vec::new(), false);
         let device = self.devices[index].spec.id.clone();
         for effect in self.effects.drain(..) {
             match effect {
@@ -152,6 +151,7 @@ impl Robot {
                     rest.push(SetValue { device: device.clone(), motion, due, request_id, step });
                 }
                 Effect::Move { .. } => {}
+                Effect::Stopped => stopped = true,
                 Effect::Started { command, .. } => self.plans.come_to(index, command, Stage::Begun),
                 Effect::Ended { command, .. } => self.plans.come_to(index, command, Stage::Over),
                 Effect::Failed { command, ref error, .. } => match self.plans.find(index, command) {
@@ -160,15 +160,15 @@ impl Robot {
                 },
             }
         }
-        if !rest.is_empty() {
+        if stopped {
             failed.extend(self.left_over(index, &failed));
         }
-        let (any, at_rest) = (!failed.is_empty(), !rest.is_empty());
-        rest.retain(|set| !any || !self.stays(index, set));
+        let any = !failed.is_empty();
+        rest.retain(|set| !any || !stays(set));
         let then = match rest.is_empty() {
             _ if rest.iter().any(|set| matches!(set.motion, Motion::Slow { .. })) => Then::Slow,
-            false => Then::Default,
-            true if at_rest => Then::Hold,
+            false => Then::Rest,
+            true if stopped => Then::Hold,
             true => Then::Keep,
         };
         for (id, error) in failed {
@@ -191,14 +191,6 @@ impl Robot {
             over && !failed.iter().any(|(failed, _)| failed == id)
         };
         self.plans.of_device(index).into_iter().filter(is_left).map(|id| (id, error())).collect()
-    }
-
-    /// Whether the machine would set a position where it thinks the device to be: the driver knows better where it is.
-    fn stays(&self, index: usize, set: &SetValue) -> bool {
-        let Motion::Default(Setpoint { control_type: ControlType::Position, value, .. }) = &set.motion else {
-            return false;
-        };
-        default_of(&self.devices[index].spec, ControlType::Position) != Some(*value)
     }
 
     /// A script is over for the machine: the driver ends it first, if it has it.
@@ -284,5 +276,10 @@ impl Robot {
 
 /// Whether it brings a device to rest, so that it is no movement of a script.
 const fn is_rest(motion: &Motion) -> bool {
-    matches!(motion, Motion::Default(_) | Motion::Slow { .. })
+    matches!(motion, Motion::Rest(_) | Motion::Default(_) | Motion::Slow { .. })
+}
+
+/// Whether the machine would set a position where it thinks the device to be: the driver knows better where it is.
+fn stays(set: &SetValue) -> bool {
+    matches!(&set.motion, Motion::Rest(rest) if rest.control_type == ControlType::Position)
 }

@@ -4,10 +4,10 @@ use urrcp::SessionId;
 
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot};
-use crate::device::DeviceMachine;
+use crate::device::{DeviceMachine, Rest};
 
 impl Robot {
-    /// Takes the robot for this session, whose peer may do so. What others hold ends and every device goes to its default state
+    /// Takes the robot for this session, whose peer may do so. What others hold ends and every device comes to rest
     /// first, so that the answer comes behind that. A robot that is free, or belongs to the session, is left as it is, and so is
     /// one whose hardware is away: it holds nothing, and what it was sent last may still be on the way to the hardware.
     pub(super) fn seize(&mut self, now: Now, link: LinkId, session: &SessionId, out: &mut Vec<Output>) {
@@ -28,7 +28,7 @@ impl Robot {
         tracing::warn!(robot = %self.block.id, "seized by {by}, taken from {from}");
         let why = format!("taken by {by}");
         for index in 0..self.devices.len() {
-            self.stop(now, index, &why, false, out);
+            self.stop(now, index, &why, Rest::InPlace, out);
         }
         self.devices.iter_mut().for_each(|device| device.claimed(now));
         let claimant = self.parties.claimant(link, session);

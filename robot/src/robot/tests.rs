@@ -249,7 +249,7 @@ fn a_repeated_request_is_answered_twice_and_executed_once() {
 }
 
 #[test]
-fn an_empty_script_now_ends_what_runs_and_goes_to_the_default_state() {
+fn an_empty_script_now_ends_what_runs_and_moves_nothing() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "b", 5_000.0, script(ControlType::Position, &PAPER)));
@@ -259,7 +259,8 @@ fn an_empty_script_now_ends_what_runs_and_goes_to_the_default_state() {
     bench.until(9_000);
     assert_eq!(bench.statuses()[3..], ["Failed cancelled", "Failed cancelled", "OK"]);
     assert_eq!(bench.values(), [(100, 45.0)]);
-    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+    assert_eq!(bench.sets().len(), 1);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0));
 }
 
 #[test]

@@ -88,7 +88,7 @@ impl MovedBody {
     /// Its device was told something.
     pub(super) fn told(&mut self, now: Timestamp<True>, set: &SetValue) {
         let (control_type, from, to, lasts) = match &set.motion {
-            Motion::Set(setpoint) | Motion::Default(setpoint) => {
+            Motion::Set(setpoint) | Motion::Rest(setpoint) | Motion::Default(setpoint) => {
                 (setpoint.control_type, setpoint.value, setpoint.value, Span::ZERO)
             }
             Motion::Ramp { control_type, from, to, until }

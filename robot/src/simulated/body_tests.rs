@@ -165,12 +165,12 @@ fn a_body_that_was_never_told_anything_is_where_its_device_rests() {
 }
 
 #[test]
-fn a_stop_is_followed_like_a_step() {
+fn a_body_whose_device_is_stopped_goes_on_for_its_latency_and_stays() {
     let mut robot = moving("linear", |_| {});
     read(&mut robot, 90);
     let stop = ControlRequest::immediate(id("arm"), Command::Script(Script::cancel()));
     robot.receive(at(90), LINK, Input::Message(Message::ControlRequest(stop)));
-    shows(&mut robot, &[(120, 8.0), (129, 8.9), (130, 0.0), (500, 0.0)]);
+    shows(&mut robot, &[(120, 8.0), (129, 8.9), (130, 9.0), (500, 9.0)]);
 }
 
 #[test]

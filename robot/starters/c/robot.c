@@ -514,36 +514,41 @@ static bool moves(const struct device *device, const struct command *c)
     return device->linear && c->script;
 }
 
-static void sample(struct device *device, struct command *c, int64_t now)
+/* Sets a linear device to where it should be by now. */
+static bool sample(struct device *device, struct command *c, int64_t now)
 {
     const struct step *step = &c->steps[c->done];
     c->sampled = now;
     if (step->kind == c->from_kind && step->offset > c->from_offset) {
         double part = (double)(now - c->start - c->from_offset) / (double)(step->offset - c->from_offset);
-        part = part < 0 ? 0 : part > 1 ? 1 : part;
-        if (!set(device, step->kind, c->from_value + (step->value - c->from_value) * part))
-            report(c, FAILED, NULL, "internal", "the hardware failed", now);
+        if (part <= 1) /* else the step itself is due */
+            return set(device, step->kind, c->from_value + (step->value - c->from_value) * (part < 0 ? 0 : part));
     }
+    return true;
 }
 
-/* Ends all commands, then the default state or a stop in place. A device with an `acceleration` should slow down by it. */
-static void rest(struct device *device, bool hold, const char *code, const char *message, int64_t now)
+/* Ends all commands: speeds go to zero, and a position stays where it is. With `home` the device goes to its default state.
+   A device with an `acceleration` should slow down by it. */
+static void rest(struct device *device, bool home, const char *code, const char *message, int64_t now)
 {
     int i;
-    for (i = 0; i < MAX_QUEUE; i++)
-        if (device->commands[i].held && device->commands[i].begun && moves(device, &device->commands[i]))
-            sample(device, &device->commands[i], now);
+    home = home && device->has_default;
+    for (i = 0; i < MAX_QUEUE && !home; i++) {
+        struct command *c = &device->commands[i];
+        if (c->held && c->begun && moves(device, c) && c->steps[c->done].kind == POSITION)
+            sample(device, c, now);
+    }
     for (i = SPEED; i <= ACCELERATION; i++)
-        if (device->kinds[i].there)
+        if (device->kinds[i].there && !(home && i == (int)device->primary))
             set(device, (enum kind)i, 0);
-    if (device->has_default && !hold)
+    if (home)
         set(device, device->primary, device->default_value);
     for (i = 0; i < KINDS; i++)
         device->tails[i].there = false;
     drop(device, -NEVER, false, code, message, now);
 }
 
-static const char SILENT[] = "the server was silent for longer than stop_condition";
+static const char SILENT[] = "the server was silent for longer than stop_condition", BROKEN[] = "the hardware failed";
 
 /* The lease of what runs, or of a speed that goes on, has ended: everything ends. */
 static void run_out(struct device *device, int64_t now)
@@ -557,18 +562,6 @@ static void run_out(struct device *device, int64_t now)
             report_tail(device, tail, "link_lost", SILENT, now);
     }
     rest(device, false, "link_lost", SILENT, now);
-}
-
-/* The lease of a command that has not begun has ended: so do those that start then or later, and nothing that runs. */
-static void run_out_pending(struct device *device, int64_t start, int64_t now)
-{
-    int i;
-    bool busy = device->where[SPEED] != 0 || device->where[ACCELERATION] != 0;
-    drop(device, start, true, "link_lost", SILENT, now);
-    for (i = 0; i < MAX_QUEUE; i++)
-        busy = busy || device->commands[i].held;
-    if (!busy)
-        rest(device, false, "link_lost", SILENT, now);
 }
 
 static void tell_started(struct device *device, struct command *c, int64_t now)
@@ -641,7 +634,7 @@ static void go_on(struct device *device, struct command *c, int64_t now)
         if (moves(device, c) && step->offset > 0)
             tell_started(device, c, now);
     } else if (!set(device, step->kind, step->value)) {
-        report(c, FAILED, NULL, "internal", "the hardware failed", now);
+        rest(device, false, "internal", BROKEN, now);
     } else {
         tell_started(device, c, now);
         device->tails[step->kind].there = false;
@@ -693,12 +686,12 @@ static int64_t run(void)
             return due;
         if (what == LEASE)
             run_out(of, now);
-        else if (what == PENDING)
-            run_out_pending(of, with->start, now);
+        else if (what == PENDING) /* what starts then or later has not moved anything */
+            drop(of, with->start, true, "link_lost", SILENT, now);
         else if (what == STEP)
             go_on(of, with, now);
-        else
-            sample(of, with, now);
+        else if (!sample(of, with, now))
+            rest(of, false, "internal", BROKEN, now);
     }
 }
 
@@ -879,7 +872,7 @@ static enum kind kind_of(const struct text *name)
 /* A control request that is a message. */
 struct request {
     struct text device_id, request_id, session, timestamp, control_type;
-    bool named, has_session, has_sent, has_start, hold, script, sensor, unknown; /* unknown: no control type of the protocol */
+    bool named, has_session, has_sent, has_start, home, script, sensor, unknown; /* unknown: no control type of the protocol */
     enum kind kind;            /* of neither */
     int64_t sent, start;
     char content_hash[65];
@@ -905,7 +898,7 @@ static void read_request(int body)
     r->has_sent = timestamp_at(body, "timestamp", &r->timestamp, &r->sent);
     r->has_start = period_at(body, "time_offset_to_start", &offset) && r->has_sent;
     r->start = r->has_start ? r->sent + ms_to_ns(offset) : 0;
-    r->hold = boolean_at(body, "hold");
+    r->home = boolean_at(body, "home");
     lease_at(body, &r->lease);
     r->content_hash[0] = '\0';
     if (text_at(body, "content_hash", 0, &hash)) {
@@ -1181,7 +1174,7 @@ static struct answer *new_answer(void)
 /* Whether the request that was read ends at once what its device does. */
 static bool stops(void)
 {
-    return request.script && !request.size && !request.has_start;
+    return request.script && !request.size && !request.has_start && !request.home;
 }
 
 static void control(struct link *link, int body, int64_t heard, int64_t now)
@@ -1215,7 +1208,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         why = done_by("stopped", link);
     if (refused(r, device, body, now, &passing)) {
         if (!strcmp(passing.code, "unsupported_control_type"))
-            rest(device, false, "cancelled", "default state after an unsupported control type", now);
+            rest(device, true, "cancelled", "default state after an unsupported control type", now);
     } else if (r->sensor) {
         if (arm_read((int)(device - devices), &passing.value) && isfinite(passing.value)) {
             passing.status = PROVIDE;
@@ -1231,7 +1224,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
                 int64_t until = r->sent < now + FUTURE ? r->sent : now + FUTURE;
                 device->taken_back = until > device->taken_back ? until : device->taken_back;
             }
-            rest(device, r->hold, "cancelled", why, now);
+            rest(device, r->home, "cancelled", why, now);
         }
         passing.status = OK;
     } else {

@@ -20,7 +20,7 @@ BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version":
 class Arm:
     """Your hardware. All of these must return at once; an exception is told to the server as `internal`."""
     def set(self, device, value): pass
-    def rest(self, device, value): pass         # the default state: go to the value; None: no speed, stay where you are
+    def rest(self, device, value): pass         # a stop or the default state: go to the value; None: stay where you are
     def read(self, device): return 42.5
 
 MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
@@ -53,7 +53,7 @@ def phases(value): return [value.get("pending"), value.get("running")] if isinst
 
 STEP = {"time_offset_to_start": period, "control_type": string, "control_value": number, "stop_condition": lease}
 CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp,
-           "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "hold": boolean}
+           "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "home": boolean}
 REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident, "seize": boolean}, "control_request": CONTROL,
             "initialization_request": {"timestamp": timestamp},
             "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
@@ -117,8 +117,9 @@ class Device:
     def __init__(self, spec):
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
+        self.still = None if self.drive in (None, "position") else 0
         self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
-        self.left_on, self.moving = [], False   # the ended command whose lease a speed is under; that one goes on
+        self.left_on = []                       # the ended command whose lease a speed that goes on is under
 
 def check(c, device, now):
     """All that a request may be refused for, in the order of the protocol."""
@@ -179,14 +180,13 @@ class Robot:
         try:
             self.arm.set(device.id, value)
         except Exception as fault:
-            return self.drop(device, [c], "internal", str(fault), now)
+            return self.rest(device, "internal", str(fault), now)
         c.done, c.late, device.left_on = c.done + 1, c.late + (late > LATE_STEP), []
-        device.moving = device.drive != "position" and value != 0
         if c.done == 1:
             self.respond(c, "Started", value, now)
         if c.done == len(c.steps):
             device.held.remove(c)
-            device.left_on = [c] if device.moving and c.leases[-1] is not None else []
+            device.left_on = [c] if device.still not in (None, value) and c.leases[-1] is not None else []
             self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late)
     def lose(self, device, c, now):
         """A lease has ended: with one of what runs all ends, with one ahead of a start what starts then or later."""
@@ -194,14 +194,12 @@ class Robot:
         if c.passed:
             return self.rest(device, *why)
         self.drop(device, [other for other in device.held if not other.passed and other.times[0] >= c.times[0]], *why)
-        if not device.held and not device.moving:
-            self.rest(device, *why)
-    def rest(self, device, code, message, now, hold=False):
-        """Ends everything; then the default state, or a stop in place. With an `acceleration`, slow down by it here."""
+    def rest(self, device, code, message, now, home=False):
+        """Ends everything: a speed goes to zero, a position stays; with `home` the device goes to its default state."""
         ended = device.held + (device.left_on if code == "link_lost" else [])
-        device.left_on, device.moving = [], False
+        device.left_on = []
         with contextlib.suppress(Exception):
-            self.arm.rest(device.id, None if hold else device.default)
+            self.arm.rest(device.id, device.still if device.default is None or not home else device.default)
         self.drop(device, ended, code, message, now)
     def drop(self, device, commands, code, message, now):
         device.held = [c for c in device.held if c not in commands]
@@ -265,7 +263,7 @@ class Robot:
             need(name in REQUESTS, "no such message")
             if name == "control_request":
                 c = Command(body, line, link)
-                stops = not c.sensor and not c.steps and (not c.timestamp or c.time_offset_to_start is None)
+                stops = not c.sensor and not c.steps and not c.home and (not c.timestamp or c.time_offset_to_start is None)
                 permit(*["observe", "drive"] if c.sensor else ["stop", "drive"] if stops else ["drive"])
                 return self.control(link, c, stops and not c.session and "stop" in (link.roles or ()))
             request = Fields(body, REQUESTS[name])
@@ -332,7 +330,7 @@ class Robot:
         except Exception as fault:              # what is no refusal is the hardware's
             message, code = fault.args if isinstance(fault, Refused) else (str(fault), "internal")
             if code == "unsupported_control_type":
-                self.rest(device, "cancelled", "default state after an unsupported control type", now)
+                self.rest(device, "cancelled", "default state after an unsupported control type", now, home=True)
             return self.respond(c, "Failed", error={"code": code, "message": message})
         why = "cancelled", f"stopped by {link.who}" if link.who else "cancelled by an empty script", now
         if c.steps:
@@ -343,7 +341,7 @@ class Robot:
             self.drop(device, [other for other in device.held if other.times[0] >= c.times[0]], *why)
         else:
             device.taken_back = max(device.taken_back, min(c.sent, now + FUTURE))
-            self.rest(device, *why, hold=c.hold)
+            self.rest(device, *why, home=c.home)
         return self.respond(c, "OK")
     def owns(self, link): return self.owner is not None and link.session == self.owner
     def let_in(self, link):

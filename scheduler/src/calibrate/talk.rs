@@ -343,10 +343,7 @@ impl Talk {
     /// # Errors
     /// [`TalkError`]: it is not known to be at rest.
     pub async fn hold(&mut self, device: &DeviceId) -> Result<(), TalkError> {
-        let stop = ControlRequest {
-            hold: true,
-            ..ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()))
-        };
+        let stop = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
         let (_, _, response) = self.ask(stop).await?;
         match response.status {
             Status::Ok => Ok(()),

@@ -371,17 +371,17 @@ fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
     })
 }
 
-/// Nothing moves in the end, and what is said to be stopped went to its default state or holds.
+/// Nothing moves in the end, and a robot that confirmed its default state went there.
 fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
     for (row, watched) in report.robots.iter().zip(watched) {
         if watched.still_moves {
             broken.push(format!("`{}` still moves after the mission and all leases have ended", row.robot));
         }
-        if row.stop == StopState::Confirmed {
+        if row.stop == StopState::Home {
             let moving = watched.last.iter().find(|(_, motion)| matches!(**motion, "set" | "ramp"));
             if let Some((device, _)) = moving {
                 broken.push(format!(
-                    "`{}` confirmed its stop, and `{device}` is not in its default state",
+                    "`{}` confirmed its default state, and `{device}` is not in it",
                     row.robot
                 ));
             }
@@ -524,10 +524,10 @@ mod tests {
         check(
             &Injected::None,
             |report, watched| {
-                report.robots[0].stop = StopState::Confirmed;
+                report.robots[0].stop = StopState::Home;
                 watched[0].last.insert("shoulder".parse().unwrap(), "set");
             },
-            "`a` confirmed its stop, and `shoulder` is not in its default state",
+            "`a` confirmed its default state, and `shoulder` is not in it",
         );
         check(
             &Injected::None,

@@ -10,8 +10,7 @@ use std::time::{Duration, Instant};
 
 use downbeat_robot::Hosted;
 use downbeat_robot::driver::{
-    AtStart, DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
-    Timeouts,
+    DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS, Timeouts,
 };
 use urrcp::{DeviceId, InitializationBlock};
 
@@ -21,9 +20,8 @@ use super::{Exit, Format, console};
 
 /// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "The command prints the address on which it listens and runs until Ctrl-C. The devices go to their \
-default state at the start, at the end, and whenever the hardware comes back. If they cannot at the end, the exit code is 4. \
+#[command(after_help = "The command prints the address on which it listens and runs until Ctrl-C. Nothing \
+moves at its start. At its end, devices that move come to rest. If they cannot, the exit code is 4. \
 docs/edge.md describes drivers.
 
 Drivers:
@@ -35,8 +33,7 @@ Examples:
   downbeat edge --init robot.yaml --listen 0.0.0.0:7401 --driver thrift://tank.local:9090
   downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required
   downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --driver-start-timeout 60s
-  downbeat edge --init robot.yaml --driver sim --samples-per-second 25 --samples-per-second arm=100"
-)]
+  downbeat edge --init robot.yaml --driver sim --samples-per-second 25 --samples-per-second arm=100")]
 pub(super) struct EdgeArgs {
     #[command(flatten)]
     process: ProcessArgs,
@@ -101,7 +98,7 @@ fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
 
 /// How the driver is used, as the arguments say.
 fn options(args: &EdgeArgs, block: &InitializationBlock) -> Result<DriverOptions, String> {
-    let mut options = DriverOptions::default().with_at_start(AtStart::Default);
+    let mut options = DriverOptions::default();
     options.pings_per_second = args.pings_per_second;
     options.readings_per_second = args.readings_per_second;
     for Samples { device, rate } in &args.samples_per_second {

@@ -20,7 +20,7 @@ use super::metrics::MetricsArgs;
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};
-use crate::report::{Report, StopState};
+use crate::report::Report;
 use crate::signals::{OnHangUp, Signals};
 
 /// Run one simulated robot that listens on TCP.
@@ -300,7 +300,7 @@ pub(super) fn not_hosted(error: &HostError) -> String {
     }
 }
 
-/// Stops a host and says which of its robots may not have come to their default state; returns whether there is none.
+/// Stops a host and says which of its robots may not have come to rest; returns whether there is none.
 pub(super) fn stop(host: Host) -> bool {
     let not_at_rest = host.stop();
     for robot in &not_at_rest {
@@ -309,12 +309,9 @@ pub(super) fn stop(host: Host) -> bool {
     not_at_rest.is_empty()
 }
 
-/// Stops the host of a mission's own robots: those that were held stay where they are. The report says which of the others may
-/// not have come to their default state.
+/// Stops the host of a mission's own robots. The report says which of them may not have come to rest.
 pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
-    let held = report.robots.iter().filter(|robot| robot.stop == StopState::Held);
-    let held: Vec<_> = held.map(|robot| robot.robot.clone()).collect();
-    let not_at_rest = host.map(|host| host.stop_but(&held)).unwrap_or_default();
+    let not_at_rest = host.map(Host::stop).unwrap_or_default();
     report.not_at_rest = not_at_rest.iter().map(ToString::to_string).collect();
     report.not_at_rest.iter().for_each(|robot| console::error(robot));
 }

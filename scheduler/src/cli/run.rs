@@ -38,7 +38,7 @@ use crate::stop_lane::StopLane;
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Ctrl-C stops the mission: every robot returns to its default state and confirms it. A second Ctrl-C \
+    after_help = "Ctrl-C stops the mission: every robot slows down, stays where it is, and confirms it. A second Ctrl-C \
 exits at once and lists the robots that may still move. Closing the terminal stops the mission, too, unless it runs with \
 --detach. From another terminal, `downbeat stop` stops it, and `downbeat go` (or Enter here) begins an act that waits for \
 the operator.
@@ -77,7 +77,7 @@ pub(super) struct RunArgs {
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
-    /// Take robots from other missions: their commands end, and they go to their default state first. Your certificate needs the
+    /// Take robots from other missions: their commands end, and they come to rest first. Your certificate needs the
     /// role `seize`, and the robots `tls://` addresses.
     #[arg(long)]
     seize: bool,

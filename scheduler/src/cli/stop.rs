@@ -39,7 +39,7 @@ operators, from any machine. Robots at tls:// and hmac:// obey if you have the r
 Examples:
   downbeat stop
   downbeat stop --fleet fleet.yaml
-  downbeat stop --hold
+  downbeat stop --home
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s
   DOWNBEAT_IDENTITY=keys/operators/dora.pem downbeat stop"
 )]
@@ -57,9 +57,9 @@ pub(super) struct StopArgs {
     /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
-    /// Leave every robot where it is instead of sending it to its default state.
+    /// Send every robot to its default state instead of leaving it where it comes to rest.
     #[arg(long)]
-    hold: bool,
+    home: bool,
     #[command(flatten)]
     how: HowArgs,
 }
@@ -103,7 +103,7 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let shown = if args.all || found.len() + unread.len() > 1 { Shown::Several } else { Shown::One };
     let told = if shown == Shown::One { format } else { Format::Json };
     let forgotten = if args.forget { Unconfirmed::Forgotten } else { Unconfirmed::Kept };
-    let rest = if args.hold { Rest::Hold } else { Rest::Default };
+    let rest = if args.home { Rest::Home } else { Rest::InPlace };
     let patience = args.how.patience;
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
     // A stop waits for no key.
@@ -121,7 +121,7 @@ fn stop_all_of(path: &Path, args: &StopArgs, format: Format) -> Exit {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
-    let rest = if args.hold { Rest::Hold } else { Rest::Default };
+    let rest = if args.home { Rest::Home } else { Rest::InPlace };
     let (scheduler, unconfirmed) = (Scheduler::Gone, Unconfirmed::Kept);
     let how = How { scheduler, unconfirmed, rest, patience: args.how.patience, told: format };
     let stopping = async { conclude(fleet_as_mission(), stop_fleet(&fleet, how).await, format) };
@@ -397,8 +397,8 @@ impl Stopped {
 fn robot_line(robot: &Value, begun: Option<Timestamp<Server>>) -> String {
     let name = robot["robot"].as_str().unwrap_or_default();
     match robot["stop"]["state"].as_str() {
-        Some("confirmed") => format!("{name}: default state confirmed"),
-        Some("held") => format!("{name}: held where it was, confirmed"),
+        Some("confirmed") => format!("{name}: stop confirmed"),
+        Some("home") => format!("{name}: default state confirmed"),
         Some("unconfirmed") => match serde_json::from_value(robot["stop"]["lease_ends"].clone()).ok() {
             Some(ends) => {
                 let verb = if begun.is_some_and(|begun| ends < begun) { "ended" } else { "ends" };
@@ -431,11 +431,8 @@ fn inside_line(inside: &Inside) -> String {
     match inside.what {
         InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
         InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
-        InsideWhat::Ended => format!(
-            "{robot}: NOT held; what drove it ended with the scheduler, and nothing was sent to it. `downbeat stop` without --hold brings it to its default state"
-        ),
         InsideWhat::Program => format!(
-            "{robot}: stop NOT confirmed; a program drove it, and a stop starts no program: `downbeat resume` starts it as the fleet file says, and brings the robot to its default state"
+            "{robot}: stop NOT confirmed; a program drove it, and a stop starts no program: `downbeat resume` starts it as the fleet file says, and brings the robot to rest"
         ),
         InsideWhat::Driver => {
             format!(

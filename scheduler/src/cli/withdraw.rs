@@ -110,8 +110,6 @@ pub(crate) enum InsideWhat {
     Simulated,
     /// A driver of hardware.
     Driver,
-    /// A driver of hardware that ended with the process, while a hold is wanted.
-    Ended,
     /// A program that ended with the process, and that only the fleet file can have started again.
     Program,
     /// A driver of hardware to which the mission had sent nothing.
@@ -132,9 +130,7 @@ impl Withdrawn {
     /// Robots that may still move.
     fn unconfirmed(&self) -> Vec<RobotId> {
         let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
-        let driven = |inside: &&Inside| {
-            matches!(inside.what, InsideWhat::Driver | InsideWhat::Ended | InsideWhat::Program)
-        };
+        let driven = |inside: &&Inside| matches!(inside.what, InsideWhat::Driver | InsideWhat::Program);
         let driven = self.inside.iter().filter(driven);
         robots.map(|robot| &robot.robot).chain(driven.map(|inside| &inside.robot)).cloned().collect()
     }
@@ -302,8 +298,7 @@ fn scenario_of(mission: &Opened) -> String {
 fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in &mission.robots {
-        let reachable =
-            how.scheduler == Scheduler::Gone && how.rest == Rest::Default && opened.init.is_some();
+        let reachable = how.scheduler == Scheduler::Gone && opened.init.is_some();
         let what = match (opened.address.parse(), programs.get(&opened.robot)) {
             (Ok(address), _) if address.is_served() => {
                 reached.push(fleet_robot(opened, address));
@@ -319,8 +314,6 @@ fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (V
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
             _ if !left.robots.contains_key(&opened.robot) => InsideWhat::Unmoved,
-            // A new driver does not know where its devices stand, so it cannot have them stay there.
-            _ if how.scheduler == Scheduler::Gone && how.rest == Rest::Hold => InsideWhat::Ended,
             (Ok(Address::Program { .. }), None) if how.scheduler == Scheduler::Gone => InsideWhat::Program,
             _ => InsideWhat::Driver,
         };
@@ -349,7 +342,7 @@ fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
 fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =
-        |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Held);
+        |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Home);
     let mut records = vec![Record::Stopping { outcome: report.outcome.clone(), rest, by: None }];
     let robots = report.robots.iter().filter(confirmed);
     records.extend(robots.map(|robot| Record::StopConfirmed { robot: robot.robot.clone() }));

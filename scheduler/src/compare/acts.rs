@@ -430,9 +430,9 @@ mod tests {
         act(|act| act.timeout = Some(Span::ZERO));
         act(|act| act.on_timeout = Way::End);
         act(|act| act.next = Way::End);
-        act(|act| act.on_failure.default = OnFailure::Hold);
+        act(|act| act.on_failure.default = OnFailure::Home);
         act(|act| act.on_failure.then = Some(1));
-        act(|act| act.on_failure.robots.push(("r".parse().unwrap(), OnFailure::Hold)));
+        act(|act| act.on_failure.robots.push(("r".parse().unwrap(), OnFailure::Home)));
         act(|act| act.on_doubt = OnDoubt::Withdraw);
         act(|act| act.plan.lead = Some(Span::ZERO));
         act(|act| act.plan.start_tolerance = Span::ZERO);

@@ -27,10 +27,10 @@ pub(super) const ALL: [Requirement; 5] = [
         check: cancel_running,
     },
     Requirement {
-        name: "hold",
-        demands: "An empty script with `hold: true` is answered `OK` and ends what is pending as well.",
+        name: "home",
+        demands: "An empty script with `home: true` is answered `OK` and ends what is pending as well.",
         section: "Cancelling (D)",
-        check: hold,
+        check: home,
     },
     Requirement {
         name: "take-back",
@@ -102,11 +102,11 @@ fn cancel_running(trial: &Trial) -> Checked {
     pass()
 }
 
-fn hold(trial: &Trial) -> Checked {
+fn home(trial: &Trial) -> Checked {
     let actor = trial.scripted()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
-    cancels(trial, &mut line, &ControlRequest { hold: true, ..trial.cancel(actor) })?;
+    cancels(trial, &mut line, &ControlRequest { home: true, ..trial.cancel(actor) })?;
     is_cancelled(trial, &mut line, pending)?;
     pass()
 }

@@ -182,7 +182,7 @@ fn without_a_journal_only_durable_records_are_counted() {
 fn a_stop_is_sent_before_it_is_recorded() {
     let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
     let mut world = Silent::new(99, Filed::AtOnce);
-    world.once_it_sends = Some(Event::StopRequested { rest: Rest::Default, by: None });
+    world.once_it_sends = Some(Event::StopRequested { rest: Rest::InPlace, by: None });
     at_once(drive(&mut mission, &mut world)).unwrap();
     assert_eq!(world.stops.get(..2), Some(&[Stopping::Sent, Stopping::Recorded][..]), "{:?}", world.told);
 }

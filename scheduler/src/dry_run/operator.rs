@@ -117,7 +117,7 @@ impl VirtualOperator {
         let still = (self.readings_change_until - self.alone_since).max(Span::ZERO);
         if self.thought == NEVER || now >= self.alone_since + timeout.max(thought).max(still) + WAITS_MAX {
             self.cut = Some(Cut { act: act.clone(), awaits: awaits.clone() });
-            return Some(Event::StopRequested { rest: Rest::Default, by: None });
+            return Some(Event::StopRequested { rest: Rest::InPlace, by: None });
         }
         self.speaks = Some(now + THINKS);
         Some(Event::Go { act: None, by: None })

@@ -121,7 +121,7 @@ fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_i
     let path = written(folder.path());
     let renewed_until = || read(&path).unwrap().left().renewed_until;
     let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
-    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default, by: None };
+    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(renewed_until(), None);
     append(5, stopping());
     append(9, stopping());
@@ -505,6 +505,6 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     bytes.truncate(bytes.len() - 5);
     std::fs::write(&path, bytes).unwrap();
     assert_eq!(read(&path).unwrap().fate(), Fate::Resume);
-    let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default, by: None };
+    let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
 }

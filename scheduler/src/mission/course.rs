@@ -88,7 +88,7 @@ impl Mission {
                 }
                 ActAction::Refill(robots) => robots.into_iter().for_each(|robot| self.refill(now, robot)),
                 ActAction::Ask(robots) => robots.into_iter().for_each(|robot| self.inquire(now, robot)),
-                ActAction::Withdraw(outcome) => self.abort(now, outcome, Rest::Default, None),
+                ActAction::Withdraw(outcome) => self.abort(now, outcome, Rest::InPlace, None),
                 ActAction::TimedOut(way) => self.skip_act(now, number, way),
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be waited for.
@@ -109,7 +109,7 @@ impl Mission {
             let reason = format!("`{}` {fate}", act.name());
             self.skipped_act(&act, fate);
             if way == Way::Fail {
-                return self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
+                return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
             }
         }
         self.go_way(now, way);
@@ -153,7 +153,7 @@ impl Mission {
                 self.come_to_the_end();
             }
             Way::End => self.come_to_the_end(),
-            Way::Fail => self.abort(now, Outcome::Failed, Rest::Default, None),
+            Way::Fail => self.abort(now, Outcome::Failed, Rest::InPlace, None),
         }
     }
 

@@ -233,11 +233,11 @@ impl Mission {
         }
     }
 
-    /// The strictest policy of those that failed: abort, then hold, then going on without them.
+    /// The strictest policy of those that failed: stop, then home, then going on without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
         let Some(current) = self.acts.first() else {
             let reason = self.reason_of(robots);
-            return self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
+            return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
         };
         let policies = robots.iter().map(|robot| {
             // That of the newest act that it takes part in.
@@ -248,14 +248,14 @@ impl Mission {
             (own.unwrap_or(policy.default), policy.then)
         });
         let rank = |what: &OnFailure| match what {
-            OnFailure::Abort => 2,
-            OnFailure::Hold => 1,
+            OnFailure::Stop => 2,
+            OnFailure::Home => 1,
             OnFailure::Without => 0,
         };
         let Some((what, then)) = policies.max_by_key(|(what, _)| rank(what)) else { return };
         match what {
-            OnFailure::Abort => self.abort_for(now, robots, Rest::Default, then),
-            OnFailure::Hold => self.abort_for(now, robots, Rest::Hold, then),
+            OnFailure::Stop => self.abort_for(now, robots, Rest::InPlace, then),
+            OnFailure::Home => self.abort_for(now, robots, Rest::Home, then),
             OnFailure::Without => {
                 if let Some(then) = then {
                     self.lead_elsewhere(then);
@@ -265,7 +265,7 @@ impl Mission {
                 let nobody = self.robots.iter().all(|robot| robot.standing == Standing::Out);
                 if nobody && sent {
                     let reason = self.reason_of(robots);
-                    self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
+                    self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
                 }
             }
         }
@@ -291,7 +291,7 @@ impl Mission {
         }
     }
 
-    /// The others go on; it goes to its default state, if it can be reached.
+    /// The others go on; it comes to rest, if it can be reached.
     fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
         if let Some(lost) = self.robots[robot].lost_mut() {
@@ -302,6 +302,6 @@ impl Mission {
         let id = self.robots[robot].id.clone();
         self.record(Record::Dropped { robot: id.clone() });
         self.tell(Progress::Dropped { robot: id });
-        self.stop_robot(now, robot, Rest::Default);
+        self.stop_robot(now, robot, Rest::InPlace);
     }
 }

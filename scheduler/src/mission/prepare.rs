@@ -181,7 +181,7 @@ impl Mission {
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
         match self.robots.iter().all(|robot| robot.touched.is_empty()) {
             true => self.refuse(outcome),
-            false => self.abort(now, outcome, super::robot_state::Rest::Default, None),
+            false => self.abort(now, outcome, super::robot_state::Rest::InPlace, None),
         }
     }
 

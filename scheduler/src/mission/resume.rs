@@ -68,7 +68,7 @@ impl Mission {
             let id = &self.robots[robot].id;
             if kept.dropped.contains(id) && !kept.stopped.contains(id) {
                 self.holds_still(robot, &left, now);
-                self.stop_robot(now, robot, Rest::Default);
+                self.stop_robot(now, robot, Rest::InPlace);
             }
         }
     }

@@ -84,11 +84,11 @@ pub(crate) struct SentStop {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rest {
-    /// In its default state.
+    /// Where it is: it slows down, and nothing begins to move.
     #[default]
-    Default,
-    /// Where it is.
-    Hold,
+    InPlace,
+    /// In its default state, to which it moves.
+    Home,
 }
 
 /// What a reading is for.

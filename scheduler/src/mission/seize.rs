@@ -16,7 +16,7 @@ pub(crate) enum Ownership {
     OfAnother(ControlError),
     /// It was asked to leave the other session.
     Seizing,
-    /// It was taken from another session. Its devices may still be on the way to their default state.
+    /// It was taken from another session. Its devices may still be slowing down.
     Seized,
 }
 

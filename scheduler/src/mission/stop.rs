@@ -27,19 +27,16 @@ impl Mission {
                 self.abort_because(now, (Outcome::Stopped, reason), rest, None);
             }
             // Whatever was to follow the stop does not.
-            Phase::Stopping { by, .. } => {
+            Phase::Stopping { .. } => {
                 self.then = None;
                 self.outcome = Some(Outcome::Stopped);
-                // What a failure has stopped where it was stays there, however often it is said.
-                if by == StoppedBy::Operator {
-                    self.stop_otherwise(now, rest);
-                }
+                self.stop_otherwise(now, rest);
             }
             Phase::Ended => {}
         }
     }
 
-    /// The operator's latest word counts: what holds is sent to its default state, and what is on its way there holds.
+    /// The operator's latest word counts: what rests is sent home, and what is on its way there comes to rest.
     fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
         let other: Vec<_> =
             (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
@@ -66,7 +63,7 @@ impl Mission {
         let outcome = Outcome::JournalLost { reason };
         match self.phase {
             Phase::Greeting { .. } => self.refuse(outcome),
-            Phase::Performing => self.abort(now, outcome, Rest::Default, None),
+            Phase::Performing => self.abort(now, outcome, Rest::InPlace, None),
             Phase::Stopping { .. } => self.then = None,
             Phase::Ended => {}
         }
@@ -158,7 +155,7 @@ impl Mission {
             // What was sent before it and arrives after it is taken back as well.
             request.timestamp = Some(stopped_at + state.shift);
             request.session = self.options.session_on_the_wire();
-            request.hold = sent.rest == Rest::Hold;
+            request.home = sent.rest == Rest::Home;
             Message::ControlRequest(request)
         };
         let mut requests: Vec<_> =

@@ -62,7 +62,7 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
     answers(&mut mission, None, Err("no act waits for the operator"));
     // Nothing was sent that would have to be stopped.
-    let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::Default, by: None });
+    let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
     answers(&mut mission, None, Err("the mission is over"));
 }
 
@@ -162,7 +162,7 @@ fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
 #[test]
 fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     let member = &act.members()[0];
     let lease = act.timing().unwrap().lead.lease;
     let left = act.left_behind(member, 0, &mission.robots[0], at(1));
@@ -259,13 +259,13 @@ fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
 #[test]
 fn a_robot_that_was_sent_nothing_is_sent_no_stop_and_another_one_only_one() {
     let mut mission = begins_at_once(Everything);
-    mission.stop_robot(at(0), 0, Rest::Default);
+    mission.stop_robot(at(0), 0, Rest::InPlace);
     assert!(!mission.robots[0].stop_was_sent() && mission.stopped_at.is_none());
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.stop_robot(at(1), 0, Rest::Default);
-    mission.stop_robot(at(2), 0, Rest::Hold);
+    mission.stop_robot(at(1), 0, Rest::InPlace);
+    mission.stop_robot(at(2), 0, Rest::Home);
     assert!(
-        matches!(&mission.robots[0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::Default)
+        matches!(&mission.robots[0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
     );
     assert_eq!(mission.stopped_at, Some(at(1)));
 }
@@ -298,7 +298,7 @@ fn an_act_tells_how_far_its_starts_may_be_apart() {
 fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::Default, by: None });
+    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
     assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
     let script = ScriptRef { act: 0, member: 0, script: 0 };
     mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
@@ -525,7 +525,7 @@ fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both(
     let mut mission = Mission::new(Arc::new(choreography(scripts)), participants, options, at(0)).unwrap();
     let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
     assert_eq!(sent.len(), 2);
-    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::Default, by: None });
+    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
     let kinds: Vec<&str> = actions
         .iter()
         .filter_map(|action| match action {
@@ -569,7 +569,7 @@ fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Optio
 #[test]
 fn a_script_whose_pending_lease_reaches_its_start_goes_on_to_its_running_one() {
     let (mut mission, act, _) = sent_act();
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     let timing = act.timing().unwrap();
     for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
         let last_sent = timing.start - timing.lead.lease - before;
@@ -591,7 +591,7 @@ fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_
     let there = by_robot(at(3));
     mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
     assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it is over by now");
 }
 
@@ -601,7 +601,7 @@ fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
     let end = act.timing().unwrap().end;
     assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
     assert_eq!(left_at(&mission, &act, end), None, "its time is over");
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     assert!(left_at(&mission, &act, end).is_some(), "nobody knows when it began");
     let failed = urrcp::ControlResponse {
         error: super::bench::refusal(ErrorCode::Cancelled),
@@ -612,7 +612,7 @@ fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
 
     let mut mission = begins_with(Everything, &[("a", 0, 400), ("a", 400, 400)]);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     let act = &mission.acts[0];
     assert_eq!(act.left_behind(&act.members()[0], 1, &mission.robots[0], at(1)), None, "it waits to be sent");
 }

@@ -576,7 +576,7 @@ mod tests {
             (10, preparing("wave", 10)),
             (20, Progress::Accepted { robot: id("a") }),
             (30, Progress::Failed(failure)),
-            (31, Progress::Stopping { reason: "a failed".to_owned(), rest: Rest::Default }),
+            (31, Progress::Stopping { reason: "a failed".to_owned(), rest: Rest::InPlace }),
         ];
         let spans = spans(&told, Some(&Outcome::NotStarted));
         assert_eq!(spans.len(), 5, "the mission, the greeting, the act, its preparation and a robot");

@@ -78,7 +78,7 @@ pub struct Report {
     pub robots: Vec<RobotReport>,
     /// The failures of each robot, in order; of a robot that fails again and again the first ones.
     pub failures: Vec<Failure>,
-    /// Robots driven in this process whose hardware may not be in its default state, each with the reason.
+    /// Robots driven in this process whose hardware may not be at rest, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
     /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
@@ -136,7 +136,7 @@ pub struct RobotReport {
     /// Devices that declare another latency than was compensated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
-    /// After a stop: whether it is known to be in its default state.
+    /// After a stop: whether it is known to be at rest.
     pub stop: StopState,
 }
 
@@ -147,10 +147,10 @@ pub struct RobotReport {
 pub enum StopState {
     /// None was sent.
     NotSent,
-    /// The robot confirmed its default state on every device.
+    /// The robot confirmed on every device that it has ended what it did, and comes to rest where it is.
     Confirmed,
-    /// The robot confirmed on every device that it rests where it was, as `on_failure: hold` asks.
-    Held,
+    /// The robot confirmed on every device that it goes to its default state.
+    Home,
     /// The robot refused it: it belongs to another session by now, whose commands it may execute, and holds nothing of this one.
     TakenOver,
     /// No confirmation; it stops by itself when its longest lease ends.
@@ -251,8 +251,8 @@ const fn is_zero(count: &u64) -> bool {
 
 fn stop_state(robot: &RobotState) -> StopState {
     match (&robot.stop, robot.left.is_empty()) {
-        (Stop::Confirmed(Rest::Default), _) => StopState::Confirmed,
-        (Stop::Confirmed(Rest::Hold), _) => StopState::Held,
+        (Stop::Confirmed(Rest::InPlace), _) => StopState::Confirmed,
+        (Stop::Confirmed(Rest::Home), _) => StopState::Home,
         (Stop::None, true) => StopState::NotSent,
         (Stop::Sent(SentStop { taken_over: Some(_), .. }), _) => StopState::TakenOver,
         (Stop::None | Stop::Sent(_), _) => {

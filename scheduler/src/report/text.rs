@@ -441,8 +441,8 @@ fn unaccounted(robot: &RobotReport) -> Option<String> {
 fn stop(robot: &RobotReport) -> Option<String> {
     let rest = match robot.stop {
         StopState::NotSent => return None,
-        StopState::Confirmed => "default state confirmed".to_owned(),
-        StopState::Held => "held where it was, confirmed".to_owned(),
+        StopState::Confirmed => "stop confirmed".to_owned(),
+        StopState::Home => "default state confirmed".to_owned(),
         StopState::TakenOver => TAKEN_OVER.to_owned(),
         StopState::Unconfirmed { lease_ends: Some(at) } => {
             format!("stop NOT confirmed; its lease ends at {}", time_of_day(at))

@@ -1,7 +1,7 @@
 //! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
 //!
 //! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
-//! or `hold`, which leaves robots where they are, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
+//! or `home`, which sends robots to their default state, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
 //! by its report, a line of JSON. So a client knows within a second whether the mission listens.
 //!
 //! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
@@ -160,8 +160,8 @@ impl Listener {
         }
         match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
             ("go", act) => self.go(act).await,
-            ("stop", "") => self.stop(Rest::Default).await,
-            ("hold", "") => self.stop(Rest::Hold).await,
+            ("stop", "") => self.stop(Rest::InPlace).await,
+            ("home", "") => self.stop(Rest::Home).await,
             _ => self.say("unknown").await,
         }
     }
@@ -262,8 +262,8 @@ pub async fn go(
 pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<String, Unheard> {
     let mut speaker = Speaker::to(folder).await?;
     let word = match rest {
-        Rest::Default => "stop",
-        Rest::Hold => "hold",
+        Rest::InPlace => "stop",
+        Rest::Home => "home",
     };
     // Who presents nothing waits for nothing.
     if presented.is_some() {

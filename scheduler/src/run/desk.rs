@@ -95,7 +95,7 @@ impl Desk {
         word: &str,
     ) -> Result<Option<String>, String> {
         let unreadable = || "what it presents cannot be read".to_owned();
-        let is_stop = matches!(word.split(' ').next(), Some("stop" | "hold"));
+        let is_stop = word == "stop";
         if challenge.nonce.is_empty() && is_stop {
             return Ok(None);
         }
@@ -110,7 +110,11 @@ impl Desk {
         if identity.name == self.witness.identity().name {
             return Ok(None);
         }
-        let (takes, role) = if is_stop { ("a stop", Role::Stop) } else { ("a go", Role::Drive) };
+        let (takes, role) = match word {
+            "stop" => ("a stop", Role::Stop),
+            "home" => ("the way home", Role::Drive),
+            _ => ("a go", Role::Drive),
+        };
         if !identity.roles.has(role) {
             let roles = identity.roles.to_string();
             return Err(format!("{} may {roles}, and {takes} takes {role}", identity.name));

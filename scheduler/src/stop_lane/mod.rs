@@ -161,7 +161,7 @@ impl StopLane {
 
     /// Notes what the mission is about to send, and says whether it may.
     pub(crate) fn passes(&self, robot: usize, message: &Message) -> Passage {
-        match self.robots[robot].note(message, *self.alarm.borrow()) {
+        match self.robots[robot].note(message) {
             sent::Moves::Nothing => Passage::Open,
             // It is noted first and looked second: either the lane knows of it, or it is not sent.
             sent::Moves::Devices if *self.alarm.borrow() != Alarm::Quiet => Passage::Closed,

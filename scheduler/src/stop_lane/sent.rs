@@ -1,12 +1,11 @@
 //! What the mission has sent a robot, as far as a stop has to know it. The mission's loop writes it, the lane reads the
 //! latest; neither waits for the other.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
-use super::Alarm;
 use crate::link::{Link, Outgoing};
 use crate::mission::robot_state::Rest;
 use crate::session;
@@ -14,8 +13,8 @@ use crate::session;
 /// What a robot was sent.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sent {
-    /// Devices that were sent anything that moves, with how a stop leaves them.
-    devices: BTreeMap<DeviceId, Rest>,
+    /// Devices that were sent anything that moves.
+    devices: BTreeSet<DeviceId>,
     /// The latest timestamp of a request, by the robot's own clock where that is not the server's: a stop takes back all up
     /// to it that arrives later.
     latest: Option<Timestamp<Server>>,
@@ -30,8 +29,7 @@ pub(super) struct Sent {
 impl Sent {
     /// The devices of a mission that another process began.
     pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
-        let devices = devices.iter().map(|device| (device.clone(), Rest::Default)).collect();
-        Self { devices, session, ..Self::default() }
+        Self { devices: devices.clone(), session, ..Self::default() }
     }
 }
 
@@ -60,17 +58,11 @@ impl Book {
     }
 
     /// Notes a message that is about to be sent.
-    pub(super) fn note(&self, message: &Message, alarm: Alarm) -> Moves {
+    pub(super) fn note(&self, message: &Message) -> Moves {
         let Message::ControlRequest(request) = message else { return Moves::Nothing };
         match &request.command {
             Command::ReadSensor => Moves::Nothing,
-            Command::Script(script) if script.is_empty() => {
-                // What the operator wants is the alarm's to say, again and otherwise too.
-                if alarm == Alarm::Quiet {
-                    self.0.send_modify(|sent| sent.stopped(request));
-                }
-                Moves::Nothing
-            }
+            Command::Script(script) if script.is_empty() => Moves::Nothing,
             Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {
                 self.0.send_modify(|sent| sent.add(request));
                 Moves::Devices
@@ -89,20 +81,12 @@ impl Book {
 
 impl Sent {
     fn add(&mut self, request: &ControlRequest) {
-        self.devices.insert(request.device_id.clone(), Rest::Default);
+        self.devices.insert(request.device_id.clone());
         self.latest = self.latest.max(request.timestamp);
         self.session.clone_from(&request.session);
     }
 
-    /// What a failure has stopped where it was stays there: the report says so.
-    fn stopped(&mut self, request: &ControlRequest) {
-        if let Some(rest) = self.devices.get_mut(&request.device_id) {
-            *rest = if request.hold { Rest::Hold } else { Rest::Default };
-        }
-    }
-
-    /// A stop of every device that was sent anything, each under a name of its own. With `rest` they come to rest, but for
-    /// what a failure has stopped where it was: that stays there.
+    /// A stop of every device that was sent anything, each under a name of its own.
     pub(super) fn stops(
         &self,
         now: Timestamp<Server>,
@@ -111,7 +95,7 @@ impl Sent {
     ) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();
-        let stop = |(index, (device, stopped)): (usize, (&DeviceId, &Rest))| {
+        let stop = |(index, device): (usize, &DeviceId)| {
             let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
             // Sessions are named by this program, far below the limit.
             let id = RequestId::new(name).ok()?;
@@ -119,7 +103,7 @@ impl Sent {
             request.request_id = Some(id.clone());
             request.timestamp = self.latest;
             request.session.clone_from(&self.session);
-            request.hold = [rest, *stopped].contains(&Rest::Hold);
+            request.home = rest == Rest::Home;
             Some((id, Message::ControlRequest(request)))
         };
         self.devices.iter().enumerate().filter_map(stop).collect()
@@ -146,16 +130,16 @@ mod tests {
     #[test]
     fn a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it() {
         let book = Book::new(watch::Sender::new(Sent::default()));
-        assert_eq!(book.note(&request("arm", set(), 7), Alarm::Quiet), Moves::Devices);
-        assert_eq!(book.note(&request("leg", set(), 9), Alarm::Quiet), Moves::Devices);
-        assert_eq!(book.note(&request("arm", set(), 5), Alarm::Quiet), Moves::Devices);
-        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3, Rest::Default);
+        assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
+        assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
+        assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
+        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3, Rest::InPlace);
         let told = |(id, message): &(RequestId, Message)| {
             let Message::ControlRequest(request) = message else { panic!("{message:?}") };
             assert_eq!(request.command, Command::Script(Script::cancel()));
             assert_eq!(request.session, Some("show".parse().unwrap()));
             assert_eq!(request.request_id.as_ref(), Some(id));
-            (request.device_id.to_string(), request.timestamp, request.hold, id.to_string())
+            (request.device_id.to_string(), request.timestamp, request.home, id.to_string())
         };
         let latest = Some(Timestamp::from_nanos(9));
         let expected = [
@@ -166,35 +150,24 @@ mod tests {
     }
 
     #[test]
-    fn what_a_failure_has_stopped_where_it_was_stays_there_until_it_is_moved_again() {
+    fn a_stop_that_sends_robots_home_says_so_on_every_device() {
         let book = Book::new(watch::Sender::new(Sent::default()));
-        let holds = |book: &Book| {
-            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::Default);
-            matches!(&stops[..], [(_, Message::ControlRequest(request))] if request.hold)
-        };
-        let mut hold = request("arm", Command::Script(Script::cancel()), 7);
-        if let Message::ControlRequest(request) = &mut hold {
-            request.hold = true;
+        book.note(&request("arm", set(), 7));
+        book.note(&request("leg", set(), 9));
+        for (rest, home) in [(Rest::InPlace, false), (Rest::Home, true)] {
+            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0, rest);
+            let homes = stops.iter().filter(
+                |(_, message)| matches!(message, Message::ControlRequest(request) if request.home == home),
+            );
+            assert_eq!(homes.count(), 2, "{rest:?}");
         }
-        book.note(&request("arm", set(), 5), Alarm::Quiet);
-        assert!(!holds(&book));
-        // The operator's hold, which another word of the operator may end.
-        book.note(&hold, Alarm::Ringing(Rest::Hold));
-        assert!(!holds(&book));
-        book.note(&hold, Alarm::Quiet);
-        assert!(holds(&book));
-        book.note(&request("arm", set(), 9), Alarm::Quiet);
-        assert!(!holds(&book));
     }
 
     #[test]
     fn readings_and_stops_leave_nothing_to_stop() {
         let book = Book::new(watch::Sender::new(Sent::default()));
-        assert_eq!(book.note(&request("eye", Command::ReadSensor, 7), Alarm::Quiet), Moves::Nothing);
-        assert_eq!(
-            book.note(&request("arm", Command::Script(Script::cancel()), 7), Alarm::Quiet),
-            Moves::Nothing
-        );
-        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::Default).is_empty());
+        assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
+        assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
+        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::InPlace).is_empty());
     }
 }

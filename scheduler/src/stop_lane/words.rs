@@ -80,11 +80,6 @@ impl Voice {
         self.mission.is_closed() || self.mission.capacity() == self.mission.max_capacity()
     }
 
-    /// The operator has said hold.
-    fn holds(&self) -> bool {
-        *self.alarm.borrow() == Alarm::Ringing(Rest::Hold)
-    }
-
     fn is_over(&self) -> bool {
         self.mission.is_closed()
     }
@@ -100,11 +95,8 @@ pub(super) async fn hear(mut signals: Signals, voice: Voice) {
             // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
             tokio::spawn(die_soon(asked));
         }
-        // A terminal that closes, or a supervisor, sends no robot on its way that was told to stay.
-        if !(voice.holds() && matches!(word, Operator::Stop { .. })) {
-            let voice = voice.clone();
-            tokio::spawn(async move { voice.say(word).await });
-        }
+        let voice = voice.clone();
+        tokio::spawn(async move { voice.say(word).await });
     }
 }
 
@@ -117,9 +109,9 @@ async fn die_soon(asked: Asked) {
 /// closes.
 const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
     match (before, asked) {
-        (_, Asked::Hold) => Operator::Stop { rest: Rest::Hold, by: None },
+        (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },
         (Some(_), Asked::Interrupt) => Operator::Leave,
-        _ => Operator::Stop { rest: Rest::Default, by: None },
+        _ => Operator::Stop { rest: Rest::InPlace, by: None },
     }
 }
 
@@ -146,12 +138,12 @@ mod tests {
             voice.say(Operator::Leave).await.unwrap();
             assert_eq!(*ringing.borrow(), Alarm::Quiet);
             let speaking =
-                tokio::spawn(async move { voice.say(Operator::Stop { rest: Rest::Hold, by: None }).await });
+                tokio::spawn(async move { voice.say(Operator::Stop { rest: Rest::Home, by: None }).await });
             tokio::task::yield_now().await;
-            assert_eq!(*ringing.borrow(), Alarm::Ringing(Rest::Hold));
+            assert_eq!(*ringing.borrow(), Alarm::Ringing(Rest::Home));
             assert!(!speaking.is_finished());
             assert!(matches!(words.recv().await, Some(Operator::Leave)));
-            assert!(matches!(words.recv().await, Some(Operator::Stop { rest: Rest::Hold, .. })));
+            assert!(matches!(words.recv().await, Some(Operator::Stop { rest: Rest::Home, .. })));
             assert_eq!(speaking.await.unwrap(), Ok(()));
         });
     }

@@ -271,9 +271,9 @@ pub(super) struct Positions<'a> {
 /// Ways into an act besides those from the end of an act before it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct OtherWays {
-    /// After a failure: devices are in their default state, or where they were.
-    failure: bool,
-    /// After a wait that took too long, or back from a later act: nothing is known.
+    /// After a failure that sends all devices to their default state.
+    home: bool,
+    /// After another failure, after a wait that took too long, or back from a later act: nothing is known.
     elsewhere: bool,
 }
 
@@ -281,10 +281,11 @@ impl OtherWays {
     pub(super) fn into(ways: &[Ways], index: usize) -> Self {
         let to = Way::Act(index);
         let back = ways.iter().skip(index).any(|way| way.next == to);
-        Self {
-            failure: ways.iter().any(|way| way.on_failure.then == Some(index)),
-            elsewhere: back || ways.iter().any(|way| way.on_timeout == to),
-        }
+        let late = ways.iter().any(|way| way.on_timeout == to);
+        let after_failure =
+            ways.iter().map(|way| &way.on_failure).filter(|policy| policy.then == Some(index));
+        let (home, stopped): (Vec<_>, Vec<_>) = after_failure.partition(|policy| policy.sends_home());
+        Self { home: !home.is_empty(), elsewhere: back || late || !stopped.is_empty() }
     }
 }
 
@@ -317,7 +318,7 @@ impl<'a> Positions<'a> {
         let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
         let left =
             self.before.iter().map(|rest| rest.get(&(robot, device)).map_or(default, |left| left.certainly));
-        let begun = (self.first || self.others.failure).then_some(default);
+        let begun = (self.first || self.others.home).then_some(default);
         let mut known = left.chain(begun);
         let place = known.next()?.filter(|_| !self.others.elsewhere)?;
         known.all(|other| other == Some(place)).then_some(place)

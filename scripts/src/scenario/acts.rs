@@ -37,13 +37,13 @@ struct Shared {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnFailure {
-    /// All robots go to their default state.
+    /// All robots stop where they are.
     #[default]
-    Abort,
+    Stop,
+    /// All robots go to their default state.
+    Home,
     /// The others continue.
     Without,
-    /// All robots stay where they are.
-    Hold,
 }
 
 /// What the others do when shortly before the start a robot's link is silent or broken, and it cannot be known whether it will
@@ -278,7 +278,7 @@ fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)>
 }
 
 const ON_FAILURE: [(&str, OnFailure); 3] =
-    [("abort", OnFailure::Abort), ("without", OnFailure::Without), ("hold", OnFailure::Hold)];
+    [("stop", OnFailure::Stop), ("home", OnFailure::Home), ("without", OnFailure::Without)];
 
 pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
     [("start", OnDoubt::Start), ("withdraw", OnDoubt::Withdraw)];
@@ -286,23 +286,34 @@ pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
 /// One word for all, or a map with `default`, `then` and words for robots or groups.
 pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
     let Node::Map(_) = at.node else {
-        return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
+        return OnFailureRule { default: failure_word(reader, at), ..OnFailureRule::default() };
     };
     let mut rule = OnFailureRule::default();
     for (key, at) in reader.entries(at, "robot, `default` or `then` to what happens") {
         match key {
-            "default" => rule.default = reader.word(&at, &ON_FAILURE),
+            "default" => rule.default = failure_word(reader, &at),
             "then" => {
                 let text = reader.name(&at, "the name of an act");
                 rule.then = text.map(|text| Name { text, place: at.place() });
             }
             robot => {
                 let name = Name { text: robot.to_owned(), place: at.key_place() };
-                rule.robots.extend(reader.word(&at, &ON_FAILURE).map(|word| (name, word)));
+                rule.robots.extend(failure_word(reader, &at).map(|word| (name, word)));
             }
         }
     }
     rule
+}
+
+/// What happens on a failure. The words of earlier versions name their successors.
+fn failure_word(reader: &mut Reader, at: &At<'_>) -> Option<OnFailure> {
+    let successor = |word: &str| {
+        matches!(word, "abort" | "hold").then(|| {
+            "write `stop`, which leaves robots where they come to rest, or `home`, which sends them to their default state"
+                .to_owned()
+        })
+    };
+    reader.word_or(at, &ON_FAILURE, successor)
 }
 
 fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {

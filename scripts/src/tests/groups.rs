@@ -173,8 +173,8 @@ fn an_act_that_is_reached_after_a_failure_too_does_not_know_where_robots_are() {
             "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], {policy}}}\n  - {{act: two, cues: [{UP}]}}\n"
         )
     };
-    assert_eq!(lost(&acts("on_failure: abort")), Vec::<String>::new());
-    let after_failure = lost(&acts("on_failure: {default: abort, then: two}"));
+    assert_eq!(lost(&acts("on_failure: stop")), Vec::<String>::new());
+    let after_failure = lost(&acts("on_failure: {default: stop, then: two}"));
     assert!(after_failure.len() == 1 && after_failure[0].contains("when `up` begins"), "{after_failure:?}");
 }
 
@@ -190,11 +190,14 @@ fn an_act_to_which_a_later_one_leads_back_does_not_know_where_robots_are() {
 }
 
 #[test]
-fn an_act_that_only_a_failure_leads_to_begins_in_the_default_state() {
-    let text = format!(
-        "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], next: end, on_failure: {{default: abort, then: landing}}}}\n  - {{act: landing, cues: [{{cue: down, at: 0s, robots: all, form: home, over: 9s}}]}}\n"
-    );
-    assert_eq!(lost(&text), Vec::<String>::new());
+fn an_act_that_only_a_failure_leads_to_begins_where_that_sends_the_robots() {
+    let text = |policy: &str| {
+        format!(
+            "scenario: s\nacts:\n  - {{act: one, cues: [{UP}], next: end, on_failure: {{default: {policy}, then: landing}}}}\n  - {{act: landing, cues: [{{cue: down, at: 0s, robots: all, form: home, over: 9s}}]}}\n"
+        )
+    };
+    assert_eq!(lost(&text("home")), Vec::<String>::new());
+    assert_eq!(lost(&text("stop")).len(), 1, "they may have stopped anywhere");
 }
 
 #[test]

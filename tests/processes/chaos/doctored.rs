@@ -16,7 +16,7 @@ fn faultless() -> Played {
         clocks: vec![Clock::Ntp(1_000), Clock::Measured(1_000)],
         tells: vec![Tells::Everything, Tells::WhenAsked],
         queue: 2,
-        on_failure: "abort",
+        on_failure: "stop",
         on_doubt: "start",
         acts: vec![2, 2],
         every_ms: 150,

@@ -145,7 +145,7 @@ impl Drawn {
             _ => Clock::Ntp(rng.u64(0..4_000)),
         };
         let clocks: Vec<Clock> = (0..robots).map(|_| clock(&mut rng)).collect();
-        let on_failure = *rng.choice(&["abort", "abort", "without", "hold"]).unwrap_or(&"abort");
+        let on_failure = *rng.choice(&["stop", "stop", "without", "home"]).unwrap_or(&"stop");
         let on_doubt = if rng.u8(0..3) == 0 { "withdraw" } else { "start" };
         let mut drawn = Self {
             seed,

@@ -94,11 +94,10 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
     assert_eq!(report["outcome"], "done", "{report:#}");
     for log in ["1.log", "2.log"] {
         let sets = sets(&session, log);
-        // Played, then at the end of the process the default state.
+        // Played, then at the end of the process the speed stops, and the position stays.
         assert_eq!(of("left", &sets), [40.0, -20.0, 0.0, 0.0], "{sets:?}");
-        let right = of("right", &sets);
-        let (way, rest) = right.split_at(right.len() - 1);
-        assert_eq!((way.first(), way.last(), rest), (Some(&0.0), Some(&10.0), [0.0].as_slice()), "{sets:?}");
+        let way = of("right", &sets);
+        assert_eq!((way.first(), way.last()), (Some(&0.0), Some(&10.0)), "{sets:?}");
         assert!(way.is_sorted() && way.len() > 3, "{sets:?}");
     }
 }
@@ -158,7 +157,7 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
         edge.1
     );
     session.file("fleet.yaml", plain);
-    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    edge.await_hardware();
     let running = session
         .command(&["run", "tanks.yaml", "--lead", LEAD])
         .stdout(Stdio::piped())
@@ -171,8 +170,8 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert!(ran.text().contains("the hardware is away"), "{}", ran.text());
     let (_tank, _) = Tank::start(&session, "2.log", port);
-    await_that("the default state of the restarted robot", || sets(&session, "2.log").len() >= 2);
-    assert_eq!(sets(&session, "2.log"), ["left 0", "right 0"]);
+    edge.await_hardware();
+    assert_eq!(sets(&session, "2.log"), Vec::<String>::new(), "the restarted robot was moved");
     session.file("tanks.yaml", SCENARIO);
     let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
@@ -180,8 +179,8 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     assert_eq!(code, Some(0), "{said}");
     assert!(said.contains("tank-1: the hardware is back"), "{said}");
     let sets = sets(&session, "2.log");
-    assert_eq!(of("left", &sets), [0.0, 40.0, -20.0, 0.0, 0.0], "{sets:?}");
-    assert_eq!(of("right", &sets), [0.0, 0.0, 10.0, 0.0], "{sets:?}");
+    assert_eq!(of("left", &sets), [40.0, -20.0, 0.0], "{sets:?}");
+    assert_eq!(of("right", &sets), [0.0, 10.0], "{sets:?}");
 }
 
 #[test]
@@ -189,11 +188,14 @@ fn an_edge_that_cannot_bring_its_devices_to_rest_says_so() {
     let session = session();
     let (tank, port) = Tank::start(&session, "1.log", 0);
     let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
-    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    edge.await_hardware();
+    let mut server = server::Server::connected(&edge);
+    server.script(1_000, &[(0.0, 40.0), (60_000.0, 5.0)]);
+    await_that("the first step", || of("left", &sets(&session, "1.log")).contains(&40.0));
     drop(tank);
     let (code, said) = edge.end();
     assert_eq!(code, Some(4), "{said}");
-    assert!(said.contains("the devices of `tank-1` may not be in their default state: "), "{said}");
+    assert!(said.contains("the devices of `tank-1` may not be at rest: "), "{said}");
 }
 
 #[test]
@@ -207,7 +209,7 @@ fn a_run_names_the_hardware_of_its_own_that_it_could_not_bring_to_rest() {
     await_that("the second step", || of("left", &sets(&session, "1.log")).contains(&-20.0));
     drop(tank);
     let ran = stage::session::Ran(running.wait_with_output().unwrap());
-    ran.says(4, &["the devices of `tank-1` may not be in their default state: the hardware is away"]);
+    ran.says(4, &["the devices of `tank-1` may not be at rest: the hardware is away"]);
 }
 
 #[test]

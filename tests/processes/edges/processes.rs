@@ -4,8 +4,11 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 
 use rustix::process::Signal;
+use urrcp::Status;
 
 use super::TANK;
+use super::server::Server;
+use stage::quiet::await_that;
 use stage::session::{Session, root};
 use stage::thrift_robot;
 use stage::{ended_by_a_hang_up, signal};
@@ -95,6 +98,14 @@ impl Edge {
         let port = line.trim().rsplit(':').next().unwrap().parse();
         let port = port.unwrap_or_else(|_| panic!("no port in `{line}`"));
         Self(child, port)
+    }
+
+    /// Waits until its hardware has answered.
+    #[track_caller]
+    pub fn await_hardware(&self) {
+        await_that("an answer of the hardware", || {
+            Server::connected(self).availability().status == Status::Ok
+        });
     }
 
     /// As Ctrl-C in its terminal, or the service manager.

@@ -5,10 +5,10 @@
 mod claims;
 mod course;
 mod encodings;
-mod hold;
 mod large_show;
 mod missions;
 mod preflight;
 mod processes;
 mod refills;
+mod rest;
 mod told;

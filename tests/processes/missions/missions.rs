@@ -99,7 +99,7 @@ fn the_operator_lets_an_act_begin_from_another_terminal() {
 fn a_mission_is_stopped_from_another_terminal() {
     let session = evening("wait: operator");
     let child = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
-    session.run(&["stop"]).says(0, &["left: default state confirmed", "right: default state confirmed"]);
+    session.run(&["stop"]).says(0, &["left: stop confirmed", "right: stop confirmed"]);
     finished(child).says(3, &["stopped by the operator"]);
 }
 
@@ -241,7 +241,7 @@ fn a_mission_whose_scheduler_was_killed_is_stopped() {
     let child = start(&session, &["run", "long.yaml"], "every lease reaches over the start");
     await_moves(&session, &["sim.jsonl"]);
     drop(child);
-    session.run(&["stop"]).says(0, &["left: default state confirmed", "right: default state confirmed"]);
+    session.run(&["stop"]).says(0, &["left: stop confirmed", "right: stop confirmed"]);
     // Nothing is left to resume, and the robots are free.
     session.run(&["resume"]).says(2, &["no mission was cut off"]);
     session.run(&["run", "long.yaml"]).says(0, &["long: done"]);
@@ -370,7 +370,7 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
     let first = start(&session, &["run", "evening.yaml", "--only", "left"], "waits for the operator's go");
     session.run(&["run", "evening.yaml", "--only", "right", "--act", "opening"]).says(0, &["done"]);
     session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission"]);
-    session.run(&["stop"]).says(0, &["left: default state confirmed"]);
+    session.run(&["stop"]).says(0, &["left: stop confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
 }
 

@@ -177,7 +177,7 @@ fn if_the_scheduler_is_killed_before_the_commitment_none_starts() {
 }
 
 #[test]
-fn ctrl_c_returns_every_robot_to_its_default_state() {
+fn ctrl_c_stops_every_robot() {
     let fleet = Fleet::start(&[]);
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
     let mut scheduler = fleet.run_in_background(&[]);
@@ -188,7 +188,7 @@ fn ctrl_c_returns_every_robot_to_its_default_state() {
     scheduler.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(scheduler.wait().unwrap().code(), Some(3), "{printed}");
     assert!(printed.contains("stopped by the operator"), "{printed}");
-    assert_eq!(printed.matches("default state confirmed").count(), 6, "{printed}");
+    assert_eq!(printed.matches("stop confirmed").count(), 6, "{printed}");
 }
 
 #[test]
@@ -222,8 +222,8 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
     let rests =
-        |id: usize| fleet.log(id).lines().last().is_some_and(|line| line.contains(r#""motion":"default""#));
-    await_that("the default state of each robot", || (0..6).all(rests));
+        |id: usize| fleet.log(id).lines().last().is_some_and(|line| line.contains(r#""motion":"rest""#));
+    await_that("the rest of each robot", || (0..6).all(rests));
 }
 
 #[test]

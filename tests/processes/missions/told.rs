@@ -17,7 +17,7 @@ fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
     running.process.signal(Signal::INT);
     assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
     let ended = running.ended();
-    let confirmed = ended.out.contains("r0: default state confirmed");
+    let confirmed = ended.out.contains("r0: stop confirmed");
     assert!(!confirmed && ended.code == Some(4), "no stop has reached r0\n{ended}");
 }
 
@@ -32,19 +32,17 @@ fn the_end_of_a_script_confirms_no_stop_where_the_robot_names_no_requests() {
 }
 
 #[test]
-fn robots_that_are_to_hold_are_not_said_to_be_in_their_default_state() {
-    let mut stage = Play { on_failure: "hold", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+fn robots_that_stop_are_not_said_to_be_in_their_default_state() {
+    let mut stage = Play { on_failure: "stop", ..LONG }.stage(&[Via::Direct, Via::Direct]);
     let running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
     stage.robots[1].await_sets(3, SOON);
     stage.robots[1].kill();
     let ended = running.ended();
-    assert!(!ended.out.contains("default state confirmed"), "{ended}");
-    assert!(ended.out.contains("r0: "), "what became of the other one? {ended}");
+    assert!(!ended.out.contains("default state"), "{ended}");
+    assert!(ended.out.contains("r0: stop confirmed"), "what became of the other one? {ended}");
     let held = stage.robots[0].values("d").last().copied();
-    let moved = stage.robots[0]
-        .log()
-        .into_iter()
-        .find(|entry| entry.motion == "default" && Some(entry.value) != held);
+    let moved =
+        stage.robots[0].log().into_iter().find(|entry| entry.motion != "set" && Some(entry.value) != held);
     assert!(moved.is_none(), "{moved:?}, it stood at {held:?}");
 }
 

@@ -211,8 +211,7 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     // Who may stop stops the mission of another, and is named.
     let playing = operators.playing("anna", "long.yaml");
     by("bert", &["stop", "--fleet", "fleet.yaml", "--patience", "1s"]).says(4, &["arm-2"]);
-    by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"])
-        .says(0, &["arm-2: default state confirmed"]);
+    by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"]).says(0, &["arm-2: stop confirmed"]);
     fails_with(playing, "stopped by operator dora");
 
     // The authority has made another secret, which the robot does not have.

@@ -150,7 +150,7 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
     let since = stage.robots[0].log().len();
     let stopped = stage.run(&["stop", "--patience", "2s"]);
     says(&stopped, 4, &["r0", "another robot", "calls itself `stranger`", "r0: stop NOT confirmed"]);
-    says(&stopped, 4, &["r1: default state confirmed"]);
+    says(&stopped, 4, &["r1: stop confirmed"]);
     // Also where several missions may be meant, with the missions' results.
     let again = stage.run(&["stop", "--all", "--patience", "2s"]);
     says(&again, 4, &["  r0: stop NOT confirmed"]);
@@ -173,7 +173,7 @@ fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is
         }
     });
     let stopped = stage.run(&["stop", "--patience", "2s"]);
-    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: stop confirmed"]);
     stage.await_rest();
     // Its steps would come every 200 ms.
     let sets = stays(Duration::from_secs(1), || stage.robots[0].sets().len());
@@ -266,5 +266,5 @@ fn after_a_crash_a_robot_is_stopped_that_calls_itself_as_the_fleet_file_says() {
     addresses(&stage, &[(0, 1, ", robot_id: r1"), (1, 0, ", robot_id: r0")]);
     let mut run = moving(&stage, &["run", "play.yaml"]);
     run.process.kill();
-    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed", "r1: default state confirmed"]);
+    says(&stage.run(&["stop"]), 0, &["r0: stop confirmed", "r1: stop confirmed"]);
 }

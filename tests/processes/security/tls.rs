@@ -154,10 +154,7 @@ fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
     let moved = site.moved();
     assert_eq!(stop("bert").code(), 4);
     assert_eq!(site.moved(), moved, "who may only observe stops nothing");
-    stop("dora").says(
-        0,
-        &["r0: default state confirmed", "r1: default state confirmed", "r2: default state confirmed"],
-    );
+    stop("dora").says(0, &["r0: stop confirmed", "r1: stop confirmed", "r2: stop confirmed"]);
     let ended = Ran(playing.wait_with_output().unwrap());
     assert_eq!(ended.code(), 1, "{}", ended.text());
     assert!(ended.text().contains("stopped by operator dora"), "{}", ended.text());
@@ -213,8 +210,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
     session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
     let playing = operators.playing("anna", "long.yaml");
-    by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"])
-        .says(0, &["arm-1: default state confirmed"]);
+    by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"]).says(0, &["arm-1: stop confirmed"]);
     fails_with(playing, "stopped by operator dora");
 }
 

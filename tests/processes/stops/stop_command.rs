@@ -92,7 +92,7 @@ fn says(ended: &Ended, code: i32, parts: &[&str]) {
     parts.iter().for_each(|part| assert!(text.contains(part), "`{part}` is missing in:\n{text}"));
 }
 
-const BOTH: [&str; 2] = ["r0: default state confirmed", "r1: default state confirmed"];
+const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 
 #[test]
 fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
@@ -144,7 +144,7 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
     let stage = cut_off(2);
     stage.robots[1].freeze();
     let first = stage.run(&["stop", "--patience", "1s"]);
-    says(&first, 4, &["r0: default state confirmed", "r1: stop NOT confirmed, and it runs without a lease"]);
+    says(&first, 4, &["r0: stop confirmed", "r1: stop NOT confirmed, and it runs without a lease"]);
     stage.robots[1].thaw();
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
@@ -211,7 +211,7 @@ fn old_journals_are_not_read_however_long_they_are() {
         file.write_all(ended).unwrap();
         file.write_all(b"\n").unwrap();
     }
-    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: stop confirmed"]);
     // What follows removes them.
     stage.run(&["run", "long.yaml", "--lead", "1ms"]);
     let left = ["a", "b", "c"].iter().filter(|old| folder(old).exists()).count();
@@ -239,7 +239,7 @@ fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
     let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
     mission.process.kill();
     let simulated = "s: was simulated in the scheduler's own process";
-    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed", simulated]);
+    says(&stage.run(&["stop"]), 0, &["r0: stop confirmed", simulated]);
     stage.robots.clear();
 }
 
@@ -266,7 +266,7 @@ fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
         std::fs::write(folder.join("journal"), journal).unwrap();
         says(&stage.run(&["missions"]), 0, &["cannot be read", "no other mission runs"]);
         let stopped = stage.run(&["stop"]);
-        says(&stopped, 1, &["r0: default state confirmed"]);
+        says(&stopped, 1, &["r0: stop confirmed"]);
         assert_eq!(mission.ended().code, Some(3));
         all_rest(&stage);
     }
@@ -283,7 +283,7 @@ fn a_robot_that_says_nothing_readable_is_told_of_in_a_line_and_buries_no_other()
         }
     });
     let stopped = stage.run(&["stop", "--patience", "1s"]);
-    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: stop confirmed"]);
     for said in [&stopped.out, &stopped.told] {
         assert_eq!(said.matches("r0: garbled").count(), 1, "{stopped}");
     }
@@ -300,11 +300,7 @@ fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_nam
     let two = playing(&stage, &["run", "two.yaml"], &[1]);
     let three = playing(&stage, &["run", "three.yaml"], &[2, 3]);
     let stopped = stage.run(&["stop"]);
-    says(
-        &stopped,
-        0,
-        &["one@", "two@", "three@", "  r0: default state confirmed", "  r3: default state confirmed"],
-    );
+    says(&stopped, 0, &["one@", "two@", "three@", "  r0: stop confirmed", "  r3: stop confirmed"]);
     all_rest(&stage);
     assert_eq!((two.ended().code, three.ended().code), (Some(3), Some(3)));
 }
@@ -440,7 +436,7 @@ fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
     let address = fleet.split("tcp://").nth(1).unwrap().split('"').next().unwrap().to_owned();
     let taken: Vec<_> = (0..40).map(|_| std::net::TcpStream::connect(&address).unwrap()).collect();
     await_that("its connections", || stage.robots[0].connections() >= taken.len());
-    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: stop confirmed"]);
     assert_eq!(taken.len(), 40);
     all_rest(&stage);
 }
@@ -491,7 +487,7 @@ fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was
     // The other mission is left alone.
     let before = stage.robots[0].sets().len();
     stage.robots[0].await_sets(before + 3, Duration::from_secs(20));
-    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed"]);
+    says(&stage.run(&["stop"]), 0, &["r0: stop confirmed"]);
     new.ended();
     all_rest(&stage);
 }

@@ -67,7 +67,7 @@ fn the_command_stop_stops_every_robot_of_a_scheduler_that_is_frozen() {
 }
 
 #[test]
-fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
+fn a_stop_leaves_where_it_is_what_a_failure_has_stopped() {
     let mut stage = Stage::new();
     let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
     stage.file("arm.yaml", arm);
@@ -77,7 +77,7 @@ fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
         .map(|step| format!("{{at: {}ms, to: {}}}", step * 50, step + 1))
         .collect::<Vec<_>>()
         .join(", ");
-    stage.file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\non_failure: hold\nstop_condition: {{running: none}}\ncues:\n  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
+    stage.file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\non_failure: stop\nstop_condition: {{running: none}}\ncues:\n  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
     let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
     stage.robots[1].await_sets(5, Duration::from_secs(30));
     stage.robots[1].kill();
@@ -85,9 +85,9 @@ fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
     stage.await_record(r#""record":"stop_confirmed","robot":"r0""#);
     running.process.signal(Signal::INT);
     let ended = running.ended();
-    assert!(ended.out.contains("r0: held where it was"), "{ended}");
+    assert!(ended.out.contains("r0: stop confirmed"), "{ended}");
     let log = stage.robots[0].log();
     let held = log.iter().rfind(|entry| entry.motion == "set").unwrap().value;
-    let moved = log.iter().find(|entry| entry.motion == "default" && (entry.value - held).abs() > 0.5);
+    let moved = log.iter().find(|entry| entry.motion != "set" && (entry.value - held).abs() > 0.5);
     assert!(moved.is_none(), "{moved:?}, it stood at {held}\n{ended}");
 }

@@ -100,7 +100,7 @@ fn a_key_stops_and_the_terminal_is_as_before() {
     stage.robots[0].await_sets(3, SOON);
     mission.terminal.type_keys("s");
     assert_eq!(mission.process.0.wait().unwrap().code(), Some(3), "{}", mission.watched.screen());
-    mission.watched.shows("r1: default state confirmed", SOON);
+    mission.watched.shows("r1: stop confirmed", SOON);
     assert_eq!(mission.terminal.settings(), mission.before);
     assert!(mission.watched.raw().ends_with('\n'), "nothing is drawn after the report");
 }

@@ -26,7 +26,7 @@ pub const LONG: Play = Play {
     script: 200,
     queue: 1,
     running: "1s",
-    on_failure: "abort",
+    on_failure: "stop",
     tolerance: "1s",
 };
 /// Nearly five seconds in three scripts of eight steps.

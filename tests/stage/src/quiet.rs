@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
-use crate::{Robot, Stage};
+use crate::{Robot, Stage, epoch_nanos};
 
 /// The time within which an event happens, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -30,9 +30,10 @@ pub fn stays<T: PartialEq + Debug>(window: Duration, what: impl Fn() -> T) -> T 
 }
 
 impl Robot {
-    /// Whether its log is empty, or its last entry is not a value of a script.
+    /// Whether it has not moved for half a second.
     pub fn rests(&self) -> bool {
-        self.log().last().is_none_or(|entry| entry.motion != "set")
+        const HALF_A_SECOND: i64 = 500_000_000;
+        self.log().last().is_none_or(|entry| entry.at + HALF_A_SECOND < epoch_nanos())
     }
 
     /// The number of open connections to its own port that it has accepted.

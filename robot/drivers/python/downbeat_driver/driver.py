@@ -110,7 +110,7 @@ class Driver:
         """Raises an exception if the hardware could not be moved now. Without it, only this program is known to be alive."""
 
     def stop(self) -> None:
-        """Lets the hardware go. Called last, if `start` has ended well; the devices are in their default state."""
+        """Lets the hardware go. Called last, if `start` has ended well; the devices are at rest."""
 
     # What you call.
 

@@ -51,7 +51,7 @@ def plan(device="arm", *, steps, start_ms=60.0, last=True, linear=False, control
     return "plan " + json.dumps(told), told
 
 
-def cancel(number=1, then="default"):
+def cancel(number=1, then="rest"):
     return "cancel " + json.dumps({"plan": number, "then": then, "why": "stopped"})
 
 

@@ -13,7 +13,7 @@ async fn a_script_that_the_driver_times_is_handed_over_and_told_as_the_driver_sa
     let took = ended.event_timestamp.unwrap() - started.event_timestamp.unwrap();
     assert_eq!(took, Span::from_millis(300), "exactly as the driver says");
     assert_eq!((ended.steps_done, ended.late_steps), (Some(2), Some(0)));
-    assert_eq!(rig.stop(), ["arm 3", "wheel 0"]);
+    assert_eq!(rig.stop(), ["wheel 0"]);
 }
 
 #[tokio::test]
@@ -22,7 +22,7 @@ async fn a_driver_that_times_scripts_ends_them_before_the_device_goes_to_rest() 
     rig.script_in("arm", "a", 60_000.0, &[(0.0, 5.0)], ControlType::Position);
     rig.responses(&PLAYED[..1]).await;
     rig.next_done(&["connect", "arm plan 5"]);
-    assert_eq!(rig.stop(), ["arm cancel default", "arm 3", "wheel 0"]);
+    assert_eq!(rig.stop(), ["arm cancel hold", "wheel 0"]);
 }
 
 #[tokio::test]

@@ -1,7 +1,6 @@
 //! Robots that drive hardware which may be away, fail and come back, and whose sensors take their time.
 
 use super::*;
-use crate::hardware::AtEnd;
 use crate::hardware::READINGS_MAX;
 
 fn driven() -> Bench {
@@ -40,9 +39,9 @@ fn open_reading(bench: &Bench) -> crate::hardware::ReadingId {
 }
 
 /// Devices with the values of their default state.
-fn defaults(bench: &Bench) -> Vec<(String, f64)> {
+fn rests(bench: &Bench) -> Vec<(String, f64)> {
     let value = |set: &&SetValue| match &set.motion {
-        Motion::Default(rest) => Some((format!("{} {}", set.device, rest.control_type), rest.value)),
+        Motion::Rest(rest) => Some((format!("{} {}", set.device, rest.control_type), rest.value)),
         _ => None,
     };
     bench.sets().iter().filter_map(value).collect()
@@ -66,8 +65,12 @@ fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
 }
 
 #[test]
-fn hardware_that_fails_ends_what_runs_and_waits_and_comes_back_to_its_default_state() {
+fn hardware_that_fails_ends_what_runs_and_waits_and_moves_nothing_when_it_is_back() {
     let mut bench = ready();
+    bench.request(ControlRequest::immediate(
+        DeviceId::new("wheel").unwrap(),
+        Command::Set(Setpoint::new(ControlType::Speed, 5.0)),
+    ));
     bench.request(timed("arm", "runs", 100.0, script(ControlType::Position, &PAPER)));
     bench.request(timed("arm", "waits", 5_000.0, script(ControlType::Position, &PAPER)));
     bench.until(1_500);
@@ -81,10 +84,11 @@ fn hardware_that_fails_ends_what_runs_and_waits_and_comes_back_to_its_default_st
     bench.until(3_000);
     assert!(bench.sets().is_empty(), "the script is over");
     bench.robot.hardware_found(bench.now, &mut bench.out);
-    let expected = [("arm position", 10.0), ("arm speed", 0.0), ("wheel speed", 0.0)];
-    assert_eq!(defaults(&bench), expected.map(|(device, value)| (device.to_owned(), value)));
+    assert_eq!(rests(&bench), [("wheel speed".to_owned(), 0.0)], "it may turn still");
     bench.until(10_000);
     assert_eq!(bench.values(), []);
+    assert_eq!(bench.sets().len(), 1);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(0.0), "where it was last");
 }
 
 #[test]
@@ -92,56 +96,62 @@ fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
     let mut bench = ready();
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     bench.robot.hardware_found(bench.now, &mut bench.out);
-    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
+    bench.robot.shut_down(bench.now, &mut bench.out);
     assert!(bench.sets().is_empty());
 }
 
 #[test]
-fn a_custom_type_goes_to_rest_once_a_command_has_driven_it_and_is_left_alone_before() {
+fn a_custom_type_goes_to_what_it_declares_once_a_command_has_driven_it_and_stays_otherwise() {
     let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
       {"id": "wheel", "name": "w", "available_control_types": {
          "speed": {"min_value": -10, "max_value": 10, "granularity": 1}}},
-      {"id": "lamp", "name": "l", "available_control_types": {"custom_1": {"colours": 3}}},
-      {"id": "horn", "name": "h", "default_value": 7, "available_control_types": {"custom_2": {}}}]}"#;
+      {"id": "lamp", "name": "l", "available_control_types": {"custom_1": {"at_rest": 0}}},
+      {"id": "valve", "name": "v", "available_control_types": {"custom_2": {"at_rest": [1, 2]}}},
+      {"id": "horn", "name": "h", "default_value": 7, "available_control_types": {"custom_3": {}}}]}"#;
     let block: InitializationBlock = serde_json::from_str(block).unwrap();
     let mut bench = Bench { robot: Robot::driven(block), ..Bench::new() };
     bench.robot.hardware_found(bench.now, &mut bench.out);
     let rests = |bench: &mut Bench| -> Vec<String> {
         let rest = |set: &&SetValue| match &set.motion {
-            Motion::Default(rest) => Some(format!("{} {:?}", set.device, rest.values().collect::<Vec<_>>())),
+            Motion::Rest(rest) => Some(format!("{} {:?}", set.device, rest.values().collect::<Vec<_>>())),
             _ => None,
         };
         let rests = bench.sets().iter().filter_map(rest).collect();
         bench.out.clear();
         rests
     };
-    bench.robot.restore(bench.now, &mut bench.out);
-    assert_eq!(rests(&mut bench), ["wheel [0.0]", "horn [7.0]"]);
+    let colours =
+        |custom| Setpoint { more: [5.0, 9.0].into(), ..Setpoint::new(ControlType::Custom(custom), 4.0) };
     let stop = |bench: &mut Bench| {
-        let cancel = Command::Script(Script::cancel());
-        bench.request(ControlRequest::immediate(DeviceId::new("lamp").unwrap(), cancel));
+        for device in ["lamp", "valve", "horn"] {
+            let cancel = Command::Script(Script::cancel());
+            bench.request(ControlRequest::immediate(DeviceId::new(device).unwrap(), cancel));
+        }
     };
     stop(&mut bench);
     assert_eq!(rests(&mut bench), [""; 0]);
-    let colours = Setpoint { more: [5.0, 9.0].into(), ..Setpoint::new(ControlType::Custom(1), 4.0) };
-    bench.request(ControlRequest::immediate(DeviceId::new("lamp").unwrap(), Command::Set(colours)));
+    for (device, custom) in [("lamp", 1), ("valve", 2), ("horn", 3)] {
+        let device = DeviceId::new(device).unwrap();
+        bench.request(ControlRequest::immediate(device, Command::Set(colours(custom))));
+    }
     stop(&mut bench);
-    assert_eq!(rests(&mut bench), ["lamp [0.0, 0.0, 0.0]"]);
+    assert_eq!(rests(&mut bench), ["lamp [0.0, 0.0, 0.0]", "valve [1.0, 2.0, 2.0]"]);
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     bench.robot.hardware_found(bench.now, &mut bench.out);
-    assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
-    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
-    assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
+    assert_eq!(rests(&mut bench), ["lamp [0.0, 0.0, 0.0]", "valve [1.0, 2.0, 2.0]"]);
+    bench.robot.shut_down(bench.now, &mut bench.out);
+    assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "valve [1.0, 2.0, 2.0]"]);
 }
 
 #[test]
-fn when_the_edge_ends_what_runs_is_told_and_devices_go_to_their_default_state() {
+fn when_the_edge_ends_what_runs_is_told_and_no_device_is_moved() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(10);
-    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
+    bench.robot.shut_down(bench.now, &mut bench.out);
     assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled"]);
-    assert!(defaults(&bench).contains(&("arm position".to_owned(), 10.0)));
+    assert_eq!(rests(&bench), [("wheel speed".to_owned(), 0.0)]);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0));
 }
 
 #[test]

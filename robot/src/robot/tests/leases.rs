@@ -56,14 +56,13 @@ fn a_rate_left_on_goes_on_under_its_own_lease_when_a_pending_one_ends() {
 }
 
 #[test]
-fn a_device_on_which_nothing_is_left_goes_to_its_default_state_when_a_pending_lease_ends() {
+fn the_end_of_a_pending_lease_moves_nothing() {
     let mut bench = Bench::new();
     bench.request(leased("arm", "done", 0.0, script(ControlType::Position, &[(0.0, 45.0)]), 240.0));
     bench.request(leased("arm", "queued", 3_000.0, paper(), 240.0));
-    bench.until(239);
-    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0));
-    bench.until(240);
-    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+    bench.until(9_000);
+    assert_eq!(bench.statuses().last().unwrap(), "Failed link_lost");
+    assert_eq!(bench.sets().len(), 1, "the first script alone: {:?}", bench.sets());
 }
 
 #[test]
@@ -75,5 +74,5 @@ fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
     bench.request(leased("arm", "queued", 3_000.0, paper(), 9_000.0));
     bench.until(300);
     assert_eq!(bench.statuses()[3..], ["Failed link_lost", "Failed link_lost"]);
-    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0), "it stays");
 }

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::hardware::AtEnd;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
 
 pub(super) const P1: PlanId = PlanId(1);
@@ -56,10 +55,10 @@ impl Bench {
         self.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     }
 
-    fn stop_arm(&mut self, hold: bool) {
+    fn stop_arm(&mut self, home: bool) {
         let stop = ControlRequest {
             request_id: Some(RequestId::new("stop").unwrap()),
-            hold,
+            home,
             ..ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::default()))
         };
         self.request(stop);
@@ -125,7 +124,7 @@ fn a_driver_that_never_says_that_it_began_or_ended_leaves_the_script_failed_and_
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_800);
-    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
     assert_eq!(bench.statuses(), ["Accepted"], "whether it has ended is not known yet");
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses(), ["Accepted", "Failed internal"]);
@@ -163,8 +162,8 @@ fn a_stop_is_confirmed_and_the_end_told_once_the_driver_has_ended_the_script() {
     bench.until(1_500);
     bench.hears(P1, 1_000, PlanEvent::Began);
     bench.hears(P1, 1_000, PlanEvent::Step(0));
-    bench.stop_arm(false);
-    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    bench.stop_arm(true);
+    assert_eq!(bench.cancels(), [(1, Then::Slow)], "at the speed that it declares");
     assert_eq!(bench.statuses(), ["Accepted", "Started"]);
     let place = |wanted: fn(&Output) -> bool| bench.out.iter().position(wanted).unwrap();
     let cancel = place(|output| matches!(output, Output::Cancel(_)));
@@ -179,18 +178,14 @@ fn a_stop_is_confirmed_and_the_end_told_once_the_driver_has_ended_the_script() {
 }
 
 #[test]
-fn a_device_that_is_to_hold_is_left_where_its_driver_has_it() {
+fn a_device_that_is_stopped_is_left_where_its_driver_has_it() {
     let mut bench = whole("arm");
     bench.paper();
     bench.until(1_500);
     bench.hears(P1, 1_000, PlanEvent::Began);
-    bench.stop_arm(true);
-    let positions = bench
-        .sets()
-        .into_iter()
-        .filter(|set| matches!(&set.motion, Motion::Default(to) if to.control_type == ControlType::Position));
-    assert_eq!(positions.count(), 0, "{:?}", bench.out);
-    assert_eq!(bench.cancels().len(), 1);
+    bench.stop_arm(false);
+    assert!(bench.sets().is_empty(), "{:?}", bench.out);
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
 }
 
 #[test]
@@ -253,7 +248,7 @@ fn a_failure_that_the_driver_reports_is_told_with_the_step() {
     assert_eq!(failed.error.as_ref().unwrap().message.to_string(), "the hardware failed in step 3: torque");
     assert_eq!(failed.steps_done, Some(2));
     assert_eq!(bench.cancels(), [], "it has ended it by itself");
-    assert!(bench.sets().iter().any(|set| set.step.is_none()), "the device goes to its default state");
+    assert!(bench.sets().iter().all(|set| set.step.is_some()), "the device stays where it is");
 }
 
 #[test]
@@ -359,8 +354,8 @@ fn a_whole_script_goes_on_although_the_edge_was_held_up() {
 fn an_edge_that_ends_has_its_driver_end_what_it_has() {
     let mut bench = whole("arm");
     bench.paper();
-    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
-    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    bench.robot.shut_down(bench.now, &mut bench.out);
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
 }
 
 #[test]
@@ -493,7 +488,7 @@ fn a_continuation_that_is_refused_ends_what_the_driver_has() {
     bench.until(1_600);
     let error = urrcp::ControlError::new(ErrorCode::Internal, "no");
     bench.robot.plan_refused(bench.now, P1, 2, error, &mut bench.out);
-    assert_eq!(bench.cancels(), [(1, Then::Default)], "it still has the first steps");
+    assert_eq!(bench.cancels(), [(1, Then::Hold)], "it still has the first steps");
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
 }
@@ -605,7 +600,7 @@ fn a_device_that_is_stopped_before_its_driver_has_said_that_it_is_done_is_told_a
     bench.hears(P1, 1_000, PlanEvent::Began);
     bench.until(3_100);
     bench.stop_arm(false);
-    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     let error = bench.last().error.as_ref().unwrap();
     let expected = "the device was stopped before its driver had said that the script was over";
@@ -627,6 +622,20 @@ fn a_device_without_a_default_value_is_told_to_hold_where_its_driver_has_it() {
     ));
     assert_eq!(bench.cancels(), [(1, Then::Hold)]);
     assert!(bench.sets().is_empty(), "{:?}", bench.sets());
+}
+
+#[test]
+fn a_speed_that_its_driver_times_goes_to_zero_by_a_value_that_follows() {
+    let mut bench = whole("wheel");
+    bench.request(timed("wheel", "a", 0.0, script(ControlType::Speed, &[(0.0, 5.0), (1_000.0, 8.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.until(500);
+    bench.request(ControlRequest::immediate(
+        DeviceId::new("wheel").unwrap(),
+        Command::Script(Script::default()),
+    ));
+    assert_eq!(bench.cancels(), [(1, Then::Rest)]);
+    assert_eq!(bench.sets().last().unwrap().motion, Motion::Rest(Setpoint::new(ControlType::Speed, 0.0)));
 }
 
 #[test]
@@ -686,7 +695,7 @@ fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
     bench.hears(P1, 1_500, PlanEvent::Cancelled);
     bench.stop_arm(false);
     assert_eq!(bench.statuses(), ["Accepted", "Started"]);
-    assert_eq!(bench.cancels(), [(1, Then::Default)], "it is asked once");
+    assert_eq!(bench.cancels(), [(1, Then::Hold)], "it is asked once");
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses()[..3], ["Accepted", "Started", "Failed cancelled"]);
 }

@@ -55,7 +55,6 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
         .collect();
     assert_eq!(told.last().map(String::as_str), Some("2 OK"));
     for expected in [
-        "arm None",
         "1 arm Failed cancelled: taken by operator eva",
         "1 ramp Failed cancelled: taken by operator eva",
         "wheel None",
@@ -63,7 +62,7 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
         assert!(told.iter().any(|line| line == expected), "{expected}: {told:?}");
     }
     assert!(bench.robot.is_idle());
-    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0), "its default value");
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(0.0), "it stays");
     // It is eva's now. Anna hears from whom it was taken, and no other.
     bench.send_on(LINK, hello("anna's"));
     assert_eq!(bench.last_said(), "1 Failed `r` was taken by operator eva");

@@ -90,7 +90,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     let style = match row.state {
         RobotState::Failed | RobotState::LinkLost => RED,
         RobotState::Stopping | RobotState::LeftOut => YELLOW,
-        RobotState::Playing | RobotState::AtRest | RobotState::Held => GREEN,
+        RobotState::Playing | RobotState::AtRest | RobotState::Home => GREEN,
         RobotState::Accepted => CYAN,
         RobotState::Greeting | RobotState::Ready | RobotState::Ended => Style::new(),
     };
@@ -167,8 +167,8 @@ fn title(model: &Model, now: Timestamp<Server>, columns: usize) -> Line<'static>
 
 fn doing(model: &Model, now: Timestamp<Server>) -> (&'static str, Style) {
     match (&model.phase, model.acts.first().map(|act| &act.stage)) {
-        (Phase::Stopping(_, Rest::Default), _) => ("STOPPING", RED),
-        (Phase::Stopping(_, Rest::Hold), _) => ("HOLDING", RED),
+        (Phase::Stopping(_, Rest::InPlace), _) => ("STOPPING", RED),
+        (Phase::Stopping(_, Rest::Home), _) => ("GOING HOME", RED),
         (Phase::Greeting, _) => ("checking the robots", CYAN),
         (Phase::Performing, None) => ("between acts", Style::new()),
         (Phase::Performing, Some(Stage::Waiting { .. })) => ("waiting", YELLOW),
@@ -183,8 +183,8 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
     if let Phase::Stopping(reason, rest) = &model.phase {
         lines.push(Line::from(vec![Piece::styled("reason  ", DIM), Piece::raw(reason.clone())]));
         let word = match rest {
-            Rest::Default => "stop    ",
-            Rest::Hold => "hold    ",
+            Rest::InPlace => "stop    ",
+            Rest::Home => "home    ",
         };
         let failed = |row: &&Row| row.state == RobotState::Failed && row.stop == Confirmed::NotYet;
         let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping || failed(row)).count();
@@ -343,8 +343,8 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
     if help == Help::Shown {
         return vec![
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
-            Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
-            Line::raw("h           hold: every robot stops where it is, and stays"),
+            Line::raw("s or Ctrl-C stop: every robot slows down and stays where it is"),
+            Line::raw("H           home: every robot returns to its default state"),
             Line::raw("Ctrl-C      twice: leave at once, confirmed or not"),
             Line::raw("~3/5        steps by the plan; 3/5 as reported, 3+ at least"),
             Line::raw("?           hide this help"),
@@ -361,14 +361,14 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
     match model.phase {
         Phase::Stopping(_, rest) => {
             match rest {
-                Rest::Default => key("h", "hold", Style::new()),
-                Rest::Hold => key("s", "stop", Style::new()),
+                Rest::InPlace => key("H", "home", Style::new()),
+                Rest::Home => key("s", "stop", Style::new()),
             }
             key("Ctrl-C twice", "leave at once", Style::new());
         }
         _ => {
             key("s", "stop", Style::new());
-            key("h", "hold", Style::new());
+            key("H", "home", Style::new());
         }
     }
     key("?", "help", Style::new());

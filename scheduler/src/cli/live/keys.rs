@@ -25,7 +25,7 @@ const LIFT_MAX: Duration = Duration::from_millis(200);
 enum Key {
     Go,
     Stop,
-    Hold,
+    Home,
     Help,
 }
 
@@ -34,7 +34,7 @@ impl Key {
         match byte {
             b'g' | b'G' | b'\n' | b'\r' => Some(Self::Go),
             b's' | b'S' => Some(Self::Stop),
-            b'h' | b'H' => Some(Self::Hold),
+            b'H' => Some(Self::Home),
             b'?' => Some(Self::Help),
             _ => None,
         }
@@ -98,13 +98,13 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
                 match key {
                     Key::Go => speaker.go(),
                     // A second Ctrl-C would leave at once, so only the first word is said as one.
-                    Key::Stop | Key::Hold if last == Some(key) => {}
+                    Key::Stop | Key::Home if last == Some(key) => {}
                     Key::Stop if last.is_none() => stop(),
-                    Key::Stop => speaker.stop(Rest::Default),
-                    Key::Hold => speaker.stop(Rest::Hold),
+                    Key::Stop => speaker.stop(Rest::InPlace),
+                    Key::Home => speaker.stop(Rest::Home),
                     Key::Help => toggle_help(&scene),
                 }
-                if matches!(key, Key::Stop | Key::Hold) {
+                if matches!(key, Key::Stop | Key::Home) {
                     last = Some(key);
                 }
             }
@@ -123,8 +123,8 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
             for line in typed.lines() {
                 match line.trim() {
                     "" | "g" | "go" => speaker.go(),
-                    "s" | "stop" => speaker.stop(Rest::Default),
-                    "h" | "hold" => speaker.stop(Rest::Hold),
+                    "s" | "stop" => speaker.stop(Rest::InPlace),
+                    "home" => speaker.stop(Rest::Home),
                     "?" | "help" => console::note(LINES),
                     other => console::note(&format!("`{}` is not a command; {LINES}", shown(other))),
                 }
@@ -133,7 +133,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
     });
 }
 
-const LINES: &str = "Enter or go begins the act that waits, stop stops all robots, hold has them stay where they are, Ctrl-C stops";
+const LINES: &str = "Enter or go begins the act that waits, stop stops all robots where they are, home sends them to their default state, Ctrl-C stops";
 
 /// As Ctrl-C does, by the same way.
 fn stop() {
@@ -211,9 +211,9 @@ mod tests {
     #[test]
     fn keys_that_mean_nothing_are_passed_over() {
         assert_eq!(
-            [b'g', b'\r', b's', b'h', b'?'].map(Key::of),
-            [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Hold), Some(Key::Help)]
+            [b'g', b'\r', b's', b'H', b'?'].map(Key::of),
+            [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Home), Some(Key::Help)]
         );
-        assert_eq!([b'x', 0x1b, b' ', 0x13].map(Key::of), [None; 4]);
+        assert_eq!([b'x', b'h', 0x1b, b' ', 0x13].map(Key::of), [None; 5]);
     }
 }

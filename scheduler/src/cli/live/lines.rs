@@ -47,9 +47,9 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
             format!("the NTP server answers again; this machine's clock has strayed by {offset_change}")
         }
         Progress::JournalLost { reason } => format!("{reason}; stopping"),
-        Progress::Stopping { reason, rest: Rest::Default } => format!("stopping all robots: {reason}"),
-        Progress::Stopping { reason, rest: Rest::Hold } => {
-            format!("stopping all robots where they are: {reason}")
+        Progress::Stopping { reason, rest: Rest::InPlace } => format!("stopping all robots: {reason}"),
+        Progress::Stopping { reason, rest: Rest::Home } => {
+            format!("sending all robots to their default state: {reason}")
         }
         _ => return None,
     })

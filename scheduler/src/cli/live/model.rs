@@ -113,8 +113,8 @@ pub(super) enum RobotState {
     Ready,
     Ended,
     AtRest,
-    /// At rest where it was.
-    Held,
+    /// On its way to its default state, or there.
+    Home,
 }
 
 impl RobotState {
@@ -130,7 +130,7 @@ impl RobotState {
             Self::Ready => "ready",
             Self::Ended => "ended",
             Self::AtRest => "at rest",
-            Self::Held => "held",
+            Self::Home => "home",
         }
     }
 
@@ -237,7 +237,7 @@ impl Model {
             }
             Progress::AtRest { robot } => {
                 let (state, word) = match self.phase {
-                    Phase::Stopping(_, Rest::Hold) => (RobotState::Held, "hold confirmed"),
+                    Phase::Stopping(_, Rest::Home) => (RobotState::Home, "default state confirmed"),
                     _ => (RobotState::AtRest, "stop confirmed"),
                 };
                 if let Some(row) = self.row(robot) {
@@ -396,7 +396,7 @@ impl Row {
     }
 
     const fn rests(&self) -> bool {
-        matches!(self.state, RobotState::AtRest | RobotState::Held)
+        matches!(self.state, RobotState::AtRest | RobotState::Home)
     }
 
     fn stopping(&mut self) {

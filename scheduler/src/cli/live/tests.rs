@@ -178,7 +178,7 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
     }
     model.tell(
         at(8_000),
-        &Progress::Stopping { reason: "stopped by the operator".to_owned(), rest: Rest::Default },
+        &Progress::Stopping { reason: "stopped by the operator".to_owned(), rest: Rest::InPlace },
     );
     let heard = Progress::Heard { robot: robot("arm-1"), steps_done: 7, clock_offset: None };
     model.tell(at(8_010), &heard);
@@ -194,7 +194,7 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
 }
 
 #[test]
-fn a_hold_shows_as_such_and_a_stop_after_it_as_one() {
+fn a_way_home_shows_as_such_and_a_stop_after_it_as_one() {
     let mut model = meeting();
     decided(&mut model);
     let (started, at_rest) = (
@@ -203,14 +203,14 @@ fn a_hold_shows_as_such_and_a_stop_after_it_as_one() {
     );
     ["arm-1", "arm-2"].iter().for_each(|name| model.tell(at(5_001), &started(name)));
     let reason = || "stopped by the operator".to_owned();
-    model.tell(at(8_000), &Progress::Stopping { reason: reason(), rest: Rest::Hold });
+    model.tell(at(8_000), &Progress::Stopping { reason: reason(), rest: Rest::Home });
     model.tell(at(8_010), &at_rest("arm-1"));
     let text = drawn(&model, 8_100, 100, 24);
-    check(&text, &["HOLDING", "hold    ", "held", "hold confirmed", "s stop"]);
+    check(&text, &["GOING HOME", "home    ", "default state confirmed", "s stop"]);
     assert!(!text.contains("STOPPING") && !text.contains("at rest"), "{text}");
-    model.tell(at(8_200), &Progress::Stopping { reason: reason(), rest: Rest::Default });
+    model.tell(at(8_200), &Progress::Stopping { reason: reason(), rest: Rest::InPlace });
     let text = drawn(&model, 8_300, 100, 24);
-    check(&text, &["STOPPING", "3 robots without a confirmation yet", "h hold"]);
+    check(&text, &["STOPPING", "3 robots without a confirmation yet", "H home"]);
     model.tell(at(8_310), &at_rest("arm-1"));
     check(&drawn(&model, 8_400, 100, 24), &["2 robots without", "at rest", "stop confirmed"]);
 }

@@ -263,7 +263,7 @@ pub(super) fn request(
         request_id: script.request_id().cloned(),
         content_hash: Some(script.content_hash()),
         session: session.cloned(),
-        hold: false,
+        home: false,
         command: Command::Script(script.plan.script.clone()),
     }
 }

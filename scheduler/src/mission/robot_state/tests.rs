@@ -96,7 +96,7 @@ fn without_name(device: &str, status: Status, millis: i64) -> ControlResponse {
 
 #[test]
 fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
-    let mut robot = stopped(Rest::Hold);
+    let mut robot = stopped(Rest::Home);
     let confirmed = |robot: &mut RobotState, device: &str, status| {
         let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
         robot.stop_answered(at(STOPPED + 2), &response, |_| false)
@@ -107,13 +107,13 @@ fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
     assert!(confirmed(&mut robot, "b", Status::Failed), "it is an answer, and no confirmation");
     assert!(robot.awaits_stop());
     assert!(confirmed(&mut robot, "b", Status::Ok));
-    assert!(matches!(robot.stop, Stop::Confirmed(Rest::Hold)) && robot.is_settled());
+    assert!(matches!(robot.stop, Stop::Confirmed(Rest::Home)) && robot.is_settled());
     assert!(!confirmed(&mut robot, "b", Status::Ok), "there is nothing left to confirm");
 }
 
 #[test]
 fn an_answer_to_another_request_confirms_no_stop() {
-    let mut robot = stopped(Rest::Default);
+    let mut robot = stopped(Rest::InPlace);
     let response =
         response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
     assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
@@ -122,7 +122,7 @@ fn an_answer_to_another_request_confirms_no_stop() {
 
 #[test]
 fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
-    let mut robot = stopped(Rest::Default);
+    let mut robot = stopped(Rest::InPlace);
     assert!(robot.stop_answered(at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), |_| false));
     let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
     assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
@@ -133,7 +133,7 @@ fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
 
 #[test]
 fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_said_before_the_stop() {
-    let mut robot = stopped(Rest::Default);
+    let mut robot = stopped(Rest::InPlace);
     let after = without_name("a", Status::Ok, STOPPED + 1);
     assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
     let before = without_name("a", Status::Ok, STOPPED - 1);
@@ -151,7 +151,7 @@ fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_
 
 #[test]
 fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
-    let mut robot = stopped(Rest::Default);
+    let mut robot = stopped(Rest::InPlace);
     let there = bench::by_robot(at(10)) + ms(5_000);
     robot.clock.add(crate::clock::ClockSample::from_exchange(at(10), there, there, at(10)));
     let said = |robot: &RobotState, millis| robot.said_at(at(200), bench::by_robot(at(millis)));

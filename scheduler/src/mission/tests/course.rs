@@ -15,7 +15,7 @@ fn fates(played: &Played) -> Vec<ActFate> {
 }
 
 fn stop(played: &mut Played) -> Outcome {
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     played.run_to_the_end()
 }
 
@@ -164,7 +164,7 @@ fn a_failure_may_lead_to_another_act_once_all_are_at_rest() {
     let mut played = Played::begun(mission);
     played.run_to_the_start();
     let now = played.now;
-    played.mission.abort(now, Outcome::Failed, Rest::Default, Some(1));
+    played.mission.abort(now, Outcome::Failed, Rest::InPlace, Some(1));
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
 }
@@ -335,7 +335,7 @@ fn a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission
     for (robot, outcome) in [(1, Outcome::DoneWithout), (0, Outcome::Failed)] {
         let mut mission = without_those_that_fail();
         let mut choreography = Choreography::clone(&mission.choreography);
-        choreography.acts[0].on_failure.default = OnFailure::Abort;
+        choreography.acts[0].on_failure.default = OnFailure::Stop;
         choreography.acts[0].on_failure.robots = vec![("r1".parse().unwrap(), OnFailure::Without)];
         mission.choreography = Arc::new(choreography);
         let mut played = Played::begun(mission);
@@ -362,13 +362,13 @@ fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
 
 #[test]
 fn of_robots_that_fail_together_the_strictest_policy_counts() {
-    use downbeat_scripts::OnFailure::{Abort, Hold, Without};
+    use downbeat_scripts::OnFailure as Policy;
     for (of_first, of_second, rest) in [
-        (Without, Hold, Some(Rest::Hold)),
-        (Hold, Without, Some(Rest::Hold)),
-        (Hold, Abort, Some(Rest::Default)),
-        (Abort, Without, Some(Rest::Default)),
-        (Without, Without, None),
+        (Policy::Without, Policy::Home, Some(Rest::Home)),
+        (Policy::Home, Policy::Without, Some(Rest::Home)),
+        (Policy::Home, Policy::Stop, Some(Rest::InPlace)),
+        (Policy::Stop, Policy::Without, Some(Rest::InPlace)),
+        (Policy::Without, Policy::Without, None),
     ] {
         let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)], &[("a", 0, 400)]]);
         let policy = &mut choreography.acts[0].on_failure;

@@ -45,7 +45,7 @@ fn a_robot_that_floods_has_failed_and_is_connected_to_again_only_to_be_stopped()
     let message = Message::ControlResponse(confirmed);
     let mut actions = happens(&mut mission, at(6), Event::Received { robot: 1, message });
     actions.extend(happens(&mut mission, at(7), flooding()));
-    actions.extend(happens(&mut mission, at(8), Event::StopRequested { rest: Rest::Default, by: None }));
+    actions.extend(happens(&mut mission, at(8), Event::StopRequested { rest: Rest::InPlace, by: None }));
     while let Some(now) = mission.next_wakeup() {
         actions.extend(mission.advance(now));
     }
@@ -58,7 +58,7 @@ fn a_robot_that_floods_while_robots_are_stopped_is_named_once_and_stopped_all_th
     let mut mission = of_two(TOLERANCE);
     let _up = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
-    let _stops = happens(&mut mission, at(2), Event::StopRequested { rest: Rest::Default, by: None });
+    let _stops = happens(&mut mission, at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
     for again in 0..3 {
         let actions = happens(&mut mission, at(3 + again), flooding());
         assert!(reconnects(&actions), "{actions:?}");
@@ -132,7 +132,7 @@ fn of_robots_that_flood_one_that_was_not_there_yet_is_left_out_and_one_that_is_s
     let mut mission = of_two(TOLERANCE);
     let _up = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
-    let _stops = happens(&mut mission, at(2), Event::StopRequested { rest: Rest::Default, by: None });
+    let _stops = happens(&mut mission, at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
     let _told = mission.handle(at(3), flooding());
     assert!(mission.robots[1].has_failed());
     assert_eq!(mission.robots[1].standing, Standing::In);

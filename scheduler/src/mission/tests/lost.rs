@@ -82,7 +82,7 @@ fn a_robot_that_plays_may_be_silent_for_its_lease_and_a_round_trip() {
     };
     assert_eq!(bound(&mut played, 0), Some(RUNNING));
     assert_eq!(bound(&mut played, 200), Some(RUNNING + ms(200)));
-    played.mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    played.mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     assert_eq!(played.mission.silence_bound(played.now, 0), None, "it was stopped");
 }
 

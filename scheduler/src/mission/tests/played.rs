@@ -218,6 +218,6 @@ fn the_figures_of_a_robot_contain_the_acts_under_way() {
     assert_eq!(figures(&played), (1, 1, true, true, false));
     assert!(played.mission.figures_of(0).clock.is_some());
     played.mutes(0);
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(figures(&played), (1, 1, true, true, true));
 }

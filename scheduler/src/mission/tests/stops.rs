@@ -26,25 +26,25 @@ fn sent() -> Mission {
 
 #[test]
 fn a_robot_holds_where_it_is_or_goes_to_rest_as_the_operator_says() {
-    for (rest, holds) in [(Rest::Hold, true), (Rest::Default, false)] {
+    for (rest, holds) in [(Rest::Home, true), (Rest::InPlace, false)] {
         let stops = asked_to_stop(&mut sent(), 1, rest);
-        assert_eq!(stops.iter().map(|stop| stop.hold).collect::<Vec<_>>(), [holds], "{rest:?}");
+        assert_eq!(stops.iter().map(|stop| stop.home).collect::<Vec<_>>(), [holds], "{rest:?}");
     }
 }
 
 #[test]
 fn the_operators_latest_word_counts_and_the_same_word_again_sends_nothing() {
     let mut mission = sent();
-    assert_eq!(asked_to_stop(&mut mission, 1, Rest::Default).len(), 1);
-    assert_eq!(asked_to_stop(&mut mission, 2, Rest::Default).len(), 0);
-    let stops = asked_to_stop(&mut mission, 3, Rest::Hold);
-    assert_eq!(stops.iter().map(|stop| stop.hold).collect::<Vec<_>>(), [true]);
+    assert_eq!(asked_to_stop(&mut mission, 1, Rest::InPlace).len(), 1);
+    assert_eq!(asked_to_stop(&mut mission, 2, Rest::InPlace).len(), 0);
+    let stops = asked_to_stop(&mut mission, 3, Rest::Home);
+    assert_eq!(stops.iter().map(|stop| stop.home).collect::<Vec<_>>(), [true]);
 }
 
 #[test]
 fn a_stop_that_is_not_confirmed_is_sent_again_and_given_up_when_patience_ends() {
     let mut mission = sent();
-    let first = asked_to_stop(&mut mission, 1, Rest::Default);
+    let first = asked_to_stop(&mut mission, 1, Rest::InPlace);
     let (again, ends) = (at(201), at(1) + mission.options.patience);
     assert_eq!(mission.next_wakeup(), Some(again));
     assert_eq!(mission.advance(again - Span::from_nanos(1)).len(), 0);
@@ -60,7 +60,7 @@ fn on_a_slow_link_a_stop_has_three_round_trips_to_be_confirmed() {
     let mut mission = sent();
     let there = by_robot(at(100));
     mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(200)));
-    let _stops = asked_to_stop(&mut mission, 300, Rest::Default);
+    let _stops = asked_to_stop(&mut mission, 300, Rest::InPlace);
     assert_eq!(mission.next_wakeup(), Some(at(900)));
 }
 
@@ -70,7 +70,7 @@ fn the_names_of_stops_begin_with_the_session() {
         let mut mission = begins_at_once(Everything);
         mission.options.session = session.map(|name| Session::named(name.parse().unwrap()));
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-        let stops = asked_to_stop(&mut mission, 1, Rest::Default);
+        let stops = asked_to_stop(&mut mission, 1, Rest::InPlace);
         let name = stops[0].request_id.as_ref().unwrap().as_str();
         assert!(name.starts_with(begin), "{name}");
         assert_eq!(stops[0].timestamp, Some(at(1)), "what was sent before it is taken back");
@@ -81,24 +81,30 @@ fn the_names_of_stops_begin_with_the_session() {
 fn a_robot_is_stopped_otherwise_only_if_it_was_stopped_in_another_way() {
     let mut mission = sent();
     let otherwise =
-        |mission: &Mission| [Rest::Default, Rest::Hold].map(|rest| mission.robots[0].stops_otherwise(rest));
+        |mission: &Mission| [Rest::InPlace, Rest::Home].map(|rest| mission.robots[0].stops_otherwise(rest));
     assert_eq!(otherwise(&mission), [false, false], "no stop was sent");
-    mission.stop_robot(at(1), 0, Rest::Hold);
+    mission.stop_robot(at(1), 0, Rest::Home);
     assert_eq!(otherwise(&mission), [true, false]);
-    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
     assert_eq!(otherwise(&mission), [false, true]);
 }
 
 #[test]
-fn what_a_failure_has_stopped_stays_as_it_is_whatever_the_operator_says() {
+fn what_a_failure_has_stopped_stays_until_the_operator_says_otherwise() {
     let mut mission = sent();
-    mission.abort(at(1), Outcome::Failed, Rest::Hold, Some(0));
+    mission.abort(at(1), Outcome::Failed, Rest::InPlace, Some(0));
     assert_eq!(stops_in(&std::mem::take(&mut mission.actions)).len(), 1);
     assert_eq!(mission.then, Some(0));
-    assert_eq!(asked_to_stop(&mut mission, 2, Rest::Default).len(), 0);
+    assert_eq!(asked_to_stop(&mut mission, 2, Rest::InPlace).len(), 0);
     assert_eq!((mission.then, mission.outcome.clone()), (None, Some(Outcome::Stopped)), "nothing follows");
     let _ends = mission.advance(at(1) + mission.options.patience + ms(1));
     assert_eq!(mission.outcome(), Some(&Outcome::Stopped));
+
+    let mut mission = sent();
+    mission.abort(at(1), Outcome::Failed, Rest::Home, None);
+    mission.actions.clear();
+    let stops = asked_to_stop(&mut mission, 2, Rest::InPlace);
+    assert_eq!(stops.iter().map(|stop| stop.home).collect::<Vec<_>>(), [false], "on the way home");
 }
 
 #[test]
@@ -113,7 +119,7 @@ fn a_journal_that_is_lost_stops_the_mission_and_lets_nothing_follow_a_stop() {
     assert!(matches!(mission.outcome, Some(Outcome::JournalLost { .. })));
 
     let mut mission = sent();
-    mission.abort(at(1), Outcome::Failed, Rest::Hold, Some(0));
+    mission.abort(at(1), Outcome::Failed, Rest::Home, Some(0));
     let _told = mission.handle(at(2), lost());
     assert_eq!(mission.then, None);
 }
@@ -123,7 +129,7 @@ fn a_robot_that_has_confirmed_its_stop_is_at_rest_and_that_is_written_down() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     let by = Some("anna".to_owned());
-    played.happens(Event::StopRequested { rest: Rest::Default, by });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by });
     assert_eq!(played.mission.because(), Some("stopped by anna"));
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert!(
@@ -138,7 +144,7 @@ fn a_word_that_comes_after_the_end_changes_nothing() {
     let mut played = Played::begun(begins_at_once(Everything));
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     let by = Some("anna".to_owned());
-    played.happens(Event::StopRequested { rest: Rest::Default, by });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by });
     assert_eq!((played.mission.because(), played.mission.outcome()), (None, Some(&Outcome::Done)));
 }
 
@@ -147,7 +153,7 @@ fn that_a_robot_was_not_reached_by_its_stop_is_told_with_the_reason_once() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     let down = || Event::LinkDown { robot: 0, loss: Loss::Unreachable, reason: "no route".to_owned() };
     played.happens(down());
     assert!(!played.mission.robots[0].has_failed(), "it may still be reached");
@@ -162,7 +168,7 @@ fn a_robot_that_does_not_answer_its_stop_on_a_link_that_stands_has_no_failure() 
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert!(!played.mission.robots[0].has_failed() && played.mission.robots[0].awaits_stop());
 }
@@ -172,7 +178,7 @@ fn while_a_mission_stops_a_robot_that_is_heard_again_is_not_told_of() {
     let mut played = Played::begun(one_act(Everything, 10_000));
     played.run_to_the_start();
     played.mutes(0);
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() });
     played.mute.clear();
     played.happens(Event::LinkUp { robot: 0 });
@@ -201,13 +207,13 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
                 vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
             let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
             let mut mission =
-                Mission::withdraw("s".to_owned(), participants, options, &left, Rest::Hold, at(0));
+                Mission::withdraw("s".to_owned(), participants, options, &left, Rest::Home, at(0));
             assert_eq!(mission.robots[0].own_id.as_str(), "UR5-1");
             assert_eq!(mission.robots[0].left, expected);
             let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 }));
             let devices: Vec<_> = stops.iter().map(|stop| stop.device_id.as_str()).collect();
             assert_eq!(devices, ["a", "b"]);
-            assert!(stops.iter().all(|stop| stop.hold && stop.timestamp == Some(at(0) + ms(7))));
+            assert!(stops.iter().all(|stop| stop.home && stop.timestamp == Some(at(0) + ms(7))));
         }
     }
 }
@@ -220,7 +226,7 @@ fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop()
         played.mutes(0);
         let end = played.mission.acts[0].timing().unwrap().end;
         played.run_until(end + ms(5));
-        played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+        played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
         let ended = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, played.now);
         let ended = urrcp::ControlResponse { steps_done, ..ended };
         played.now = played.now + ms(1);
@@ -237,9 +243,9 @@ fn a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operat
     for by_operator in [true, false] {
         let mut mission = sent();
         let stops = if by_operator {
-            asked_to_stop(&mut mission, 1, Rest::Default)
+            asked_to_stop(&mut mission, 1, Rest::InPlace)
         } else {
-            mission.abort(at(1), Outcome::Failed, Rest::Default, None);
+            mission.abort(at(1), Outcome::Failed, Rest::InPlace, None);
             stops_in(&std::mem::take(&mut mission.actions))
         };
         for _ in 0..2 {
@@ -267,7 +273,7 @@ fn a_failure_without_a_name_after_a_stop_is_that_of_the_script_that_it_has_ended
     let mut played = Played::begun(begins_at_once(Tells::Reports));
     played.run_to_the_start();
     played.mutes(0);
-    played.happens(Event::StopRequested { rest: Rest::Default, by: None });
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     let failed = urrcp::ControlResponse {
         error: super::super::bench::refusal(ErrorCode::Cancelled),
         steps_done: Some(1),

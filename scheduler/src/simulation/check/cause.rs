@@ -213,7 +213,7 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
         Fault::SchedulerPause { lasts } => (Cause::SchedulerPause, None, Lasts::For(lasts)),
         Fault::DiskStalls { lasts } => (Cause::Disk, None, Lasts::For(lasts)),
         // The next process alone has that clock, and its promises are counted by it.
-        Fault::ServerClockStep { .. } | Fault::Stop | Fault::StopByJournal => return None,
+        Fault::ServerClockStep { .. } | Fault::Stop | Fault::Home | Fault::StopByJournal => return None,
         // Taken above, with what else there is to them.
         Fault::ClockStep { .. } | Fault::DeadLink { .. } | Fault::HalfOpen { .. } => return None,
     })

@@ -153,7 +153,9 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
         let by = *stopping + PATIENCE + AT_ONCE;
         let goes_on = facts.ran.records.iter().any(|(at, record)| {
             let ends = matches!(record, Record::Ended { .. } | Record::Prepared(_) | Record::ActEnded { .. });
-            ends && *at >= *stopping && *at <= by
+            // The operator's latest word counts, and has a deadline of its own.
+            let again = matches!(record, Record::Stopping { .. }) && at > stopping;
+            (ends || again) && at >= stopping && *at <= by
         });
         let waits = facts.between(*stopping, by).iter().any(|(_, happened)| match happened {
             Happened::Told(progress) => matches!(**progress, Progress::Waiting { .. }),
@@ -238,7 +240,7 @@ fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool 
 /// When the operator says stop, everything is stopped at once, or nothing was under way any more.
 fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
-        if !matches!(happened, Happened::Fault(Fault::Stop | Fault::StopByJournal)) {
+        if !matches!(happened, Happened::Fault(Fault::Stop | Fault::Home | Fault::StopByJournal)) {
             continue;
         }
         let over = facts.ran.records.iter().any(|(when, record)| {

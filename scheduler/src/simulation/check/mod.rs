@@ -5,6 +5,7 @@ mod cause;
 mod facts;
 mod limits;
 mod liveness;
+mod movements;
 mod once;
 mod promises;
 mod rest;
@@ -87,7 +88,7 @@ pub struct Verdict {
 
 impl Verdict {
     /// What the invariants are called, and in short what they say.
-    pub const INVARIANTS: [(char, &str); 8] = [
+    pub const INVARIANTS: [(char, &str); 9] = [
         ('a', "all or none"),
         ('b', "nothing late, nothing twice"),
         ('c', "rest after a stop and beyond a lease"),
@@ -96,6 +97,7 @@ impl Verdict {
         ('f', "starts within the skew budget"),
         ('g', "reports that are true"),
         ('h', "silence, gaps and stops in time"),
+        ('m', "no movement without a reason"),
     ];
 
     fn violated(&mut self, invariant: char, what: String) {
@@ -116,6 +118,7 @@ impl Ran {
         all_or_none::check(&facts, &mut verdict);
         once::check(&facts, &mut verdict);
         rest::check(&facts, &mut verdict);
+        movements::check(&facts, &mut verdict);
         limits::check(&facts, &mut verdict);
         synchrony::check(&facts, &mut verdict);
         truth::check(&facts, &mut verdict);

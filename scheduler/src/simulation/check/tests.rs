@@ -238,6 +238,31 @@ fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
 }
 
 #[test]
+fn a_movement_without_a_reason_is_found() {
+    let stop_moves = |motion: &'static str| {
+        move |ran: &mut Ran| {
+            let robot = member(ran);
+            let mut stopped = ran.logs[robot].iter().rfind(|entry| entry.motion == "set").unwrap().clone();
+            (stopped.motion, stopped.step, stopped.request_id) = (motion, None, None);
+            stopped.value += 1.0;
+            stopped.due = stopped.due + Span::from_millis(1);
+            ran.logs[robot].push(stopped);
+        }
+    };
+    for motion in ["default", "rest", "slow"] {
+        finds('m', stop_moves(motion));
+    }
+    finds('m', |ran| {
+        let robot = member(ran);
+        ran.logs[robot].iter_mut().find(|entry| entry.motion == "set").unwrap().value += 1.0;
+    });
+    finds('m', |ran| {
+        let robot = member(ran);
+        ran.logs[robot].iter_mut().find(|entry| entry.motion == "set").unwrap().request_id = None;
+    });
+}
+
+#[test]
 fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
     finds('c', |ran| {
         let robot = ran.drawn.robots[member(ran)].block.id.clone();

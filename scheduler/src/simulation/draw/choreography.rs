@@ -147,9 +147,9 @@ fn draw_scripts(
 
 fn draw_policy(rng: &mut Rng, robots: &[DrawnRobot], act: usize, acts: usize) -> FailurePolicy {
     let mut policy = || match rng.u8(0..10) {
-        0..=5 => OnFailure::Abort,
+        0..=5 => OnFailure::Stop,
         6..=8 => OnFailure::Without,
-        _ => OnFailure::Hold,
+        _ => OnFailure::Home,
     };
     let default = policy();
     let own = vec![(robots[0].block.id.clone(), policy())];

@@ -123,6 +123,8 @@ pub enum Fault {
     },
     /// The operator says stop.
     Stop,
+    /// The operator says that all robots go to their default state.
+    Home,
     /// `downbeat stop` is called in another terminal: a mission that is cut off is withdrawn by its journal.
     StopByJournal,
 }
@@ -217,6 +219,7 @@ fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
         }
         35..=36 => Fault::SchedulerPause { lasts: millis(rng, 1, 1_500) },
         37 => Fault::DiskStalls { lasts: millis(rng, 20, 3_000) },
+        38 if one_in(rng, 4) => Fault::Home,
         38 => Fault::Stop,
         _ => Fault::StopByJournal,
     }

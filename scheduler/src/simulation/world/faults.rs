@@ -42,7 +42,8 @@ impl World {
             }
             Fault::SchedulerPause { lasts } => self.scheduler.paused_until = now + lasts,
             Fault::DiskStalls { lasts } => self.scheduler.disk_stands_still_until = now + lasts,
-            Fault::Stop => self.tell(Event::StopRequested { rest: Rest::Default, by: None }),
+            Fault::Stop => self.tell(Event::StopRequested { rest: Rest::InPlace, by: None }),
+            Fault::Home => self.tell(Event::StopRequested { rest: Rest::Home, by: None }),
             Fault::StopByJournal => self.stop_by_journal(),
             Fault::Partition { .. }
             | Fault::OneWay { .. }

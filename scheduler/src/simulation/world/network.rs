@@ -281,7 +281,7 @@ fn brief(message: &Message) -> Message {
                 request_id: request.request_id.clone(),
                 content_hash: request.content_hash,
                 session: request.session.clone(),
-                hold: request.hold,
+                home: request.home,
                 command,
             })
         }

@@ -230,7 +230,7 @@ impl World {
     /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
     pub(super) fn stop_by_journal(&mut self) {
         match self.scheduler.is_running() {
-            true => self.tell(Event::StopRequested { rest: Rest::Default, by: None }),
+            true => self.tell(Event::StopRequested { rest: Rest::InPlace, by: None }),
             false => self.take_up(Intention::Stop),
         }
     }
@@ -260,7 +260,7 @@ impl World {
         self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
         self.note(Happened::TakenUp(how));
         resumed.unwrap_or_else(|| {
-            Mission::withdraw("soak".to_owned(), participants, options, &left, Rest::Default, now)
+            Mission::withdraw("soak".to_owned(), participants, options, &left, Rest::InPlace, now)
         })
     }
 

@@ -35,7 +35,7 @@ pub fn all() -> Vec<Mutant> {
                 "cancel-pending",
                 "cancel-from",
                 "cancel-running",
-                "hold",
+                "home",
                 "take-back",
             ],
             |_, passing| recode(passing, "cancelled"),

@@ -230,13 +230,13 @@ pub fn of_stops() -> Vec<Mutant> {
                 "cancel-pending",
                 "cancel-from",
                 "cancel-running",
-                "hold",
+                "home",
                 "take-back",
                 "no-request-id",
             ],
             ..mutant(
                 "stops are answered and not done",
-                &["cancel-pending", "cancel-from", "cancel-running", "hold", "take-back"],
+                &["cancel-pending", "cancel-from", "cancel-running", "home", "take-back"],
                 |_, passing| match passing.request() {
                     Some(request) if is_cancel(request) => Then::Answer(answer(request, "OK", "")),
                     _ => Then::Pass,
@@ -265,8 +265,8 @@ pub fn of_stops() -> Vec<Mutant> {
                 _ => Then::Pass,
             }
         }),
-        mutant("hold is not understood", &["hold"], |_, passing| match passing.request() {
-            Some(request) if request.get("hold").is_some() => {
+        mutant("home is not understood", &["home"], |_, passing| match passing.request() {
+            Some(request) if request.get("home").is_some() => {
                 Then::Answer(answer(request, "Failed", "malformed"))
             }
             _ => Then::Pass,

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Signal, kill_process};
 
-use super::show::{ODD, Show, Trouble, WHEELED, program};
+use super::show::{ODD, STEPS, Show, Trouble, WHEELED, program};
 use super::{Way, text};
 use stage::{Logged, Process, Robot, epoch_nanos};
 
@@ -28,6 +28,8 @@ const GIVEN_UP: Duration = Duration::from_secs(1);
 const ENDS_WITHIN: Duration = Duration::from_secs(20);
 /// The time during which a robot at rest may not move again. Its steps are 20 ms apart.
 const STAYS_AT_REST: Duration = Duration::from_millis(300);
+/// A robot whose last value is this old at the stop was at rest before.
+const RESTED_BEFORE_NS: i64 = 1_000_000_000;
 
 /// How a stop went.
 pub struct Stopped {
@@ -218,7 +220,9 @@ fn at_rest(show: &Show, stopped: &Stopped, within: Duration) -> Result<Times, St
     let mut times = Times { first: Duration::MAX, last: Duration::ZERO };
     for (index, robot) in show.stage.robots.iter().enumerate().filter(|(index, _)| !dead(*index)) {
         let log = robot.log();
-        let Some(after) = rested(robot, &log, stopped)? else {
+        let rested =
+            if index == WHEELED { slowed(robot, &log, stopped) } else { last_step(robot, &log, stopped) };
+        let Some(after) = rested? else {
             // A robot that floods has failed: the mission has stopped it by itself.
             if show.trouble == Trouble::Flood && index == ODD {
                 continue;
@@ -240,9 +244,21 @@ fn since(stopped: &Stopped, entry: &Logged) -> Duration {
     Duration::from_nanos(u64::try_from(entry.at - stopped.at).unwrap_or(0))
 }
 
-/// The time from the stop to the first entry that no script caused; for a robot that slows down, to the beginning of that. `None` if
-/// it was at rest before.
-fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
+/// The time from the stop to the last value of the script: the stop itself leaves no entry in the log. `None` if it was at rest before.
+fn last_step(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
+    let Some(last) = log.last() else { return Err(format!("{} never moved", robot.id)) };
+    if last.motion != "set" {
+        return Err(format!("the stop moved {}: {last:?}", robot.id));
+    }
+    if last.value >= f64::from(STEPS) {
+        return Err(format!("{} played its script to its end", robot.id));
+    }
+    let before = stopped.at - last.at;
+    Ok((before < RESTED_BEFORE_NS).then(|| since(stopped, last)))
+}
+
+/// The time from the stop to the first entry of the wheel that no script caused. `None` if it was at rest before.
+fn slowed(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Duration>, String> {
     let after = log.iter().rev().take_while(|entry| entry.motion != "set").last();
     let Some(after) = after else {
         let last = log.last().map_or(f64::NAN, |last| last.value);
@@ -251,7 +267,7 @@ fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Option<Dur
     Ok((after.at >= stopped.at).then(|| since(stopped, after)))
 }
 
-/// The wheel has slowed down to its default value, and in time.
+/// The wheel has slowed down to zero, and in time.
 fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), String> {
     let Some(stands) = log.iter().rev().take_while(|entry| entry.value == 0.0).last() else {
         let last = log.last().map_or(f64::NAN, |last| last.value);
@@ -270,7 +286,7 @@ fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
     let said = stopped.said.as_deref().unwrap_or("");
     for robot in (0..6).filter(|_| stopped.said.is_some()) {
         let of_robot = |line: &&str| line.trim_start().starts_with(&format!("r{robot}"));
-        let confirmed = said.lines().filter(of_robot).any(|line| line.contains("default state confirmed"));
+        let confirmed = said.lines().filter(of_robot).any(|line| line.contains("stop confirmed"));
         let named = said.contains(&format!("r{robot}"));
         if confirmed == (dead == Some(robot)) || !named {
             let told = if confirmed { "confirmed" } else { "not confirmed" };

@@ -57,6 +57,8 @@ pub fn wheel() -> String {
 }
 
 const RECORDING: &str = "play.mcap";
+/// The number of values of each script; the last position is as large.
+pub const STEPS: u32 = 500;
 /// The robot with the wheel.
 pub const WHEELED: usize = 4;
 /// The robot that floods or is dead.
@@ -67,7 +69,7 @@ pub const ODD: usize = 5;
 pub fn scenario() -> String {
     let frames = |value: &dyn Fn(u32) -> f64| {
         let frame = |step: u32| format!("{{at: {}ms, to: {}}}", step * 20, value(step));
-        (0..500).map(frame).collect::<Vec<_>>().join(", ")
+        (0..STEPS).map(frame).collect::<Vec<_>>().join(", ")
     };
     let positions = frames(&|step| f64::from(step + 1));
     let speeds = frames(&|step| 5.0 - f64::from(step % 2) / 10.0);

@@ -105,7 +105,7 @@ impl Said<'_> {
     fn stop(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let ended = self.ended();
         let (rests_from, what) = match row.stop {
-            StopState::Confirmed | StopState::Held => {
+            StopState::Confirmed | StopState::Home => {
                 let confirmed = self.facts.ran.records.iter().any(
                     |(_, record)| matches!(record, Record::StopConfirmed { robot } if *robot == row.robot),
                 );

@@ -1,4 +1,4 @@
-//! The operator's hold: every robot stops, and stays where it is.
+//! Where robots come to rest: a stop leaves them where they are, and home sends them to their default state.
 
 use std::time::Duration;
 
@@ -38,7 +38,7 @@ fn stand_where_they_were(stage: &Stage) {
         let log = robot.log();
         assert!(log.iter().all(|entry| entry.at <= by_now), "{} still moves: {log:?}", robot.id);
         let stood = log.iter().rfind(|entry| entry.motion == "set").unwrap().value;
-        let moved = log.iter().find(|entry| entry.motion == "default" && (entry.value - stood).abs() > 1.5);
+        let moved = log.iter().find(|entry| entry.motion != "set" && (entry.value - stood).abs() > 1.5);
         assert!(moved.is_none(), "{}: {moved:?}, it stood at {stood}", robot.id);
     }
 }
@@ -49,49 +49,52 @@ fn only_mission(stage: &Stage) -> String {
     mission.file_name().into_string().unwrap()
 }
 
-const BOTH: [&str; 2] = ["r0: held where it was, confirmed", "r1: held where it was, confirmed"];
+const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 
 #[test]
-fn a_stop_that_holds_leaves_every_robot_where_it_is_and_says_so() {
+fn a_stop_leaves_every_robot_where_it_is_and_says_so_and_one_that_says_home_does_not() {
     let stage = stage();
     let mission = playing(&stage);
-    let stopped = stage.run(&["stop", "--hold"]);
+    let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
     BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
     assert_eq!(mission.ended().code, Some(3));
     stand_where_they_were(&stage);
-    let again = stage.run(&["stop", &only_mission(&stage)]);
-    assert!(again.out.contains("r0: default state confirmed"), "what holds can be sent home:\n{again}");
+    let home = stage.run(&["stop", &only_mission(&stage), "--home"]);
+    assert!(home.out.contains("r0: default state confirmed"), "{home}");
+    for robot in &stage.robots {
+        await_that("the default state", || robot.log().last().is_some_and(|entry| entry.value == 0.0));
+    }
 }
 
 #[test]
-fn a_stop_that_holds_reaches_the_robots_of_a_scheduler_that_was_killed() {
+fn a_stop_leaves_the_robots_of_a_scheduler_that_was_killed_where_they_are() {
     let stage = stage();
     playing(&stage).process.kill();
-    let stopped = stage.run(&["stop", "--hold"]);
+    let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
     BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
     stand_where_they_were(&stage);
 }
 
 #[test]
-fn the_key_h_holds() {
+fn the_key_s_stops() {
     let stage = stage();
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
     let mut command = stage.command(&["run", "play.yaml"]);
     terminal.attach(&mut command);
     let mut process = Process(command.spawn().unwrap());
-    watched.shows("h hold", SOON);
+    watched.shows("s stop", SOON);
     stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
-    terminal.type_keys("h");
+    terminal.type_keys("s");
     assert_eq!(process.0.wait().unwrap().code(), Some(3), "{}", watched.screen());
-    watched.shows("r1: held where it was, confirmed", SOON);
+    watched.shows("r1: stop confirmed", SOON);
     stand_where_they_were(&stage);
 }
 
 #[test]
-fn a_stop_while_the_mission_still_waits_for_a_hold_sends_to_the_default_state_what_holds() {
+fn the_key_for_home_sends_to_the_default_state_what_has_stopped_already() {
     let mut stage = stage();
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
@@ -100,10 +103,10 @@ fn a_stop_while_the_mission_still_waits_for_a_hold_sends_to_the_default_state_wh
     let mut process = Process(command.spawn().unwrap());
     stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
     stage.robots[1].freeze();
-    terminal.type_keys("h");
-    watched.shows("hold confirmed", SOON);
     terminal.type_keys("s");
     watched.shows("stop confirmed", SOON);
+    terminal.type_keys("H");
+    watched.shows("default state confirmed", SOON);
     stage.robots[1].thaw();
     let code = process.0.wait().unwrap().code();
     assert_eq!(code, Some(3), "{}", watched.screen());
@@ -113,10 +116,10 @@ fn a_stop_while_the_mission_still_waits_for_a_hold_sends_to_the_default_state_wh
     }
 }
 
-/// Nothing answers for the scheduler: `stop` holds the robots itself, and the scheduler has to learn of it.
+/// Nothing answers for the scheduler: `stop` stops the robots itself, and the scheduler has to learn of it.
 #[track_caller]
-fn is_held_past_the_scheduler(stage: &Stage, mission: Running) {
-    let stopped = stage.run(&["stop", "--hold"]);
+fn is_stopped_past_the_scheduler(stage: &Stage, mission: Running) {
+    let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
     BOTH.iter().for_each(|said| assert!(stopped.out.contains(said), "{stopped}"));
     mission.process.signal(Signal::CONT);
@@ -127,27 +130,27 @@ fn is_held_past_the_scheduler(stage: &Stage, mission: Running) {
 }
 
 #[test]
-fn a_scheduler_that_stood_still_while_its_robots_were_held_sends_none_of_them_away() {
+fn a_scheduler_that_stood_still_while_its_robots_were_stopped_moves_none_of_them() {
     let stage = stage();
     let mission = playing(&stage);
     mission.process.signal(Signal::STOP);
-    is_held_past_the_scheduler(&stage, mission);
+    is_stopped_past_the_scheduler(&stage, mission);
 }
 
 #[test]
-fn a_scheduler_whose_socket_is_gone_sends_no_robot_away_that_is_held() {
+fn a_scheduler_whose_socket_is_gone_moves_no_robot_that_is_stopped() {
     let stage = stage();
     let mission = playing(&stage);
     std::fs::remove_file(stage.path("state").join(only_mission(&stage)).join("control")).unwrap();
-    is_held_past_the_scheduler(&stage, mission);
+    is_stopped_past_the_scheduler(&stage, mission);
 }
 
 #[test]
-fn a_lost_terminal_sends_no_robot_away_that_is_held() {
+fn a_lost_terminal_moves_no_robot_that_is_stopped() {
     let stage = stage();
     let mission = playing(&stage);
     stage.robots[1].freeze();
-    let stopping = stage.start(&["stop", "--hold"]);
+    let stopping = stage.start(&["stop"]);
     stage.await_record(r#""record":"stop_confirmed""#);
     mission.process.signal(Signal::HUP);
     stays(Duration::from_millis(300), || stage.robots[0].log().len());
@@ -160,11 +163,11 @@ fn a_lost_terminal_sends_no_robot_away_that_is_held() {
 }
 
 #[test]
-fn a_resumed_mission_that_was_to_hold_holds() {
+fn a_resumed_mission_that_was_stopped_moves_no_robot() {
     let stage = stage();
     let mut mission = playing(&stage);
     stage.robots[1].freeze();
-    let mut stopping = stage.start(&["stop", "--hold"]);
+    let mut stopping = stage.start(&["stop"]);
     stage.await_record(r#""record":"stop_confirmed""#);
     // It would take the mission up itself.
     stopping.process.kill();
@@ -195,28 +198,26 @@ fn told(stage: &Stage) -> String {
 }
 
 #[test]
-fn hardware_of_the_scheduler_itself_stays_where_it_is_held_when_the_scheduler_ends() {
+fn hardware_of_the_scheduler_itself_stays_where_it_is_when_the_scheduler_ends() {
     let stage = driven();
     let mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
     await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
-    let stopped = stage.run(&["stop", "--hold"]);
-    assert!(stopped.out.contains("w: held where it was, confirmed"), "{stopped}");
+    let stopped = stage.run(&["stop"]);
+    assert!(stopped.out.contains("w: stop confirmed"), "{stopped}");
     assert_eq!(mission.ended().code, Some(3));
     assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
 }
 
 #[test]
-fn hardware_that_a_killed_scheduler_drove_is_not_said_to_be_held_and_does_not_move() {
+fn hardware_that_a_killed_scheduler_drove_is_not_said_to_have_stopped_and_does_not_move() {
     let stage = driven();
     let mut mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
     await_that("the fifth step", || told(&stage).contains("set d position 24\n"));
     mission.process.kill();
-    let stopped = stage.run(&["stop", "--hold"]);
-    assert_eq!(stopped.code, Some(4), "{stopped}");
-    assert!(stopped.out.contains("w: NOT held; what drove it ended with the scheduler"), "{stopped}");
-    assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
     let stopped = stage.run(&["stop"]);
+    assert_eq!(stopped.code, Some(4), "{stopped}");
     assert!(stopped.out.contains("w: stop NOT confirmed; a program drove it"), "{stopped}");
+    assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
 }
 
 #[test]
@@ -234,7 +235,7 @@ fn a_terminal_without_a_display_takes_words_and_does_not_take_every_line_for_a_g
     watched.shows("is not a command", SOON);
     terminal.type_keys("\n");
     stage.robots.iter().for_each(|robot| robot.await_sets(1, SOON));
-    terminal.type_keys("hold\n");
+    terminal.type_keys("stop\n");
     assert_eq!(process.0.wait().unwrap().code(), Some(3), "{}", watched.screen());
-    watched.shows("r1: held where it was", SOON);
+    watched.shows("r1: stop confirmed", SOON);
 }

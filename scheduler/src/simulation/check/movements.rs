@@ -1,0 +1,149 @@
+//! (m) Every movement has one reason: a step of a script as it was written, or coming to rest from it, or a stop that says home.
+
+use std::collections::HashMap;
+
+use downbeat_robot::set_log::LogEntry;
+use downbeat_scripts::{FailurePolicy, OnFailure};
+use urrcp::{ControlType, DeviceId, Message, Robot, Server, Span, Timestamp};
+
+use super::Verdict;
+use super::facts::{Facts, SentScript};
+use crate::simulation::{Fault, Happened};
+
+/// Values are rounded when they are computed in another way, by less than this part.
+const ROUNDING: f64 = 1e-6;
+
+/// A device that slows down, or goes home at its own speed, has arrived by then.
+const SLOWS_DOWN_MAX: Span = Span::from_millis(600_000);
+
+/// The last movement of a device, by its robot's clock.
+#[derive(Clone, Copy)]
+struct Way {
+    /// `None` on the first way of a process: where the device was before is unknown.
+    from: Option<f64>,
+    since: Timestamp<Robot>,
+    to: f64,
+    until: Timestamp<Robot>,
+}
+
+impl Way {
+    const fn at(value: f64, since: Timestamp<Robot>) -> Self {
+        Self { from: Some(value), since, to: value, until: since }
+    }
+
+    fn value(&self, at: Timestamp<Robot>) -> Option<f64> {
+        if at >= self.until {
+            return Some(self.to);
+        }
+        let from = self.from?;
+        let part = (at - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
+        Some(from + (self.to - from) * part)
+    }
+}
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    let scripts: HashMap<&str, &SentScript<'_>> = facts
+        .acts
+        .iter()
+        .flat_map(|act| &act.scripts)
+        .map(|script| (script.promised.request_id.as_str(), script))
+        .collect();
+    for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
+        let homes = if may_go_home(facts) { homes(facts, robot) } else { Vec::new() };
+        let mut begun = begins(facts, robot).peekable();
+        let mut ways: HashMap<&DeviceId, Way> = HashMap::new();
+        for entry in &facts.ran.logs[robot] {
+            while begun.next_if(|begun| begun.as_nanos() <= entry.true_ns).is_some() {
+                ways.clear();
+            }
+            let script = entry.request_id.as_deref().and_then(|id| scripts.get(id)).copied();
+            let before = ways.get(&entry.device).copied();
+            let goes_home = homes.contains(&(&entry.device, entry.true_ns));
+            match reason(entry, script, before, goes_home) {
+                Ok(way) => drop(ways.insert(&entry.device, way)),
+                Err(why) => verdict.violated('m', format!("r{robot} {why}: {entry:?}")),
+            }
+        }
+    }
+}
+
+/// Whether a policy of this mission, or its operator, sends robots to their default state.
+fn may_go_home(facts: &Facts<'_>) -> bool {
+    let drawn = facts.drawn();
+    let sends_home = |policy: &FailurePolicy| {
+        policy.default == OnFailure::Home || policy.robots.iter().any(|(_, own)| *own == OnFailure::Home)
+    };
+    drawn.choreography.acts.iter().any(|act| sends_home(&act.on_failure))
+        || drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Home))
+}
+
+/// Which devices were told to go home, and when.
+fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
+    let home = |(at, happened): &'a (Timestamp<Server>, Happened)| match happened {
+        Happened::AtRobot(to, Message::ControlRequest(request)) if *to == robot && request.home => {
+            Some((&request.device_id, at.as_nanos()))
+        }
+        _ => None,
+    };
+    facts.ran.history.iter().filter_map(home).collect()
+}
+
+/// When a new process began at its address, which knows nothing of what the one before did.
+fn begins<'a>(facts: &'a Facts<'_>, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + 'a {
+    let is_of = move |happened: &Happened| matches!(happened, Happened::Back(of) if *of == robot);
+    facts.ran.history.iter().filter(move |(_, happened)| is_of(happened)).map(|(at, _)| *at)
+}
+
+/// How the device moves from then on, if the movement has a reason; else what is wrong with it.
+fn reason(
+    entry: &LogEntry,
+    script: Option<&SentScript<'_>>,
+    before: Option<Way>,
+    goes_home: bool,
+) -> Result<Way, String> {
+    let resting = match entry.motion {
+        // The log does not say when it arrives.
+        "slow" => Way { from: None, until: entry.due + SLOWS_DOWN_MAX, ..Way::at(entry.value, entry.due) },
+        _ => Way::at(entry.value, entry.due),
+    };
+    match entry.motion {
+        "set" | "ramp" => of_a_step(entry, script, before),
+        // A device that is on its way home may be told so again, and one that slows down stopped again.
+        _ if goes_home => Ok(resting),
+        "default" => Err("went to its default state, and no stop said home".to_owned()),
+        "rest" | "slow" if entry.control_type != ControlType::Position.to_string() => match entry.value {
+            0.0 => Ok(resting),
+            _ => Err("came to rest at a speed".to_owned()),
+        },
+        "rest" | "slow" => {
+            let before = before.filter(|way| entry.due < way.until);
+            let way = before.ok_or("was moved by a stop although it rested")?;
+            let Some(value) = way.value(entry.due) else { return Ok(resting) };
+            let off = entry.value - value;
+            let rounded = off.abs() <= ROUNDING * (1.0 + value.abs());
+            let goes_on = entry.motion == "slow" && off * (way.to - value) >= 0.0;
+            if rounded || goes_on { Ok(resting) } else { Err(format!("was at {value} when a stop moved it")) }
+        }
+        other => Err(format!("moved by `{other}`")),
+    }
+}
+
+fn of_a_step(entry: &LogEntry, script: Option<&SentScript<'_>>, before: Option<Way>) -> Result<Way, String> {
+    let script = script.ok_or("moved without a script of this mission")?;
+    if script.promised.device != entry.device {
+        return Err("moved by a script of another device".to_owned());
+    }
+    let index = entry.step.unwrap_or_default() as usize;
+    let Some(written) = script.written else { return Ok(Way::at(entry.value, entry.due)) };
+    let step = written.script.steps().get(index).ok_or("did a step that was not written")?;
+    if (step.setpoint.value - entry.value).abs() > 0.0 {
+        return Err(format!("did step {index}, written as {}", step.setpoint.value));
+    }
+    if entry.motion == "set" {
+        return Ok(Way::at(entry.value, entry.due));
+    }
+    let previous = index.checked_sub(1).and_then(|previous| written.script.steps().get(previous));
+    let offset = step.offset.span() - previous.map_or(Span::ZERO, |previous| previous.offset.span());
+    let from = before.and_then(|way| way.value(entry.due));
+    Ok(Way { from, since: entry.due, to: entry.value, until: entry.due + offset })
+}
