@@ -14,7 +14,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, oneshot, watch};
-use urrcp::{KnownScripts, Message, RobotId};
+use urrcp::{ControlType, Device, InitializationBlock, KnownScripts, LINE_BYTES_MAX, Message, RobotId};
 
 use self::body::Body;
 use self::executor::{Order, Told, prepared_thread};
@@ -123,6 +123,8 @@ pub struct HostHandle {
     strangers: Arc<Strangers>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
+    /// The length of the longest command of each robot, in bytes.
+    longest: Arc<[usize]>,
 }
 
 /// A link to one robot. Dropping it breaks the link.
@@ -172,6 +174,7 @@ impl Host {
             strangers: Arc::default(),
             scripts: KnownScripts::default(),
             owners: watched.into(),
+            longest: hosted.iter().map(|hosted| longest_command(hosted.block())).collect(),
         };
         let told = Told {
             log,
@@ -251,6 +254,18 @@ impl Host {
     }
 }
 
+/// The bytes that a command for one of these devices takes at most, generously: a step of one value is shorter than 200.
+fn longest_command(block: &InitializationBlock) -> usize {
+    const STEP: usize = 512;
+    let of_device = |device: &Device| {
+        let types = &device.available_control_types;
+        let has_custom = types.iter().any(|(control_type, _)| matches!(control_type, ControlType::Custom(_)));
+        let steps = types.script().map_or(0, |script| script.max_number_of_steps as usize);
+        if has_custom { LINE_BYTES_MAX } else { steps.saturating_mul(STEP) }
+    };
+    block.devices.iter().map(of_device).max().unwrap_or_default().min(LINE_BYTES_MAX)
+}
+
 impl Drop for Host {
     fn drop(&mut self) {
         for robot in self.shut_down() {
@@ -264,6 +279,11 @@ impl HostHandle {
     #[must_use]
     pub fn robots(&self) -> &[RobotId] {
         &self.robots
+    }
+
+    /// No command for the robot of this link is longer, in bytes.
+    pub(crate) fn longest_command(&self, link: &RobotLink) -> usize {
+        self.longest.get(link.robot).copied().unwrap_or(LINE_BYTES_MAX)
     }
 
     /// Opens a link to a robot from within this process; `None` when there is no such robot or the host has stopped.

@@ -26,6 +26,9 @@ pub struct Decoder {
     known: Option<KnownScripts>,
 }
 
+/// A buffer of at most this many bytes is kept as long as anything is in it.
+const KEPT_MAX: usize = 64 * 1024;
+
 /// What is buffered of the message that is read next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Front {
@@ -142,6 +145,10 @@ impl Decoder {
         if self.read == self.buffer.len() {
             // Thousands of connections are idle at a time. Memory that the next one takes again is still in the processor's cache.
             (self.buffer, self.read, self.searched) = (Vec::new(), 0, 0);
+        } else if self.buffer.capacity() > KEPT_MAX && self.buffered() <= self.buffer.capacity() / 4 {
+            // The first bytes of the next message must not keep the memory of a long one.
+            self.buffer = self.buffer[self.read..].to_vec();
+            (self.read, self.searched) = (0, self.searched - self.read);
         }
         found
     }
@@ -235,6 +242,16 @@ impl Decoder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_beginning_of_the_next_message_does_not_keep_the_memory_of_a_long_one() {
+        let mut decoder = Decoder::default();
+        decoder.push(&[b" ".repeat(1_000_000).as_slice(), b"[]\n{\"avail"].concat());
+        assert!(decoder.next_message().is_some_and(|read| read.is_err()));
+        assert!(decoder.buffer.capacity() <= KEPT_MAX, "{}", decoder.buffer.capacity());
+        decoder.push(b"ability_request\": {}}\n");
+        assert!(matches!(decoder.next_message(), Some(Ok(Message::AvailabilityRequest(_)))));
+    }
 
     const LIMIT: usize = 4 * 1024 * 1024;
     const CHUNK: usize = 8 * 1024;

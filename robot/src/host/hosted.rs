@@ -71,9 +71,13 @@ impl Hosted {
     }
 
     pub(super) fn id(&self) -> &RobotId {
+        &self.block().id
+    }
+
+    pub(super) fn block(&self) -> &InitializationBlock {
         match &self.0 {
-            Surroundings::Hardware { block, .. } => &block.id,
-            Surroundings::World(robot) => &robot.robot().block().id,
+            Surroundings::Hardware { block, .. } => block,
+            Surroundings::World(robot) => robot.robot().block(),
         }
     }
 

@@ -16,11 +16,17 @@ use crate::tolerance::Tolerance;
 
 const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
-    "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}}"#;
+    "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": STEPS}}}"#;
 
 /// Robots of one arm, for which nothing is too late, however slow the machine is.
 pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
-    let block = |i| format!(r#"{{"id": "r{i}", "api_version": "1", "reports": true, "devices": [{ARM}]}}"#);
+    arms_with_steps(count, 4, settings)
+}
+
+/// The same robots, which take scripts of up to `steps` steps.
+pub(crate) fn arms_with_steps(count: usize, steps: u32, settings: &Settings) -> Vec<SimulatedRobot> {
+    let arm = ARM.replace("STEPS", &steps.to_string());
+    let block = |i| format!(r#"{{"id": "r{i}", "api_version": "1", "reports": true, "devices": [{arm}]}}"#);
     let block = |i| serde_json::from_str::<InitializationBlock>(&block(i)).unwrap();
     let robot = |i| SimulatedRobot::new(block(i), settings.clone()).tolerating(Tolerance::AN_HOUR);
     (0..count).map(robot).collect()

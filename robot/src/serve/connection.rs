@@ -85,6 +85,7 @@ where
     W: AsyncWrite + Unpin,
 {
     let hung_up = ticket.hung_up();
+    let longest = shared.host.longest_command(&link);
     // How the peer wrote last is how it is answered.
     let (heard, encoding) = watch::channel(Encoding::Json);
     let being_written = AtomicBool::new(false);
@@ -101,6 +102,7 @@ where
         spoke: false,
         until: Some(Instant::now() + shared.patience.first_message),
         long_line: None,
+        longest,
         being_written: &being_written,
     };
     let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
@@ -212,6 +214,8 @@ struct Reading<'a, R> {
     until: Option<Instant>,
     /// The message that is coming may be long.
     long_line: Option<OwnedSemaphorePermit>,
+    /// A peer without the robot's session sends nothing longer: the robot has no command of such a length.
+    longest: usize,
     /// What the robot has said is on its way to the peer.
     being_written: &'a AtomicBool,
 }
@@ -329,11 +333,11 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             }
         }
         let mut limit = limit(self.standing());
-        if front.bytes > limit && self.standing() == Standing::Free {
+        if front.bytes > limit && front.bytes <= self.longest && self.standing() == Standing::Free {
             if self.long_line.is_none() {
                 self.long_line = self.shared.strangers.long_line(self.shared.patience.message).await;
             }
-            limit = if self.long_line.is_some() { LINE_BYTES_MAX } else { limit };
+            limit = if self.long_line.is_some() { self.longest } else { limit };
         }
         if front.bytes > limit {
             self.note(Reason::LongLine);

@@ -12,7 +12,7 @@ use urrcp::{Command, Decoder, Encoding, Message, Status, encode, encode_as};
 use super::connection::{FREE_LINE_MAX, STRANGERS_LINE_MAX};
 use super::places::{CONNECTIONS_MAX, OWNER_PLACES, PLACES};
 use super::*;
-use crate::host::tests::{LEAD_MS, LogFile, arms, paper};
+use crate::host::tests::{LEAD_MS, LogFile, arms, arms_with_steps, paper};
 use crate::host::{Host, HostOptions};
 use crate::peer::Peer as Remote;
 use crate::refusals::Reason;
@@ -376,10 +376,13 @@ fn malformed(message: &Message) -> Option<&str> {
     response.error.as_ref().map(|error| error.message.as_str())
 }
 
+/// A script of so many steps is longer than any line in these tests.
+const MANY_STEPS: u32 = 100_000;
+
 #[tokio::test]
 async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
-    let log = LogFile::new("lines");
-    let (host, address) = served(&log).await;
+    let robots = arms_with_steps(1, MANY_STEPS, &Settings::default());
+    let (host, address) = served_as(Host::start(robots, HostOptions::default()).unwrap(), PATIENT).await;
     let mut stranger = Peer::connected(address).await;
     for length in [FREE_LINE_MAX, 3 * FREE_LINE_MAX, 3 * FREE_LINE_MAX] {
         stranger.write(&padded(ASK, length)).await;
@@ -411,7 +414,8 @@ async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
 
 #[tokio::test]
 async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
-    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let robots = arms_with_steps(1, MANY_STEPS, &Settings::default());
+    let host = Host::start(robots, HostOptions::default()).unwrap();
     let patience = Patience { message: Duration::from_millis(500), ..PATIENT };
     let (host, address) = served_as(host, patience).await;
     let mut peers = Vec::new();
@@ -431,6 +435,16 @@ async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
     until(|| strangers.long_lines_left() == 2).await;
     third.write(&long).await;
     assert_eq!(malformed(&third.soon().await), None);
+}
+
+#[tokio::test]
+async fn a_free_robot_reads_no_line_longer_than_its_longest_command_from_a_stranger() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let (host, address) = served_as(host, PATIENT).await;
+    let mut stranger = Peer::connected(address).await;
+    stranger.write(&padded(ASK, FREE_LINE_MAX + 2)).await;
+    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 1048576 bytes"));
+    assert_eq!(host.handle().strangers().long_lines_left(), 2);
 }
 
 #[tokio::test]
