@@ -147,15 +147,16 @@ fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timesta
     facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
 }
 
-/// A stop ends, confirmed or not, when the operator's patience does.
+/// A stop ends, confirmed or not, when the operator's patience does. A stop that brings robots to rest in another way has a deadline of
+/// its own; repeating the same one gives no more time.
 fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
-    for stopping in &facts.stopping {
+    for (stopping, record) in &facts.ran.records {
+        let Record::Stopping { rest: first, .. } = record else { continue };
         let by = *stopping + PATIENCE + AT_ONCE;
         let goes_on = facts.ran.records.iter().any(|(at, record)| {
             let ends = matches!(record, Record::Ended { .. } | Record::Prepared(_) | Record::ActEnded { .. });
-            // The operator's latest word counts, and has a deadline of its own.
-            let again = matches!(record, Record::Stopping { .. }) && at > stopping;
-            (ends || again) && at >= stopping && *at <= by
+            let otherwise = matches!(record, Record::Stopping { rest, .. } if rest != first);
+            (ends || otherwise) && at >= stopping && *at <= by
         });
         let waits = facts.between(*stopping, by).iter().any(|(_, happened)| match happened {
             Happened::Told(progress) => matches!(**progress, Progress::Waiting { .. }),
