@@ -72,7 +72,7 @@ pub(crate) enum Effect {
         request_id: Option<RequestId>,
         step: Option<u32>,
     },
-    /// It comes to rest, and none of its commands continues.
+    /// The device comes to rest, and none of its commands continues.
     Stopped,
     Started {
         command: CommandId,
@@ -381,8 +381,8 @@ impl DeviceMachine {
         }
     }
 
-    /// The hardware is back, and it is unknown whether it took the last values: speeds, accelerations and custom values that were
-    /// ever driven come to rest at once. Positions stay.
+    /// Brings every speed, acceleration and custom value that was ever driven to rest at once, and leaves positions as they are. The
+    /// hardware is back, and may not have taken the last values.
     pub(crate) fn rest_rates(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         for (control_type, last) in &mut self.driven {
             let Some(rest) = rest_of(&self.spec, *control_type, Some(last)) else { continue };
@@ -444,7 +444,7 @@ impl DeviceMachine {
         effects.extend(dropped.into_iter().map(|held| failed(held, error)));
     }
 
-    /// Where it is, or in the default state, comes to rest what moves, as fast as the device can.
+    /// Brings the device to rest, where it is or in its default state, as fast as it can.
     fn come_to_rest(&mut self, now: Timestamp<Robot>, rest: Rest, effects: &mut Vec<Effect>) {
         self.guards.clear();
         effects.push(Effect::Stopped);
@@ -455,7 +455,7 @@ impl DeviceMachine {
         }
     }
 
-    /// How a signal comes to rest; `None` for what stays as it is.
+    /// Returns the motion that brings a signal to rest, or `None` if the signal stays as it is.
     fn motion_to_rest(
         &mut self,
         control_type: ControlType,
@@ -467,7 +467,8 @@ impl DeviceMachine {
         let driven = self.driven.get(&control_type);
         let target = match home {
             Some(home) => Some(with_values(Setpoint::new(control_type, home), driven)),
-            // What no command has driven stays as it is, but a wheel that turns from before this process.
+            // A signal that no command has driven stays as it is. The exception is the main rate: a wheel may
+            // still turn from before this process.
             None if driven.is_none() && !is_main_rate(&self.spec, control_type) => None,
             None => rest_of(&self.spec, control_type, driven),
         };
@@ -621,7 +622,7 @@ impl DeviceMachine {
     }
 }
 
-/// Whether a device is driven by its speed or acceleration in the first place.
+/// Whether this control type is the primary one of the device, and a speed or an acceleration.
 fn is_main_rate(spec: &Device, control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
         && spec.primary_control_type() == Some(control_type)

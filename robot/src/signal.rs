@@ -158,7 +158,7 @@ impl Signal {
 }
 
 impl Signal {
-    /// The way to `to` at the speed of a device that declares no acceleration. `None` if it has arrived, or has no target.
+    /// The movement to `to` of a device that declares a speed and no acceleration. `None` if it has arrived or has no target.
     fn ramp_home(&self, now: Timestamp<Robot>, to: Option<f64>, speed: f64) -> Option<Self> {
         let (from, to) = (self.value(now), to?);
         let seconds = (to - from).abs() / speed;
@@ -193,8 +193,8 @@ pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64
     spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type))
 }
 
-/// The values with which a signal rests where it is: speed and acceleration at zero, a custom type at what it declares; `None` for
-/// what stays as it is. A custom type has as many values as were `driven` last.
+/// The values of a signal that rests where it is: zero for a speed or an acceleration, and `at_rest` for a custom type. `None` if the
+/// signal keeps its values. A custom type has as many values as were `driven` last.
 pub(crate) fn rest_of(
     spec: &Device,
     control_type: ControlType,
@@ -210,13 +210,14 @@ pub(crate) fn rest_of(
     }
 }
 
-/// With as many values as were `driven` last, the further ones zero.
+/// Pads a setpoint with zeros to as many values as were `driven` last.
 pub(crate) fn with_values(first: Setpoint, driven: Option<&Setpoint>) -> Setpoint {
     let more = driven.map_or(0, |driven| driven.more.len());
     Setpoint { more: vec![0.0; more].into(), ..first }
 }
 
-/// Where a signal is taken to be before anything is known of it: in its default state, else at rest, else the nearest to zero.
+/// The assumed value of a signal before any command: its default value, or else its value at rest, or else the value within its
+/// limits that is nearest to zero.
 pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
     let limits = spec.available_control_types.limits(control_type);
     let rest = || rest_of(spec, control_type, None).map(|rest| rest.value);

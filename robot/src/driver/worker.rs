@@ -98,7 +98,7 @@ pub(crate) struct Worker {
     /// Ramps that the hardware goes by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
-    /// It was told something that has to come to rest when it is back, as a speed. Positions stay.
+    /// Whether the hardware received a value, such as a speed, that must come to rest after a reconnection. Positions stay.
     owes_rest: bool,
     /// When what is sampled with each period is sampled next.
     beats: BTreeMap<Duration, Instant>,
@@ -267,7 +267,7 @@ impl Worker {
         self.mailbox.tolerance()
     }
 
-    /// Whether a stop sets this signal to another value than its last one.
+    /// Whether a stop sets this signal to a value at rest, as it does with a speed. A position stays.
     fn comes_to_rest(&self, device: &DeviceId, control_type: ControlType) -> bool {
         let spec = self.block.device(device.as_str());
         spec.is_some_and(|spec| rest_of(spec, control_type, None).is_some())

@@ -323,7 +323,8 @@ fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> 
     Some(device.queue.remove(at))
 }
 
-/// The device comes to rest where it is, or goes to its default state. That ends the leases of the rates that went on.
+/// Judges a motion by which a device comes to rest where it is, or goes to its default state. The motion ends the leases of rates
+/// that continued after their command.
 fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<(), Violation> {
     let (control_type, to) = match &set.motion {
         Motion::Rest(setpoint) | Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
@@ -350,7 +351,8 @@ fn rested(device: &mut DeviceModel, set: &SetValue, sends_home: bool) -> Result<
     Ok(())
 }
 
-/// Whether a movement only brings to rest what moves: a position continues in its direction or stays, a rate goes to its rest.
+/// Whether a motion starts no movement: a moving position stays where it is or continues in its direction, and a rate goes to its
+/// value at rest.
 fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     const ROUNDING: f64 = 1e-6;
     match &set.motion {
@@ -368,7 +370,7 @@ fn stays(device: &DeviceModel, before: Option<Way>, set: &SetValue) -> bool {
     }
 }
 
-/// Whether it refuses a control type that the device lacks, which goes to its default state.
+/// Whether an output refuses a control type that the device lacks. The device then goes to its default state.
 fn is_unsupported(output: &Output) -> bool {
     matches!(output, Output::Send { message: Message::ControlResponse(answer), .. }
         if is_refused(answer, &ErrorCode::UnsupportedControlType))

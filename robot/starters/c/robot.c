@@ -514,7 +514,7 @@ static bool moves(const struct device *device, const struct command *c)
     return device->linear && c->script;
 }
 
-/* Sets a linear device to where it should be by now. */
+/* Sets a linear device to its value at the time `now`. */
 static bool sample(struct device *device, struct command *c, int64_t now)
 {
     const struct step *step = &c->steps[c->done];

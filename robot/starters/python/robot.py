@@ -119,7 +119,7 @@ class Device:
         self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
         self.still = None if self.drive in (None, "position") else 0
         self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
-        self.left_on = []                       # the ended command whose lease a speed that goes on is under
+        self.left_on = []                       # the ended command whose lease covers a speed that continues
 
 def check(c, device, now):
     """All that a request may be refused for, in the order of the protocol."""

@@ -300,7 +300,7 @@ pub(super) fn not_hosted(error: &HostError) -> String {
     }
 }
 
-/// Stops a host and says which of its robots may not have come to rest; returns whether there is none.
+/// Stops a host and prints the robots that may not have come to rest. Returns whether all of them have.
 pub(super) fn stop(host: Host) -> bool {
     let not_at_rest = host.stop();
     for robot in &not_at_rest {

@@ -28,13 +28,13 @@ fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
 
-/// Plays a mission, and plays it again if its report says that this machine was too slow. Each attempt is counted on standard error.
+/// Plays a mission, and plays it again if its report says that this machine was too slow. Prints each repetition to standard error.
 #[track_caller]
 pub fn played<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(play, |played| reason(&report(played)))
 }
 
-/// Plays a mission, and plays it again if its report says that this machine was too slow to start it.
+/// Plays a mission, and plays it again only if its report says that this machine was too slow to start it.
 #[track_caller]
 pub fn begun<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
     played_unless(play, |played| reason_of_no_start(&report(played)))

@@ -233,14 +233,14 @@ impl Stage {
         Running::new(self.command(args))
     }
 
-    /// Runs the program to its end. A mission that this machine was too slow to start is played again.
+    /// Runs the program to its end. Plays a mission again if this machine was too slow to start it.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
         let run = || self.start(args).ended();
         if args.first() == Some(&"run") { held_up::begun(run, Ended::said) } else { run() }
     }
 
-    /// Plays a mission to its end, again if this machine was too slow for it.
+    /// Plays a mission to its end, and plays it again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ended {
         held_up::played(|| self.start(args).ended(), Ended::said)

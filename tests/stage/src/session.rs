@@ -72,14 +72,14 @@ impl Session {
         command
     }
 
-    /// Runs the program to its end. A mission that this machine was too slow to start is played again.
+    /// Runs the program to its end. Plays a mission again if this machine was too slow to start it.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ran {
         let run = || Ran(self.command(args).output().unwrap());
         if args.first() == Some(&"run") { held_up::begun(run, Ran::text) } else { run() }
     }
 
-    /// Plays a mission to its end, again if this machine was too slow for it.
+    /// Plays a mission to its end, and plays it again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ran {
         held_up::played(|| Ran(self.command(args).output().unwrap()), Ran::text)

@@ -48,7 +48,7 @@ class Plan:
         self.begin_by = self._clock.monotonic(int(told["begin_by"]))
         """After this it must not begin."""
         self.then: Optional[str] = None
-        """What the device does after a cancellation: `keep`, `hold`, `rest` or `slow`; `None` while there is none."""
+        """How the device ends the plan after a cancellation: `keep`, `hold`, `rest` or `slow`. `None` before a cancellation."""
         allowed = told.get("silence_ms", {})
         self._silence_at_start = float(allowed.get("start", 400)) / 1000
         self._silence_running = float(allowed.get("running", 3000)) / 1000

@@ -695,7 +695,7 @@ fn a_script_that_its_driver_is_ending_is_not_told_as_over_by_another_stop() {
     bench.hears(P1, 1_500, PlanEvent::Cancelled);
     bench.stop_arm(false);
     assert_eq!(bench.statuses(), ["Accepted", "Started"]);
-    assert_eq!(bench.cancels(), [(1, Then::Hold)], "it is asked once");
+    assert_eq!(bench.cancels(), [(1, Then::Hold)], "the driver gets one cancellation");
     bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
     assert_eq!(bench.statuses()[..3], ["Accepted", "Started", "Failed cancelled"]);
 }

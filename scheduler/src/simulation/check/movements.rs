@@ -1,4 +1,4 @@
-//! (m) Every movement has one reason: a step of a script as it was written, or coming to rest from it, or a stop that says home.
+//! (m) Every movement has one reason: an unaltered step of a script, coming to rest from such a step, or a stop with `home`.
 
 use std::collections::HashMap;
 
@@ -10,16 +10,16 @@ use super::Verdict;
 use super::facts::{Facts, SentScript};
 use crate::simulation::{Fault, Happened};
 
-/// Values are rounded when they are computed in another way, by less than this part.
+/// The largest relative difference, by rounding, between two computations of the same value.
 const ROUNDING: f64 = 1e-6;
 
-/// A device that slows down, or goes home at its own speed, has arrived by then.
+/// The longest time in which a device slows down, or goes home at its own speed.
 const SLOWS_DOWN_MAX: Span = Span::from_millis(600_000);
 
-/// The last movement of a device, by its robot's clock.
+/// The last movement of a device. Times are those of its robot's clock.
 #[derive(Clone, Copy)]
 struct Way {
-    /// `None` on the first way of a process: where the device was before is unknown.
+    /// `None` if the start of the movement is unknown, as for the first movement of a process.
     from: Option<f64>,
     since: Timestamp<Robot>,
     to: f64,
@@ -77,7 +77,7 @@ fn may_go_home(facts: &Facts<'_>) -> bool {
         || drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Home))
 }
 
-/// Which devices were told to go home, and when.
+/// The devices that received a stop with `home`, and the times of these stops.
 fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
     let home = |(at, happened): &'a (Timestamp<Server>, Happened)| match happened {
         Happened::AtRobot(to, Message::ControlRequest(request)) if *to == robot && request.home => {
@@ -88,13 +88,13 @@ fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
     facts.ran.history.iter().filter_map(home).collect()
 }
 
-/// When a new process began at its address, which knows nothing of what the one before did.
+/// The times at which a new process of the robot started. It does not know the movements of the previous one.
 fn begins<'a>(facts: &'a Facts<'_>, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + 'a {
     let is_of = move |happened: &Happened| matches!(happened, Happened::Back(of) if *of == robot);
     facts.ran.history.iter().filter(move |(_, happened)| is_of(happened)).map(|(at, _)| *at)
 }
 
-/// How the device moves from then on, if the movement has a reason; else what is wrong with it.
+/// Returns the new movement of the device if it has a reason, or else a description of the violation.
 fn reason(
     entry: &LogEntry,
     script: Option<&SentScript<'_>>,
@@ -102,13 +102,13 @@ fn reason(
     goes_home: bool,
 ) -> Result<Way, String> {
     let resting = match entry.motion {
-        // The log does not say when it arrives.
+        // The log does not contain the time of arrival.
         "slow" => Way { from: None, until: entry.due + SLOWS_DOWN_MAX, ..Way::at(entry.value, entry.due) },
         _ => Way::at(entry.value, entry.due),
     };
     match entry.motion {
         "set" | "ramp" => of_a_step(entry, script, before),
-        // A device that is on its way home may be told so again, and one that slows down stopped again.
+        // A device that goes home may be sent home again, and a device that slows down may be stopped again.
         _ if goes_home => Ok(resting),
         "default" => Err("went to its default state, and no stop said home".to_owned()),
         "rest" | "slow" if entry.control_type != ControlType::Position.to_string() => match entry.value {
