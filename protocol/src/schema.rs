@@ -207,6 +207,8 @@ struct ControlRequestKeys {
     device_id: DeviceId,
     /// The lease. Left out: none.
     stop_condition: Option<StopCondition>,
+    /// Unless it has begun by this instant of the robot's clock, the robot drops it.
+    pending_until: Option<Timestamp<crate::time::Robot>>,
     /// Echoed in every response.
     request_id: Option<RequestId>,
     /// Of `control_value`, checked and echoed by the robot.

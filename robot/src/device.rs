@@ -101,6 +101,13 @@ pub(crate) enum Effect {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CommandId(u64);
 
+/// Why a lease has ended.
+const SILENT_RUNNING: &str =
+    "the running lease ended: the server was silent for longer than `stop_condition`";
+const SILENT_PENDING: &str =
+    "the pending lease ended: the server was silent for longer than `stop_condition`";
+const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
+
 /// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
 /// out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
@@ -340,14 +347,16 @@ impl DeviceMachine {
 
     /// A lease of the device ends at `at`: that of what runs ends everything, one that is pending only what is pending.
     fn lease_ended(&mut self, at: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
-        let error =
-            ControlError::new(ErrorCode::LinkLost, "the server was silent for longer than stop_condition");
         let lost = |held: &&Held| !held.began && held.lease_end(heard) == Some(at);
-        let from = self.queue.iter().find(lost).map(|held| held.start);
-        match from.filter(|_| self.running_lease_end(heard) != Some(at)) {
-            None => self.link_lost(at, &error, effects),
+        let passed =
+            |held: &Held| if held.pending_until == Some(at) { NOT_CONFIRMED } else { SILENT_PENDING };
+        let waiting = self.queue.iter().find(lost).map(|held| (held.start, passed(held)));
+        match waiting.filter(|_| self.running_lease_end(heard) != Some(at)) {
+            None => self.link_lost(at, &ControlError::new(ErrorCode::LinkLost, SILENT_RUNNING), effects),
             // What has not begun has moved nothing, and its end moves nothing.
-            Some(from) => self.cancel_from(from, &error, effects),
+            Some((from, why)) => {
+                self.cancel_from(from, &ControlError::new(ErrorCode::LinkLost, why), effects)
+            }
         }
     }
 
@@ -534,6 +543,10 @@ impl DeviceMachine {
             let message = format!("the start passed {} ago; a late command is never started", now - start);
             return Err(ControlError::new(ErrorCode::Late, message));
         }
+        if let Some(until) = request.pending_until.filter(|until| *until <= now) {
+            let message = format!("its `pending_until` passed {} ago", now - until);
+            return Err(ControlError::new(ErrorCode::Late, message));
+        }
         let end = start + duration;
         let (stop_condition, is_first) = (request.stop_condition, self.queue.is_empty());
         Reach { start, end, stop_condition, steps: &steps, is_first }.check(now)?;
@@ -574,7 +587,7 @@ impl DeviceMachine {
             next_step: 0,
             late_steps: 0,
             began: false,
-            pending_until: None,
+            pending_until: request.pending_until,
             limited_by: None,
         };
         self.queue.insert(place, held);

@@ -108,7 +108,7 @@ impl Held {
             return;
         }
         limit.pending.into_iter().for_each(|pending| self.shorten_pending(pending));
-        self.pending_until = limit.until;
+        self.pending_until = limit.until.or(self.pending_until);
         self.limited_by = limit.asked.or(self.limited_by);
     }
 

@@ -195,6 +195,7 @@ mod tests {
             starts: Some(Floor::Above(Share::from_billionths(999_000_000))),
             finishes: Some(Floor::AtLeast(Share::from_billionths(990_000_000))),
             closest: Some(Floor::Above(0.3)),
+            all_or_none: None,
         }
     }
 

@@ -86,8 +86,8 @@ pub use init::{init_of, init_text, read_init};
 pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
-    Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,
-    PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
+    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure,
+    Plan, PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
 };
 pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};

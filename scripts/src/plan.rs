@@ -9,7 +9,7 @@ use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition}
 use crate::fleet::DeviceLatency;
 use crate::space::{Closest, InSpace};
 
-pub use crate::requirements::{Ceiling, Floor, Requirements, Share};
+pub use crate::requirements::{AllOrNone, Ceiling, Floor, Requirements, Share};
 pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
 
 /// A whole scenario: acts with the ways between them.

@@ -19,6 +19,15 @@ pub struct Requirements {
     pub finishes: Option<Floor<Share>>,
     /// The closest approach of any two bodies, from surface to surface, in metres.
     pub closest: Option<Floor<f64>>,
+    /// Whether every robot has to drop by itself what was not decided.
+    pub all_or_none: Option<AllOrNone>,
+}
+
+/// How sure it has to be that no robot starts alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AllOrNone {
+    /// Each robot acts on `pending_until`, so that no delay on the way starts what was not decided.
+    Strict,
 }
 
 impl Requirements {

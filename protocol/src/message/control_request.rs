@@ -12,7 +12,7 @@ use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::number;
 use crate::text::{DeviceId, Label, RequestId, SessionId};
-use crate::time::{Millis, Server, Timestamp};
+use crate::time::{Millis, Robot, Server, Timestamp};
 
 /// Drives, reads or stops one device.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +25,9 @@ pub struct ControlRequest {
     pub device_id: DeviceId,
     /// The lease. Left out: none.
     pub stop_condition: Option<StopCondition>,
+    /// Unless it has begun by this instant of the robot's clock, the robot drops it. An inquiry that names it may replace the instant
+    /// (our extension).
+    pub pending_until: Option<Timestamp<Robot>>,
     /// Echoed in every response (our extension).
     pub request_id: Option<RequestId>,
     /// Of `control_value`, checked and echoed by the robot (our extension).
@@ -89,6 +92,7 @@ impl ControlRequest {
             time_offset_to_start: None,
             device_id,
             stop_condition: None,
+            pending_until: None,
             request_id: None,
             content_hash: None,
             session: None,
@@ -170,6 +174,9 @@ impl ControlRequest {
         map.serialize_entry("device_id", &self.device_id)?;
         if let Some(stop_condition) = &self.stop_condition {
             map.serialize_entry("stop_condition", stop_condition)?;
+        }
+        if let Some(pending_until) = &self.pending_until {
+            map.serialize_entry("pending_until", pending_until)?;
         }
         if let Some(request_id) = &self.request_id {
             map.serialize_entry("request_id", request_id)?;
@@ -274,6 +281,7 @@ struct Fields {
     time_offset_to_start: Option<Option<Millis>>,
     device_id: Option<DeviceId>,
     stop_condition: Option<Option<StopCondition>>,
+    pending_until: Option<Option<Timestamp<Robot>>>,
     request_id: Option<Option<RequestId>>,
     content_hash: Option<Option<ContentHash>>,
     session: Option<Option<SessionId>>,
@@ -316,6 +324,7 @@ enum RequestKey {
     Offset,
     DeviceId,
     StopCondition,
+    PendingUntil,
     RequestId,
     ContentHash,
     Session,
@@ -334,6 +343,7 @@ impl Keys for RequestKey {
             "time_offset_to_start" => Self::Offset,
             "device_id" => Self::DeviceId,
             "stop_condition" => Self::StopCondition,
+            "pending_until" => Self::PendingUntil,
             "request_id" => Self::RequestId,
             "content_hash" => Self::ContentHash,
             "session" => Self::Session,
@@ -359,6 +369,7 @@ fn read_field<'de, A: MapAccess<'de>>(
         RequestKey::StopCondition => {
             set_once(&mut fields.stop_condition, "stop_condition", map.next_value()?)
         }
+        RequestKey::PendingUntil => set_once(&mut fields.pending_until, "pending_until", map.next_value()?),
         RequestKey::RequestId => set_once(&mut fields.request_id, "request_id", map.next_value()?),
         RequestKey::ContentHash => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
         RequestKey::Session => set_once(&mut fields.session, "session", map.next_value()?),
@@ -377,6 +388,7 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
         time_offset_to_start: fields.time_offset_to_start.flatten(),
         device_id: fields.device_id.ok_or_else(|| E::missing_field("device_id"))?,
         stop_condition: fields.stop_condition.flatten(),
+        pending_until: fields.pending_until.flatten(),
         request_id: fields.request_id.flatten(),
         content_hash: fields.content_hash.flatten(),
         session: fields.session.flatten(),

@@ -59,6 +59,10 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub inquiry: bool,
+    /// Whether it acts on `pending_until`, in control requests and in inquiries (our extension).
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[cfg_attr(feature = "schema", schemars(default))]
+    pub pending_until: bool,
     /// 1 to 32,000 devices, ids unique.
     #[cfg_attr(feature = "schema", schemars(with = "Vec<Device>", length(min = 1, max = DEVICES_MAX)))]
     pub devices: Devices,
@@ -82,6 +86,8 @@ struct RawBlock {
     encodings: Vec<Label>,
     #[serde(default)]
     inquiry: bool,
+    #[serde(default)]
+    pending_until: bool,
     #[serde(deserialize_with = "devices")]
     devices: Vec<Object<Device>>,
 }
@@ -158,6 +164,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
             reports: raw.reports,
             encodings: raw.encodings,
             inquiry: raw.inquiry,
+            pending_until: raw.pending_until,
             devices: raw.devices.into_iter().map(|Object(device)| device).collect(),
         })
     }
@@ -182,6 +189,7 @@ impl InitializationBlock {
             reports: false,
             encodings: Vec::new(),
             inquiry: false,
+            pending_until: false,
             devices,
         }))
     }
@@ -201,10 +209,11 @@ impl InitializationBlock {
         self
     }
 
-    /// The same robot, which says that it answers inquiries.
+    /// The same robot, which says that it answers inquiries and acts on `pending_until`.
     #[must_use]
     pub const fn and_answers_inquiries(mut self) -> Self {
         self.inquiry = true;
+        self.pending_until = true;
         self
     }
 

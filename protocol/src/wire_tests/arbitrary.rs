@@ -87,14 +87,16 @@ fn control_request() -> impl Strategy<Value = ControlRequest> {
         Just(Command::Unknown(Label::new("torque").unwrap())),
     ];
     let extras = (option::of(text()), any::<bool>(), option::of(text()), any::<bool>());
-    let times = (option::of(timestamp()), option::of(millis()), option::of(stop_condition()));
+    let limits = (option::of(stop_condition()), option::of(timestamp()));
+    let times = (option::of(timestamp()), option::of(millis()), limits);
     (text(), command, times, extras).prop_map(|(device, command, times, extras)| {
-        let (timestamp, time_offset_to_start, stop_condition) = times;
+        let (timestamp, time_offset_to_start, (stop_condition, pending_until)) = times;
         let (request_id, hashed, session, home) = extras;
         ControlRequest {
             timestamp,
             time_offset_to_start,
             stop_condition,
+            pending_until,
             request_id: request_id.map(|id| RequestId::new(id).unwrap()),
             content_hash: hashed.then(|| command.content_hash()),
             session: session.map(|id| SessionId::new(id).unwrap()),

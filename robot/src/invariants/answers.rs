@@ -145,7 +145,9 @@ impl Judge {
         let full = device.queue.len() >= device.spec.script_queue as usize;
         let several = order.steps.iter().any(|step| !step.setpoint.more.is_empty());
         let is_case = match answer.error.as_ref().map(|error| &error.code) {
-            Some(ErrorCode::Late) => start_of(now, request) < now,
+            Some(ErrorCode::Late) => {
+                start_of(now, request) < now || request.pending_until.is_some_and(|until| until <= now)
+            }
             Some(ErrorCode::Overlap) => device.queue.iter().any(|held| overlap(held, &order)),
             Some(ErrorCode::Busy) => full || others,
             Some(ErrorCode::Cancelled) => {

@@ -98,7 +98,7 @@ impl Order {
             steps,
             is_script: matches!(request.command, Command::Script(_)),
             condition: request.stop_condition,
-            pending_until: None,
+            pending_until: request.pending_until,
             done: 0,
             began: false,
         }
@@ -139,7 +139,7 @@ impl Order {
 
     /// It may wait for its start no longer than this without a word, and until this instant at the latest.
     pub(super) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
-        self.pending_until = until;
+        self.pending_until = until.or(self.pending_until);
         let Some(pending) = pending else { return };
         let condition = self.condition.unwrap_or_default();
         let shortest = condition.pending.filter(|own| own.get() <= pending.get()).unwrap_or(pending);

@@ -106,6 +106,7 @@ pub struct Request {
     id: Id,
     start: Start,
     lease: Option<Lease>,
+    until_ticks: Option<i8>,
     hash: Hash,
     home: bool,
     what: What,
@@ -292,6 +293,7 @@ impl Request {
             timestamp: timestamp.map(Timestamp::assume_clock),
             time_offset_to_start,
             stop_condition: self.lease.as_ref().map(Lease::written),
+            pending_until: self.until_ticks.map(|ticks| on_grid(now, i64::from(ticks % 24))),
             request_id: id.and_then(|id| RequestId::new(id).ok()),
             content_hash: match self.hash {
                 Hash::None => None,

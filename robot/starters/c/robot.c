@@ -48,7 +48,7 @@
 
 static const char BLOCK[] = JSON(
 {"id": "arm-2", "name": "right arm", "type": "Industrial", "api_version": "1", "reports": true,
- "inquiry": true, "devices": [
+ "inquiry": true, "pending_until": true, "devices": [
     {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
      "available_control_types": {
         "position": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25},
@@ -150,7 +150,7 @@ struct command {
     char content_hash[65];
     struct lease lease;
     int64_t start, end, heard, sampled;
-    int64_t until;                 /* by an inquiry's pending_until */
+    int64_t until;                 /* by pending_until, of its own or of an inquiry */
     int64_t from_offset;           /* where a linear device comes from */
     double from_value;
     enum kind from_kind;
@@ -874,7 +874,7 @@ struct request {
     struct text device_id, request_id, session, timestamp, control_type;
     bool named, has_session, has_sent, has_start, home, script, sensor, unknown; /* unknown: no control type of the protocol */
     enum kind kind;            /* of neither */
-    int64_t sent, start;
+    int64_t sent, start, until;
     char content_hash[65];
     struct lease lease;
     int size;                  /* of a script, also beyond MAX_STEPS */
@@ -895,6 +895,8 @@ static void read_request(int body)
         fault = "device_id or control_type is missing or no string of 1 to 256 characters";
     r->named = text_at(body, "request_id", 0, &r->request_id);
     r->has_session = text_at(body, "session", 1, &r->session);
+    if (!timestamp_at(body, "pending_until", &r->timestamp, &r->until))
+        r->until = NEVER;
     r->has_sent = timestamp_at(body, "timestamp", &r->timestamp, &r->sent);
     r->has_start = period_at(body, "time_offset_to_start", &offset) && r->has_sent;
     r->start = r->has_start ? r->sent + ms_to_ns(offset) : 0;
@@ -1040,6 +1042,8 @@ static bool refused(const struct request *r, struct device *device, int body, in
     }
     if (start < now)
         return refuse(a, "late", "the start has passed");
+    if (r->until <= now)
+        return refuse(a, "late", "pending_until has passed");
     if (r->has_sent && r->sent <= device->taken_back)
         return refuse(a, "cancelled", "it was taken back by an empty script");
     end = start + r->steps[r->size - 1].offset;
@@ -1241,7 +1245,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         c->start = r->has_start ? r->start : now;
         c->end = c->start + r->steps[r->size - 1].offset;
         c->heard = heard;
-        c->until = NEVER;
+        c->until = r->until;
         c->size = r->size;
         memcpy(c->steps, r->steps, (size_t)r->size * sizeof *r->steps);
         passing.status = ACCEPTED;
@@ -1341,7 +1345,7 @@ static bool names_at(int body, const char *key, size_t least)
 }
 
 /* A command of this connection's session, or without one of this connection, may wait for its start no longer than `limit`,
-   which may be NaN, without a word, and until `until` at the latest. */
+   which may be NaN, without a word, and until `until` at the latest, unless that is NEVER. */
 static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit, int64_t until)
 {
     struct device *device;
@@ -1354,7 +1358,8 @@ static void shorten(struct link *link, const struct text *request_id, bool has_s
                 continue;
             if (isnan(c->lease.pending) || limit < c->lease.pending)
                 c->lease.pending = limit;
-            c->until = until;
+            if (until != NEVER)
+                c->until = until;
         }
 }
 

@@ -9,7 +9,7 @@ import argparse, asyncio, contextlib, datetime, hashlib, json, math, re, ssl, ti
 ANGLES = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
 BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version": "1", "reports": True,
-         "inquiry": True, "devices": [
+         "inquiry": True, "pending_until": True, "devices": [
     {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "script_queue": 2,
      "available_control_types": {"position": ANGLES, "script": {**ANGLES, "max_number_of_steps": 1000}}},
     {"id": "wheel", "name": "wheel motor", "unit": "m/s", "script_queue": 1,
@@ -52,8 +52,8 @@ def stamp(at): return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(at // 10**9
 def phases(value): return [value.get("pending"), value.get("running")] if isinstance(value, dict) else [value, value]
 
 STEP = {"time_offset_to_start": period, "control_type": string, "control_value": number, "stop_condition": lease}
-CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp,
-           "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "home": boolean}
+CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp, "home": boolean,
+           "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "pending_until": timestamp}
 REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident, "seize": boolean}, "control_request": CONTROL,
             "initialization_request": {"timestamp": timestamp},
             "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
@@ -90,7 +90,8 @@ class Command(Fields):
     def __init__(self, body, line, link):
         super().__init__(body, CONTROL, "device_id", "control_type")
         self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
-        self.value, self.passed, self.done, self.late, self.until = body.get("control_value"), 0, 0, 0, NEVER
+        self.value, self.passed, self.done, self.late = body.get("control_value"), 0, 0, 0
+        self.until = instant(self.pending_until) if self.pending_until else NEVER
         need(not self.script or isinstance(self.value, list) and not self.further, "a script's value is one list")
         valued = re.fullmatch("position|speed|acceleration|custom_[0-9]+", self.control_type)
         steps = self.value if self.script else [{**body, "time_offset_to_start": 0}] if valued else []
@@ -138,6 +139,7 @@ def check(c, device, now):
         for n in [value / its["granularity"] for its in kinds]:
             need(abs(n - round(n)) < 1e-6, "no multiple of its granularity", "off_granularity")
     need(c.times[0] >= now, "the start has passed", "late")
+    need(c.until > now, "pending_until has passed", "late")
     need(c.timestamp is None or c.sent > device.taken_back, "taken back by an empty script", "cancelled")
     for other in device.held:
         need(c.times[0] >= other.times[-1] or other.times[0] >= c.times[-1], "it is not free all that time", "overlap")
@@ -303,7 +305,7 @@ class Robot:
             if not c.passed and (c.session == asked.session if c.session else c.link is link):
                 limits = [each for each in (asked.pending_lease, c.leases[0]) if each is not None]
                 c.leases[0] = min(limits, default=None)
-                c.until = instant(asked.pending_until) if asked.pending_until else NEVER
+                c.until = instant(asked.pending_until) if asked.pending_until else c.until
         return told
     def tell(self, key, c):
         told = {"request_id": key, "state": "ended" if key in self.answers else "unknown", **self.facts.get(key, {})}

@@ -2,7 +2,7 @@
 
 use urrcp::{
     Command, ControlRequest, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport, RequestState,
-    Script, SessionId, Span, Status, Timestamp,
+    Script, Server, SessionId, Span, Status, Timestamp,
 };
 
 use super::heard::Ticket;
@@ -10,7 +10,7 @@ use super::line::{Inquired, Line};
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 11] = [
+pub(super) const ALL: [Requirement; 12] = [
     Requirement {
         name: "inquiry",
         demands: "An inquiry is answered `OK` with the clock of the exchange and one entry for each request, in their order, `unknown` for those that never came.",
@@ -73,9 +73,15 @@ pub(super) const ALL: [Requirement; 11] = [
     },
     Requirement {
         name: "lease-inquiry-until",
-        demands: "pending_until, which a robot need not know, ends the lease of what is named and has not begun at that instant of the robot's clock, whatever is heard until then, and the next inquiry that names it lifts that.",
+        demands: "pending_until ends the lease of what is named and has not begun at that instant of the robot's clock, whatever is heard until then; an inquiry with another one moves it, and an inquiry without one leaves it.",
         section: "Inquiry (D)",
         check: pending_until,
+    },
+    Requirement {
+        name: "lease-until",
+        demands: "A control request whose pending_until has come before its start is dropped at that instant, whatever is heard until then, and one that arrives after it is refused with `late`.",
+        section: "Inquiry (D)",
+        check: own_pending_until,
     },
 ];
 
@@ -395,42 +401,78 @@ fn pending_lease(trial: &Trial) -> Checked {
     other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
 }
 
-fn pending_until(trial: &Trial) -> Checked {
+/// Whether the robot acts on `pending_until`.
+fn limiting(trial: &Trial) -> Result<(), Unmet> {
     answering(trial)?;
-    trial.reporting()?;
+    match trial.block()?.pending_until {
+        true => trial.reporting(),
+        false => Err(not_applicable("the robot declares no `pending_until`")),
+    }
+}
+
+fn pending_until(trial: &Trial) -> Checked {
+    limiting(trial)?;
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let lifted = trial.pending(actor);
-    let ticket = line.held(&lifted)?;
-    line.inquire(&until_soon(trial, &lifted))?;
-    let lifting = line.inquire(&about(&[&lifted]))?;
+    let moved = trial.pending(actor);
+    let ticket = line.held(&moved)?;
+    line.inquire(&until_after(trial, PERIOD, &moved))?;
+    let moving = line.inquire(&until_after(trial, PERIOD * 20, &moved))?;
     let over = trial.now() + PERIOD + trial.slack();
     line.listen(over, |line| line.asked(ticket).heard.len() > 1)?;
     if let Some(more) = line.asked(ticket).heard.get(1) {
-        let sent = format!("{}, after one with pending_until", lifting.sent.trim_end());
-        return Err(differs(&sent, &more.text, "nothing: an inquiry without pending_until lifts it"));
+        let sent = format!("{}, after one with an earlier pending_until", moving.sent.trim_end());
+        return Err(differs(&sent, &more.text, "nothing: an inquiry with a later pending_until moves it"));
     }
     // Taken first: a pause between the two must not make the robot look early.
     let until = trial.now() + PERIOD;
-    let asked = until_soon(trial, &lifted);
-    let inquired = line.inquire(&asked)?;
-    // What is heard until then renews leases and does not name the request.
-    while trial.now() < until + trial.slack() && line.asked(ticket).heard.len() < 2 {
-        line.inquire(&Inquiry { timestamp: Some(trial.stamp()), ..Inquiry::default() })?;
+    let inquired = line.inquire(&until_after(trial, PERIOD, &moved))?;
+    ends_at(trial, &mut line, (ticket, &moved), (until, &inquired.sent))
+}
+
+fn own_pending_until(trial: &Trial) -> Checked {
+    limiting(trial)?;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let limited = |after: Span| {
+        let until = Some((trial.stamp() + after).assume_clock());
+        ControlRequest { pending_until: until, ..trial.pending(actor) }
+    };
+    let passed = line.ask(&limited(Span::from_millis(-1_000)))?;
+    line.refused(passed, &[ErrorCode::Late])?;
+    let until = trial.now() + PERIOD;
+    let request = limited(PERIOD);
+    let ticket = line.held(&request)?;
+    let sent = line.asked(ticket).text.clone();
+    ends_at(trial, &mut line, (ticket, &request), (until, &sent))
+}
+
+/// Whether a request ends at its `pending_until`, however often the robot hears of it until then.
+fn ends_at(
+    trial: &Trial,
+    line: &mut Line,
+    (ticket, request): (Ticket, &ControlRequest),
+    (until, sent): (Timestamp<Server>, &str),
+) -> Checked {
+    // The one renews its lease and does not name it, the other names it and no instant.
+    let asks = [Inquiry::default(), about(&[request])];
+    for inquiry in asks.iter().cycle() {
+        if trial.now() >= until + trial.slack() || line.asked(ticket).heard.len() > 1 {
+            break;
+        }
+        line.inquire(&Inquiry { timestamp: Some(trial.stamp()), ..inquiry.clone() })?;
         line.listen(trial.soon(50), |line| line.asked(ticket).heard.len() > 1)?;
     }
     match line.asked(ticket).heard.get(1) {
-        None => Err(not_applicable(
-            "the robot does not act on `pending_until`, which is optional: it keeps to `pending_lease` alone",
-        )),
+        None => Err(differs(sent, "nothing", "its end at `pending_until`")),
         Some(end) if end.at < until - ROUNDING => {
-            Err(differs(&inquired.sent, &end.text, "the end of that lease at this instant, and no earlier"))
+            Err(differs(sent, &end.text, "its end at `pending_until`, and no earlier"))
         }
         Some(end) => Ok(format!("ended {} after that instant", end.at - until)),
     }
 }
 
-/// Limits the lease of a request to an instant one period from now, by the robot's clock.
-fn until_soon(trial: &Trial, request: &ControlRequest) -> Inquiry {
-    Inquiry { pending_until: Some((trial.stamp() + PERIOD).assume_clock()), ..about(&[request]) }
+/// Limits the lease of a request to the instant that comes `after` now, by the robot's clock.
+fn until_after(trial: &Trial, after: Span, request: &ControlRequest) -> Inquiry {
+    Inquiry { pending_until: Some((trial.stamp() + after).assume_clock()), ..about(&[request]) }
 }

@@ -57,7 +57,7 @@ pub(super) fn robot(id: &str, tells: Tells, queue: usize) -> RobotState {
     };
     let devices = ["a", "b", "c"].map(device).join(", ");
     let block = format!(
-        r#"{{"id": "{id}", "api_version": "1", "reports": {reports}, "inquiry": {inquiry}, "devices": [{devices}]}}"#
+        r#"{{"id": "{id}", "api_version": "1", "reports": {reports}, "inquiry": {inquiry}, "pending_until": {inquiry}, "devices": [{devices}]}}"#
     );
     let block: InitializationBlock = serde_json::from_str(&block).unwrap();
     let mut robot = RobotState::new(Participant::new(RobotId::new(id).unwrap(), Some(block)));

@@ -234,6 +234,7 @@ impl Mission {
             self.check_clocks(now);
             self.check_sensors();
             self.check_refills(now);
+            self.check_strictness();
         }
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
@@ -252,6 +253,20 @@ impl Mission {
                 self.record(Record::Checked);
                 self.line_up_act(now, self.options.first_act);
                 self.perform(now);
+            }
+        }
+    }
+
+    /// Refuses robots that could start what was not decided, where the scenario requires that none can.
+    pub(super) fn check_strictness(&mut self) {
+        if self.choreography.requirements.all_or_none.is_none() {
+            return;
+        }
+        for robot in 0..self.robots.len() {
+            let state = &self.robots[robot];
+            if state.standing == Standing::In && state.block.is_some() && !state.drops_undecided() {
+                let reason = "the scenario requires `all_or_none: strict`, and the robot does not declare `pending_until`";
+                self.note_failure(robot, FailureKind::Unfit { reason: reason.to_owned() });
             }
         }
     }

@@ -240,10 +240,14 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
     }
 }
 
+/// Of a robot that ignores `pending_until`.
+pub(crate) const NOT_STRICT: &str = "it does not declare `pending_until`: a message that takes too long may start a script that was not decided";
+
 fn description(robot: &RobotState) -> Verdict {
     match &robot.latency_differs {
         Some(differs) => Verdict::Warning(differs.to_string()),
-        None => Verdict::Pass("fits".to_owned()),
+        None if robot.drops_undecided() => Verdict::Pass("fits".to_owned()),
+        None => Verdict::Warning(NOT_STRICT.to_owned()),
     }
 }
 

@@ -117,7 +117,12 @@ impl Mission {
     pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         let robot = act.robot_of(script);
-        let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
+        let state = &self.robots[robot];
+        let ahead = state.clock_at(now).map(|reading| reading.offset);
+        let session = self.options.session_on_the_wire();
+        let Some(mut request) = act.request(script, session.as_ref(), ahead) else { return };
+        // Only an inquiry extends it.
+        request.pending_until = request.pending_until.filter(|_| state.takes_inquiries());
         act.sent(now, script);
         let lease = act.shortest_lease_of(script);
         let state = &mut self.robots[robot];

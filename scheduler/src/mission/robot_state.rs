@@ -470,6 +470,11 @@ impl RobotState {
         self.block.as_ref().is_some_and(|block| block.inquiry)
     }
 
+    /// Whether it drops by itself what was not decided, however long a message to it was under way.
+    pub(crate) fn drops_undecided(&self) -> bool {
+        self.block.as_ref().is_some_and(|block| block.inquiry && block.pending_until)
+    }
+
     /// Whether what became of a script can be learned from it.
     pub(crate) fn tells_fates(&self) -> bool {
         self.reports() || self.takes_inquiries()

@@ -21,7 +21,9 @@ use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
-pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
+pub use crate::mission::{
+    ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Greeting, Outcome,
+};
 use crate::mission::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::requirements::Judged;
@@ -136,6 +138,8 @@ pub struct RobotReport {
     /// Devices that declare another latency than was compensated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
+    /// Whether it drops by itself what was not decided: it declares `pending_until`. `None`: it has not described itself.
+    pub pending_until: Option<bool>,
     /// After a stop: whether it is known to be at rest.
     pub stop: StopState,
 }
@@ -185,6 +189,7 @@ impl Report {
     fn with(mission: &Mission, outcome: Outcome) -> Self {
         let (acts, acts_omitted) = mission.act_reports();
         let robots = mission.robots();
+        let trusts_files = mission.options().greeting == Greeting::Skip;
         Self {
             scenario: mission.choreography().scenario.clone(),
             session: mission.options().session_name().cloned(),
@@ -199,7 +204,7 @@ impl Report {
             course: mission.fates().to_vec(),
             acts: acts.iter().cloned().collect(),
             acts_omitted,
-            robots: robots.iter().map(robot_report).collect(),
+            robots: robots.iter().map(|robot| robot_report(robot, trusts_files)).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
             not_at_rest: Vec::new(),
             ntp: mission.ntp(),
@@ -216,7 +221,9 @@ impl Report {
     }
 }
 
-fn robot_report(robot: &RobotState) -> RobotReport {
+/// `trusts_files`: robots were not asked for their descriptions, which the fleet's files give.
+fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
+    let is_described = trusts_files || robot.introduced;
     let totals = &robot.totals;
     RobotReport {
         robot: robot.id.clone(),
@@ -240,6 +247,7 @@ fn robot_report(robot: &RobotState) -> RobotReport {
         clock_mode: robot.settings.clock,
         clock: robot.clock.reading(),
         latency_differs: robot.latency_differs.clone(),
+        pending_until: robot.block.as_ref().filter(|_| is_described).map(|_| robot.drops_undecided()),
         stop: stop_state(robot),
     }
 }

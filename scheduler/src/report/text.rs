@@ -13,6 +13,7 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
+use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
     Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow, SkewBudget,
     Verdict,
@@ -402,6 +403,9 @@ fn closing_sentences(report: &Report) -> Vec<String> {
         let told = robot.latency_differs.as_ref()?;
         Some(format!("{}: {told}", robot.robot))
     }));
+    let loose = |robot: &&RobotReport| robot.pending_until == Some(false);
+    sentences
+        .extend(report.robots.iter().filter(loose).map(|robot| format!("{}: {NOT_STRICT}", robot.robot)));
     sentences.extend(report.acts.iter().flat_map(|act| motions(act, report.acts.len() > 1)));
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));

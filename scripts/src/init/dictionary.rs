@@ -72,9 +72,9 @@ pub(super) fn block(
         }
     }
     let (id, api_version) = (id?, api_version?);
-    let described = |block| {
-        let (reports, inquiry) = (true, true);
-        InitializationBlock { name, robot_type, manufacture, version, api_version, reports, inquiry, ..block }
+    let described = |block: InitializationBlock| {
+        let block = block.and_answers_inquiries();
+        InitializationBlock { name, robot_type, manufacture, version, api_version, reports: true, ..block }
     };
     let block = InitializationBlock::new(id, devices).map(described).map_err(|error| error.to_string());
     // Once through the wire's own checks, which look at every device.

@@ -4,10 +4,10 @@ use crate::duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
-use crate::plan::{Ceiling, Floor, Requirements, Share};
+use crate::plan::{AllOrNone, Ceiling, Floor, Requirements, Share};
 
-pub(crate) const REQUIRE_KEYS: [&str; 6] =
-    ["spread_p50", "spread_p99", "spread_max", "starts", "finishes", "closest"];
+pub(crate) const REQUIRE_KEYS: [&str; 7] =
+    ["spread_p50", "spread_p99", "spread_max", "starts", "finishes", "closest", "all_or_none"];
 
 const SPREAD: &str = "a longest time, such as `below 5ms` or `at most 5ms`";
 const SHARE: &str = "a least share of the trials, such as `above 99.9%` or `at least 100%`";
@@ -15,12 +15,14 @@ const DISTANCE: &str = "a least distance with its unit, such as `above 0.3m` or 
 
 /// Metres in each unit of a distance.
 const METRES: [(&str, f64); 3] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)];
+const STRICT: [(&str, AllOrNone); 1] = [("strict", AllOrNone::Strict)];
 /// Billionths in one percent.
 const OF_PERCENT: u32 = 10_000_000;
 
 /// The bounds, and where that of `closest` stands.
 pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Place>) {
-    let Some([p50, p99, max, starts, finishes, closest]) = reader.map(at, "`require`", REQUIRE_KEYS, &[])
+    let Some([p50, p99, max, starts, finishes, closest, all_or_none]) =
+        reader.map(at, "`require`", REQUIRE_KEYS, &[])
     else {
         return (Requirements::default(), None);
     };
@@ -32,6 +34,7 @@ pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Pl
         starts: starts.and_then(|at| floor(reader, &at, SHARE, share)),
         finishes: finishes.and_then(|at| floor(reader, &at, SHARE, share)),
         closest: closest.and_then(|at| floor(reader, &at, DISTANCE, metres)),
+        all_or_none: all_or_none.and_then(|at| reader.word(&at, &STRICT)),
     };
     (requirements, place)
 }

@@ -46,7 +46,7 @@ lead: 1s
 stop_condition: {pending: none, running: 2s}
 on_failure: {default: stop, then: end}
 on_doubt: start
-require: {spread_p50: below 1ms, spread_p99: at most 5ms, spread_max: below 9ms, starts: above 99.9%, finishes: at least 99%, closest: above 0.3m}
+require: {all_or_none: strict, spread_p50: below 1ms, spread_p99: at most 5ms, spread_max: below 9ms, starts: above 99.9%, finishes: at least 99%, closest: above 0.3m}
 acts:
   - act: one
     wait: {for: operator, timeout: 1s, otherwise: end}

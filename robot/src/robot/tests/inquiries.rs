@@ -180,11 +180,48 @@ fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_c
     heard.until(5_000);
     assert_eq!(heard.values(), [], "a message that does not name it lifts nothing");
 
+    let mut asked = held();
+    asked.until(850);
+    asked.inquire(about(&["a"]));
+    asked.until(5_000);
+    assert_eq!(asked.values(), [], "nor does one that names no other instant");
+
     let mut committed = held();
     committed.until(850);
-    committed.inquire(about(&["a"]));
+    committed.inquire(Inquiry { pending_until: Some(at(2_000)), ..about(&["a"]) });
     committed.until(5_000);
     assert_eq!(committed.values().len(), 3);
+}
+
+#[test]
+fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
+    let requested = |came: i64, pending_until: i64| {
+        let mut bench = Bench::new();
+        bench.until(came);
+        let request = timed("arm", "a", 1_000.0 - came as f64, paper());
+        bench.request(ControlRequest { pending_until: Some(at(pending_until)), ..request });
+        bench
+    };
+    // Heard all the time, and confirmed by nobody.
+    let mut heard = requested(10, 900);
+    heard.until(850);
+    heard.inquire(Inquiry::default());
+    heard.until(5_000);
+    assert_eq!(heard.values(), []);
+    let lost = heard.responses().pop().unwrap();
+    assert_eq!((&lost.status, lost.event_timestamp), (&Status::Failed, Some(at(900))));
+
+    let mut late = requested(900, 900);
+    let refused = late.responses().pop().unwrap();
+    assert_eq!(refused.error.as_ref().map(|error| &error.code), Some(&ErrorCode::Late));
+    late.until(5_000);
+    assert_eq!(late.values(), []);
+
+    let mut confirmed = requested(10, 900);
+    confirmed.until(850);
+    confirmed.inquire(Inquiry { pending_until: Some(at(2_000)), ..about(&["a"]) });
+    confirmed.until(5_000);
+    assert_eq!(confirmed.values().len(), 3);
 }
 
 #[test]
@@ -199,7 +236,7 @@ fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one
             session: session("show"),
             ..about(&["a"])
         };
-        bench.inquire(asked(first));
+        bench.inquire(Inquiry { pending_until: Some(at(2_000)), ..asked(first) });
         let earlier = Inquiry { pending_until: Some(at(900)), ..asked(10) };
         bench.inquire_on(overtaken_on, earlier);
         bench.until(5_000);

@@ -1,11 +1,14 @@
 //! A robot of an act: what it was sent, and whether it still takes part.
 
-use urrcp::{DeviceId, RequestId, Server, Span, Timestamp};
+use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
 
-use super::NamedScripts;
 use super::timing::{Leases, Timing};
+use super::{NamedScripts, Question};
 use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::{Script, ScriptState};
+
+/// The limit of a committed script lies behind its start, so that it never ends one that has a right to begin.
+const BEYOND_START: Span = Span::from_millis(1_000);
 
 /// Whether a robot still takes part in an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,18 +182,29 @@ impl Member {
         (offset < lease && self.before(script).is_none()).then_some(offset)
     }
 
-    /// The requests that it may have, in the groups in which it is asked for them: `shortens` while a question shortens the
-    /// leases of what begins a device.
+    /// Until when a script may wait for its start while its act is not committed, by the robot's clock.
+    pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
+        let offset = self.scripts[script].plan.start.span();
+        (timing.brink() + offset + ahead.unwrap_or(self.shift)).assume_clock()
+    }
+
+    /// The same of a committed act: an instant behind its start.
+    pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
+        let offset = self.scripts[script].plan.start.span();
+        (timing.start + offset + self.shift + BEYOND_START).assume_clock()
+    }
+
+    /// The requests that it may have, in the groups in which it is asked for them.
     pub(super) fn names(
         &self,
         timing: &Timing,
         now: Timestamp<Server>,
         ahead: Option<Span>,
-        shortens: bool,
+        question: Question,
     ) -> Vec<NamedScripts> {
-        let ahead = ahead.unwrap_or(self.shift);
+        let shortens = question == Question::Shortens;
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
-        let mut groups: Vec<(Group, Vec<RequestId>)> = Vec::new();
+        let mut groups: Vec<(Group, NamedScripts)> = Vec::new();
         // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
         let asked = |index: usize, script: &Script| {
             script.is_unaccounted() && !(shortens && self.before(index).is_some())
@@ -200,17 +214,20 @@ impl Member {
             let key = (offset.is_none(), offset);
             // There are few: one for each instant at which devices begin.
             let place = groups.binary_search_by_key(&key, |(key, _)| *key).unwrap_or_else(|place| {
-                groups.insert(place, (key, Vec::new()));
+                let lease = offset.map(|offset| timing.lease_at(now) + offset);
+                groups.insert(place, (key, NamedScripts { lease, until: None, requests: Vec::new() }));
                 place
             });
-            groups[place].1.extend(script.request_id().cloned());
+            let group = &mut groups[place].1;
+            let until = match question {
+                Question::Asks => None,
+                Question::Shortens => offset.map(|_| self.brink_of(index, timing, ahead)),
+                Question::Extends => Some(self.beyond_start(index, timing)),
+            };
+            group.until = group.until.max(until);
+            group.requests.extend(script.request_id().cloned());
         }
-        let named = |((_, offset), requests): (Group, _)| NamedScripts {
-            lease: offset.map(|offset| timing.lease_at(now) + offset),
-            until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
-            requests,
-        };
-        groups.into_iter().map(named).collect()
+        groups.into_iter().map(|(_, named)| named).collect()
     }
 
     /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin

@@ -107,6 +107,16 @@ pub(crate) struct NamedScripts {
     pub(crate) requests: Vec<RequestId>,
 }
 
+/// What a question does to the pending limits of the requests that it names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Question {
+    Asks,
+    /// The act approaches its start: they end at its brink.
+    Shortens,
+    /// The act is committed: they reach beyond the start.
+    Extends,
+}
+
 /// One act under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Act {
@@ -374,10 +384,21 @@ impl Act {
         }
     }
 
-    /// The request of a script: the same bytes however often it is sent.
-    pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
+    /// The request of a script. `ahead` is what the robot's clock is ahead of the server's, if that is known.
+    pub(crate) fn request(
+        &self,
+        script: ScriptRef,
+        session: Option<&SessionId>,
+        ahead: Option<Span>,
+    ) -> Option<ControlRequest> {
         let timing = self.timing.as_ref()?;
-        Some(preparing::request(timing, &self.members[script.member], script.script, session))
+        let member = &self.members[script.member];
+        let pending_until = match self.is_committed() {
+            true => member.beyond_start(script.script, timing),
+            false => member.brink_of(script.script, timing, ahead),
+        };
+        let request = preparing::request(timing, member, script.script, session);
+        Some(ControlRequest { pending_until: Some(pending_until), ..request })
     }
 
     /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that
@@ -390,8 +411,12 @@ impl Act {
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
-        let shortens = matches!(self.stage, Stage::Approaching(_));
-        self.members[place].names(timing, now, ahead, shortens)
+        let question = match self.stage {
+            Stage::Approaching(_) => Question::Shortens,
+            Stage::Committed(_) | Stage::Playing(_) => Question::Extends,
+            _ => Question::Asks,
+        };
+        self.members[place].names(timing, now, ahead, question)
     }
 
     /// Whether a robot may have a request of it.
@@ -419,7 +444,7 @@ impl Act {
             return Vec::new();
         };
         let Some(place) = self.place_of(robot) else { return Vec::new() };
-        let mut named = self.members[place].names(timing, now, ahead, true);
+        let mut named = self.members[place].names(timing, now, ahead, Question::Shortens);
         named.retain(|named| named.lease.is_some());
         named
     }

@@ -260,6 +260,7 @@ pub(super) fn request(
             pending: member.pending_lease(index, timing.lead.lease).map(Millis::from_span),
             running: script.plan.stop_condition.running,
         }),
+        pending_until: None,
         request_id: script.request_id().cloned(),
         content_hash: Some(script.content_hash()),
         session: session.cloned(),

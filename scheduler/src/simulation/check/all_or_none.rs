@@ -189,10 +189,13 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// A script of an act that was never decided came so late, since the robot's link carried nothing or its process stood still, that
+/// A script of an act that was never decided came so late, since the robot's link carried nothing or its process stalled, that
 /// its lease reached over the start or that the script which it was to follow had been dropped; and the scheduler was not there to
-/// take it back.
+/// take it back. A robot that knows `pending_until` refuses such a script.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
+    if facts.drawn().robots[robot].block.inquiry {
+        return None;
+    }
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
     let keeps_waiting = |cause: Cause| cause.is_of_link() || cause == Cause::RobotPause;
@@ -257,15 +260,17 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
     for (at, happened) in facts.between(act.at, act.promise.start) {
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
-        match inquiry.pending_until {
+        let until = inquiry.pending_until.map(|until| (until - offset).assume_clock::<Server>());
+        match until.filter(|until| *until < act.promise.start) {
             // A lease that has ended is not renewed any more.
             Some(_) if leases_end.get(named).is_some_and(|(ends, _)| at > ends) => {}
             Some(until) => {
                 let lease = inquiry.pending_lease.map_or(act.promise.lease, urrcp::Millis::span);
-                let until = (until - offset).assume_clock::<Server>();
                 let ends = until.min(*at + lease) - DRIFT * 2;
                 leases_end.insert(named, (ends, inquiry.timestamp));
             }
+            // A question that only asks leaves them as they are.
+            None if until.is_none() => {}
             None => {
                 // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.
                 let lifts = |(ends, asked): &(_, _)| at < ends && inquiry.timestamp >= *asked;

@@ -185,7 +185,7 @@ fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
     // As if the commitment had not come.
     ran.history.retain(|(_, happened)| match happened {
         Happened::AtRobot(robot, Message::Inquiry(inquiry)) => {
-            *robot != missing || inquiry.pending_until.is_some()
+            *robot != missing || inquiry.pending_lease.is_some()
         }
         _ => true,
     });
@@ -196,7 +196,9 @@ fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
 fn a_link_is_an_excuse_for_a_robot_one_of_whose_leases_had_ended_when_the_commitment_came() {
     let (mut ran, missing) = missing_behind_a_link();
     let shortened = |(at, happened): &(_, Happened)| match happened {
-        Happened::AtRobot(robot, Message::Inquiry(inquiry)) if *robot == missing => {
+        Happened::AtRobot(robot, Message::Inquiry(inquiry))
+            if *robot == missing && inquiry.pending_lease.is_some() =>
+        {
             inquiry.pending_until.map(|until| (*at, until, inquiry.clone()))
         }
         _ => None,

@@ -160,7 +160,8 @@ fn draw_block(rng: &mut Rng, index: usize, inquiry: bool, show: Show) -> Initial
     );
     let reports = !one_in(rng, 6);
     let json = format!(
-        r#"{{"id": "r{index}", "api_version": "1", "reports": {reports}, "inquiry": {inquiry}, "devices": [{}]}}"#,
+        r#"{{"id": "r{index}", "api_version": "1", "reports": {reports}, "inquiry": {inquiry}, "pending_until": {inquiry},
+          "devices": [{}]}}"#,
         devices.join(",")
     );
     // Written above: it is one.

@@ -278,6 +278,7 @@ fn brief(message: &Message) -> Message {
                 time_offset_to_start: request.time_offset_to_start,
                 device_id: request.device_id.clone(),
                 stop_condition: request.stop_condition,
+                pending_until: request.pending_until,
                 request_id: request.request_id.clone(),
                 content_hash: request.content_hash,
                 session: request.session.clone(),

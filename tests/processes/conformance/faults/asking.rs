@@ -130,21 +130,42 @@ pub fn of_leases() -> Vec<Mutant> {
         ),
         Mutant {
             only: &["lease-inquiry-until"],
-            ..mutant("pending_until is never lifted", &["lease-inquiry-until"], |memory, passing| {
+            ..mutant("pending_until is never moved", &["lease-inquiry-until"], |memory, passing| {
                 if passing.way == Way::ToRobot
                     && let Some(asked) = passing.json.get_mut("inquiry")
+                    && let Some(until) = asked["pending_until"].as_str().map(str::to_owned)
                 {
-                    match asked["pending_until"].as_str().map(str::to_owned) {
-                        Some(until) => drop(memory.seen.insert((1, until))),
-                        None => {
-                            let last = memory.seen.iter().map(|(_, until)| until).max();
-                            last.into_iter().for_each(|last| asked["pending_until"] = json!(last));
-                        }
-                    }
+                    memory.seen.insert((1, until));
+                    let first = memory.seen.iter().map(|(_, until)| until).min();
+                    first.into_iter().for_each(|first| asked["pending_until"] = json!(first));
                 }
                 Then::Pass
             })
         },
+        Mutant {
+            only: &["lease-inquiry-until", "lease-until"],
+            ..mutant(
+                "an inquiry lifts pending_until",
+                &["lease-inquiry-until", "lease-until"],
+                |_, passing| {
+                    if passing.way == Way::ToRobot
+                        && let Some(asked) = passing.json.get_mut("inquiry")
+                        && asked.get("pending_until").is_none()
+                    {
+                        asked["pending_until"] = json!("2200-01-01T00:00:00Z");
+                    }
+                    Then::Pass
+                },
+            )
+        },
+        mutant("the pending_until of requests is not read", &["lease-until"], |_, passing| {
+            if passing.way == Way::ToRobot
+                && let Some(request) = passing.json.get_mut("control_request")
+            {
+                remove(request, "pending_until");
+            }
+            Then::Pass
+        }),
         // The report of the queued one is lost as well.
         mutant("the end of a pending lease ends what runs", &["lease-queued"], |memory, passing| {
             let Some(report) = passing.response() else { return Then::Pass };
