@@ -5,12 +5,12 @@
 //! for a moment: a robot that says nothing is sent them nevertheless, but only the robot that is meant can confirm them, and one
 //! that says that it is another is sent none.
 
-use urrcp::{InitializationRequest, Message, RobotId, Server, Span, Timestamp};
+use urrcp::{AvailabilityResponse, InitializationRequest, Message, RobotId, Server, Span, Status, Timestamp};
 
 use super::failure_kind::{Failure, FailureKind};
 use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
-use super::{Action, Greeting, Loss, Mission, Phase, Progress};
+use super::{Action, Greeting, Loss, Mission, Phase, Progress, error_of_status};
 
 /// A robot that has not said which one it is after so long is asked again, and is sent the stops that are meant for it.
 const ASK_AGAIN: Span = Span::from_millis(250);
@@ -81,6 +81,14 @@ impl Mission {
             Message::InitializationBlock(block) if block.id == self.robots[robot].own_id => true,
             Message::InitializationBlock(block) => {
                 self.met_another(now, robot, block.id.clone());
+                false
+            }
+            // A robot that cannot be commanded need not say which one it is: the paper's step 2 ends the exchange with its reason.
+            Message::AvailabilityResponse(AvailabilityResponse { status: Status::Failed, error, .. })
+                if matches!(self.phase, Phase::Greeting { .. }) && !self.robots[robot].is_up() =>
+            {
+                let error = error_of_status(error.as_ref());
+                self.fail(now, robot, FailureKind::NotAvailable { error });
                 false
             }
             _ => self.robots[robot].is_up(),

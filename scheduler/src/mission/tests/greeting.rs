@@ -1,9 +1,11 @@
 //! Who counts as the robot that is meant, when robots are asked again, and robots of other sessions.
 
+use downbeat_scripts::AllOrNone;
 use urrcp::{AvailabilityResponse, ControlError};
 
 use super::played::Played;
 use super::*;
+use crate::mission::bench::Tells::Reports;
 use crate::mission::bench::ms;
 use crate::mission::seize::Ownership;
 
@@ -35,6 +37,43 @@ fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_tha
         }
         assert_eq!(mission.is_the_one(at(1), 0, &message), counts, "{greeting:?}, named: {up}");
     }
+}
+
+#[test]
+fn a_robot_that_could_start_what_was_not_decided_is_refused_where_the_scenario_is_strict() {
+    let strict = Some(AllOrNone::Strict);
+    for (tells, all_or_none, refused) in
+        [(Everything, strict, false), (Reports, strict, true), (Reports, None, false)]
+    {
+        let mut mission = begins_at_once(tells);
+        Arc::make_mut(&mut mission.choreography).requirements.all_or_none = all_or_none;
+        mission.robots[0].introduced = true;
+        mission.check_strictness();
+        assert_eq!(mission.robots[0].has_failed(), refused, "{tells:?} {all_or_none:?}");
+        let checks = &preflight::table(&mission, at(0)).rows[0].checks;
+        let warned = checks
+            .iter()
+            .any(|(_, verdict)| matches!(verdict, Verdict::Warning(why) if why.contains("pending_until")));
+        assert_eq!(warned, tells == Reports && !refused, "{tells:?} {all_or_none:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_gives_its_reason_instead_of_its_name_is_not_waited_for() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission.robots[0].connected(at(0));
+    let error = ControlError::new(ErrorCode::Internal, "battery is empty");
+    let response = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1)),
+        timestamp: by_robot(at(1)),
+        status: Status::Failed,
+        error: Some(error.clone()),
+    };
+    mission.receive(at(1), 0, Message::AvailabilityResponse(response));
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::NotAvailable { error }]);
 }
 
 #[test]
