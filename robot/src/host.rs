@@ -92,6 +92,7 @@ pub struct NotAtRest {
 
 /// What comes back on a link.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly all are messages")]
 pub enum LinkEvent {
     /// The robot says something.
     Message(Message),

@@ -6,6 +6,7 @@ use crate::robot::LinkId;
 
 /// What leaves a robot.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly all are messages")]
 pub enum Outgoing {
     /// A message on a link.
     Message {
