@@ -99,7 +99,7 @@ fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to
             requests.iter().filter(|request| request["request_id"] != script["request_id"]).collect();
         assert!(script["control_value"].as_array().is_some_and(|steps| !steps.is_empty()), "{script}");
         let stop = |request: &&Value| request["control_value"].as_array().is_some_and(Vec::is_empty);
-        assert!(!stops.is_empty() && stops.iter().all(|request| stop(request)), "{stops:?}");
+        assert!(!stops.is_empty() && stops.iter().all(stop), "{stops:?}");
         assert!(raw.flooded() < 64 * 1024 * 1024, "{} bytes", raw.flooded());
         stage.robots.iter().for_each(|robot| play.was_played_by(robot));
         let starts: Vec<_> = stage.robots.iter().map(|robot| robot.sets()[0].at).collect();
