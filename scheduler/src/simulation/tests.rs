@@ -259,6 +259,25 @@ fn a_clock_that_is_set_forward_while_no_process_lives_starts_no_robot_alone() {
 }
 
 #[test]
+fn a_request_that_arrives_while_the_scheduler_stalls_starts_nothing() {
+    let mut late = 0;
+    for far in [0.5, 0.7, 0.8, 0.9, 0.97] {
+        let faults = |[promised, decided, start]: [Span; 3]| {
+            let lasts = Span::from_millis_f64((start - promised).as_millis_f64() * far);
+            vec![
+                (promised, Fault::Partition { robot: 0, lasts, breaks: false }),
+                (decided, Fault::SchedulerPause { lasts: Span::from_millis(5_000) }),
+            ]
+        };
+        for ran in with_faults_around_the_decision(0..150, faults) {
+            assert_eq!(ran.verdict().violations, [], "seed {}, {:?}", ran.drawn.seed, ran.drawn.faults);
+            late += 1;
+        }
+    }
+    assert!(late > 400, "{late}");
+}
+
+#[test]
 fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
     let mut left = 0;
     for mut drawn in (0..300).map(|seed| draw(seed).without_faults()) {

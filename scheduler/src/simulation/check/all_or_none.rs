@@ -50,6 +50,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
             _ => Starts::Mixed,
         };
         let (number, start) = (act.promise.number, act.promise.start);
+        never_committed(facts, act, &started, verdict);
         verdict.acts.push(ActStarts { number, start, robots, starts });
         if starts == Starts::Mixed {
             match excuse(facts, act, &started) {
@@ -66,6 +67,18 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
                 }
             }
         }
+    }
+}
+
+/// A robot that knows `pending_until` begins no act that was not committed, whatever its link and the scheduler do.
+fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
+    if act.committed.is_some() {
+        return;
+    }
+    let knows = |robot: &&Started| facts.drawn().robots[robot.robot].block.inquiry;
+    for robot in started.iter().filter(knows).filter(|robot| robot.began && robot.excuse.is_none()) {
+        let number = act.promise.number;
+        verdict.violated('a', format!("r{} began act {number}, which was never committed", robot.robot));
     }
 }
 
@@ -176,7 +189,12 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
-        .or_else(|| set_unseen(facts, act, robot))
+        .or_else(|| set_unseen(facts, act, robot));
+    if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
+        // It knows `pending_until`, and nothing has moved that: no link and no process can let it start.
+        return set;
+    }
+    let set = set
         .or_else(|| came_late(facts, act, robot, until))
         .or_else(|| carried_over(facts, act, robot))
         .or_else(|| facts.was_stopped_in_part(act, robot).then_some(Cause::SchedulerCrash));
@@ -191,11 +209,8 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
 
 /// A script of an act that was never decided came so late, since the robot's link carried nothing or its process stalled, that
 /// its lease reached over the start or that the script which it was to follow had been dropped; and the scheduler was not there to
-/// take it back. A robot that knows `pending_until` refuses such a script.
+/// take it back.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
-    if facts.drawn().robots[robot].block.inquiry {
-        return None;
-    }
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
     let keeps_waiting = |cause: Cause| cause.is_of_link() || cause == Cause::RobotPause;
