@@ -191,7 +191,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot));
     if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
-        // It knows `pending_until`, and nothing has moved that: no link and no process can let it start.
+        // It knows `pending_until`, and no inquiry has moved that: whatever its link and the processes do, it drops the script.
         return set;
     }
     let set = set
