@@ -12,3 +12,4 @@ mod processes;
 mod refills;
 mod rest;
 mod told;
+mod undecided;

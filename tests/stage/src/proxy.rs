@@ -34,6 +34,8 @@ struct Link {
     connections: Vec<TcpStream>,
     /// The next line to the robot that contains this is lost, and the link is interrupted for so long.
     lose: Option<(String, Duration)>,
+    /// The next line to the robot that contains this text, and everything behind it, takes this long.
+    slows: Option<(String, Duration)>,
     /// So many connections are still reset as soon as the robot has been written to.
     resets: u32,
     lines_lost: u32,
@@ -79,6 +81,7 @@ impl Proxy {
             robot,
             connections: Vec::new(),
             lose: None,
+            slows: None,
             resets: 0,
             lines_lost: 0,
             generation: 0,
@@ -157,6 +160,18 @@ impl Proxy {
     /// Every line takes so long from now on, either way.
     pub fn delay(&self, delay: Duration) {
         self.shared.lock().delay = delay;
+    }
+
+    /// The next line to the robot that contains this text, and every line behind it, takes this long.
+    pub fn slow_down_at(&self, text: &str, delay: Duration) {
+        assert!(self.reads(), "lines of an encrypted link cannot be told apart");
+        self.shared.lock().slows = Some((text.to_owned(), delay));
+    }
+
+    /// Whether that line has come.
+    pub fn has_slowed_down(&self) -> bool {
+        let link = self.shared.lock();
+        link.slows.is_none() && !link.delay.is_zero()
     }
 
     /// Makes something else of everything that the robot says.
@@ -381,6 +396,9 @@ impl Link {
         if self.resets > 0 {
             self.resets -= 1;
             return Pass::Break;
+        }
+        if let Some((_, delay)) = self.slows.take_if(|(text, _)| line.contains(text.as_str())) {
+            self.delay = delay;
         }
         let encrypted = self.encrypted;
         match self.lose.take_if(|(text, _)| encrypted || line.contains(text.as_str())) {

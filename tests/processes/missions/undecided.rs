@@ -1,0 +1,56 @@
+//! A link that slows down between the greeting and the decision: no robot plays an act alone.
+
+use std::time::Duration;
+
+use rustix::process::Signal;
+
+use stage::play::{Play, SHORT};
+use stage::quiet::await_that;
+use stage::{Running, Stage, Via};
+
+const LEAD: &str = "1500ms";
+/// A request that takes this long arrives before its start, and its pending lease reaches beyond the start.
+const UNDER_WAY: Duration = Duration::from_millis(1_300);
+/// By then an act that begins at all has begun.
+const AFTER_THE_START: Duration = Duration::from_secs(3);
+
+/// Plays to robots of which the first gets its requests late. `meanwhile` is done to the scheduler once they are under way.
+fn played_late(meanwhile: impl FnOnce(&mut Running)) -> (Stage, Running) {
+    let stage = Play { steps: 16, ..SHORT }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.slow_down_at("control_request", UNDER_WAY);
+    let mut running =
+        stage.start(&["run", "play.yaml", "--lead", LEAD, "--patience", "3s", "--format", "json"]);
+    await_that("the first request", || link.has_slowed_down());
+    meanwhile(&mut running);
+    std::thread::sleep(AFTER_THE_START);
+    for robot in &stage.robots {
+        assert!(
+            robot.log().is_empty(),
+            "{} moved in an act that was never decided: {:?}",
+            robot.id,
+            robot.log()
+        );
+    }
+    (stage, running)
+}
+
+#[test]
+fn an_act_that_its_scheduler_withdraws_over_a_slow_link_moves_no_robot() {
+    let (_stage, running) = played_late(|_| {});
+    let ended = running.ended();
+    assert_eq!(ended.report()["outcome"], "not_started", "{ended}");
+}
+
+#[test]
+fn an_act_whose_scheduler_dies_while_its_requests_are_under_way_moves_no_robot() {
+    played_late(|running| running.process.kill());
+}
+
+#[test]
+fn an_act_whose_scheduler_stalls_while_its_requests_are_under_way_moves_no_robot() {
+    let (_stage, running) = played_late(|running| running.process.signal(Signal::STOP));
+    running.process.signal(Signal::CONT);
+    let report = running.ended().report();
+    assert!(report["outcome"]["decision_late"].is_object(), "{report}");
+}
