@@ -207,7 +207,7 @@ struct ControlRequestKeys {
     device_id: DeviceId,
     /// The lease. Left out: none.
     stop_condition: Option<StopCondition>,
-    /// Unless it has begun by this instant of the robot's clock, the robot drops it.
+    /// The robot drops the request if it has not begun by this instant of the robot's clock.
     pending_until: Option<Timestamp<crate::time::Robot>>,
     /// Echoed in every response.
     request_id: Option<RequestId>,

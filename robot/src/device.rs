@@ -101,7 +101,7 @@ pub(crate) enum Effect {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CommandId(u64);
 
-/// Why a lease has ended.
+/// The messages of `link_lost`, by the reason for which a lease ended.
 const SILENT_RUNNING: &str =
     "the running lease ended: the server was silent for longer than `stop_condition`";
 const SILENT_PENDING: &str =
@@ -390,8 +390,8 @@ impl DeviceMachine {
         }
     }
 
-    /// Brings every speed, acceleration and custom value that was ever driven to rest at once, and leaves positions as they are. The
-    /// hardware is back, and may not have taken the last values.
+    /// Immediately brings to rest every speed, acceleration and custom value that was ever driven, and leaves positions as they are.
+    /// The hardware is back, and may not have received the last values.
     pub(crate) fn rest_rates(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         for (control_type, last) in &mut self.driven {
             let Some(rest) = rest_of(&self.spec, *control_type, Some(last)) else { continue };

@@ -92,7 +92,7 @@ pub struct NotAtRest {
 
 /// What comes back on a link.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly all are messages")]
+#[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum LinkEvent {
     /// The robot says something.
     Message(Message),
@@ -124,7 +124,7 @@ pub struct HostHandle {
     strangers: Arc<Strangers>,
     scripts: KnownScripts,
     owners: Arc<[watch::Receiver<Option<Claimant>>]>,
-    /// The length of the longest command of each robot, in bytes.
+    /// The maximum length of a command for each robot, in bytes.
     longest: Arc<[usize]>,
 }
 
@@ -255,7 +255,7 @@ impl Host {
     }
 }
 
-/// The bytes that a command for one of these devices takes at most, generously: a step of one value is shorter than 200.
+/// A generous upper bound on the bytes of a command for one of these devices: a step with one value takes fewer than 200.
 fn longest_command(block: &InitializationBlock) -> usize {
     const STEP: usize = 512;
     let of_device = |device: &Device| {
@@ -282,7 +282,7 @@ impl HostHandle {
         &self.robots
     }
 
-    /// No command for the robot of this link is longer, in bytes.
+    /// The maximum length of a command for the robot of this link, in bytes.
     pub(crate) fn longest_command(&self, link: &RobotLink) -> usize {
         self.longest.get(link.robot).copied().unwrap_or(LINE_BYTES_MAX)
     }

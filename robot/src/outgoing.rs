@@ -6,7 +6,7 @@ use crate::robot::LinkId;
 
 /// What leaves a robot.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly all are messages")]
+#[expect(clippy::large_enum_variant, reason = "nearly all values are messages")]
 pub enum Outgoing {
     /// A message on a link.
     Message {

@@ -19,14 +19,14 @@ pub struct Requirements {
     pub finishes: Option<Floor<Share>>,
     /// The closest approach of any two bodies, from surface to surface, in metres.
     pub closest: Option<Floor<f64>>,
-    /// Whether every robot has to drop by itself what was not decided.
+    /// Whether every robot itself has to drop a script that was not decided.
     pub all_or_none: Option<AllOrNone>,
 }
 
-/// How sure it has to be that no robot starts alone.
+/// How strictly a mission prevents a robot from starting alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AllOrNone {
-    /// Each robot acts on `pending_until`, so that no delay on the way starts what was not decided.
+    /// Each robot acts on `pending_until`, so that no delay of a message starts a script that was not decided.
     Strict,
 }
 

@@ -26,7 +26,7 @@ pub struct Decoder {
     known: Option<KnownScripts>,
 }
 
-/// A buffer of at most this many bytes is kept as long as anything is in it.
+/// A buffer that contains data is shrunk only if its capacity exceeds this many bytes.
 const KEPT_MAX: usize = 64 * 1024;
 
 /// What is buffered of the message that is read next.
@@ -146,7 +146,7 @@ impl Decoder {
             // Thousands of connections are idle at a time. Memory that the next one takes again is still in the processor's cache.
             (self.buffer, self.read, self.searched) = (Vec::new(), 0, 0);
         } else if self.buffer.capacity() > KEPT_MAX && self.buffered() <= self.buffer.capacity() / 4 {
-            // The first bytes of the next message must not keep the memory of a long one.
+            // Otherwise the first bytes of the next message would keep the memory of a long message allocated.
             self.buffer = self.buffer[self.read..].to_vec();
             (self.read, self.searched) = (0, self.searched - self.read);
         }

@@ -25,8 +25,8 @@ pub struct ControlRequest {
     pub device_id: DeviceId,
     /// The lease. Left out: none.
     pub stop_condition: Option<StopCondition>,
-    /// Unless it has begun by this instant of the robot's clock, the robot drops it. An inquiry that names it may replace the instant
-    /// (our extension).
+    /// The robot drops the request if it has not begun by this instant of the robot's clock. An inquiry that names the request may
+    /// replace the instant (our extension).
     pub pending_until: Option<Timestamp<Robot>>,
     /// Echoed in every response (our extension).
     pub request_id: Option<RequestId>,

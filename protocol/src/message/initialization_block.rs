@@ -59,7 +59,7 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub inquiry: bool,
-    /// Whether it acts on `pending_until`, in control requests and in inquiries (our extension).
+    /// Whether the robot acts on `pending_until`, in control requests and in inquiries (our extension).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub pending_until: bool,
@@ -209,7 +209,7 @@ impl InitializationBlock {
         self
     }
 
-    /// The same robot, which says that it answers inquiries and acts on `pending_until`.
+    /// Declares that the robot answers inquiries and acts on `pending_until`.
     #[must_use]
     pub const fn and_answers_inquiries(mut self) -> Self {
         self.inquiry = true;

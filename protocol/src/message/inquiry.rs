@@ -38,8 +38,8 @@ pub struct Inquiry {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_lease: Option<Millis>,
     /// The pending lease of each request in `requests` that is held and has not begun ends at this instant of the robot's clock
-    /// at the latest, whatever is heard until then. It replaces the instant that the request or an earlier inquiry of the same party
-    /// has named; an inquiry without it leaves that as it is.
+    /// at the latest, whatever the robot hears until then. Replaces the instant of the request itself or of an earlier inquiry of the
+    /// same party. An inquiry without this key leaves the instant unchanged.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_until: Option<Timestamp<Robot>>,
 }

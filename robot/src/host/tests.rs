@@ -23,7 +23,7 @@ pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
     arms_with_steps(count, 4, settings)
 }
 
-/// The same robots, which take scripts of up to `steps` steps.
+/// Like [`arms`], with scripts of up to `steps` steps.
 pub(crate) fn arms_with_steps(count: usize, steps: u32, settings: &Settings) -> Vec<SimulatedRobot> {
     let arm = ARM.replace("STEPS", &steps.to_string());
     let block = |i| format!(r#"{{"id": "r{i}", "api_version": "1", "reports": true, "devices": [{arm}]}}"#);

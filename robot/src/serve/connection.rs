@@ -214,7 +214,7 @@ struct Reading<'a, R> {
     until: Option<Instant>,
     /// The message that is coming may be long.
     long_line: Option<OwnedSemaphorePermit>,
-    /// A peer without the robot's session sends nothing longer: the robot has no command of such a length.
+    /// The limit for a long line while the robot belongs to no session: no command for the robot is longer.
     longest: usize,
     /// What the robot has said is on its way to the peer.
     being_written: &'a AtomicBool,

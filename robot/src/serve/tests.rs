@@ -376,7 +376,7 @@ fn malformed(message: &Message) -> Option<&str> {
     response.error.as_ref().map(|error| error.message.as_str())
 }
 
-/// A script of so many steps is longer than any line in these tests.
+/// The longest script with this number of steps exceeds every line in these tests.
 const MANY_STEPS: u32 = 100_000;
 
 #[tokio::test]

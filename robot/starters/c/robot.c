@@ -150,7 +150,7 @@ struct command {
     char content_hash[65];
     struct lease lease;
     int64_t start, end, heard, sampled;
-    int64_t until;                 /* by pending_until, of its own or of an inquiry */
+    int64_t until;                 /* pending_until of the request or of an inquiry */
     int64_t from_offset;           /* where a linear device comes from */
     double from_value;
     enum kind from_kind;
@@ -1345,7 +1345,7 @@ static bool names_at(int body, const char *key, size_t least)
 }
 
 /* A command of this connection's session, or without one of this connection, may wait for its start no longer than `limit`,
-   which may be NaN, without a word, and until `until` at the latest, unless that is NEVER. */
+   which may be NaN, while the server is silent, and until `until` at the latest, unless that is NEVER. */
 static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit, int64_t until)
 {
     struct device *device;

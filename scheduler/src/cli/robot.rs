@@ -300,7 +300,7 @@ pub(super) fn not_hosted(error: &HostError) -> String {
     }
 }
 
-/// Stops a host and prints the robots that may not have come to rest. Returns whether all of them have.
+/// Stops a host and prints the robots that may not have come to rest. Returns whether all robots have come to rest.
 pub(super) fn stop(host: Host) -> bool {
     let not_at_rest = host.stop();
     for robot in &not_at_rest {

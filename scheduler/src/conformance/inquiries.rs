@@ -73,13 +73,13 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "lease-inquiry-until",
-        demands: "pending_until ends the lease of what is named and has not begun at that instant of the robot's clock, whatever is heard until then; an inquiry with another one moves it, and an inquiry without one leaves it.",
+        demands: "pending_until ends the lease of each named request that has not begun, at that instant of the robot's clock, whatever the robot hears until then; an inquiry with another instant moves it, and an inquiry without one leaves it unchanged.",
         section: "Inquiry (D)",
         check: pending_until,
     },
     Requirement {
         name: "lease-until",
-        demands: "A control request whose pending_until has come before its start is dropped at that instant, whatever is heard until then, and one that arrives after it is refused with `late`.",
+        demands: "A control request that has not begun by its pending_until ends at that instant, whatever the robot hears until then, and one that arrives after its pending_until is refused with `late`.",
         section: "Inquiry (D)",
         check: own_pending_until,
     },
@@ -401,7 +401,7 @@ fn pending_lease(trial: &Trial) -> Checked {
     other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
 }
 
-/// Whether the robot acts on `pending_until`.
+/// Makes a requirement not applicable unless the robot acts on `pending_until`.
 fn limiting(trial: &Trial) -> Result<(), Unmet> {
     answering(trial)?;
     match trial.block()?.pending_until {
@@ -447,14 +447,14 @@ fn own_pending_until(trial: &Trial) -> Checked {
     ends_at(trial, &mut line, (ticket, &request), (until, &sent))
 }
 
-/// Whether a request ends at its `pending_until`, however often the robot hears of it until then.
+/// Checks that a request ends at its `pending_until`, regardless of the inquiries before.
 fn ends_at(
     trial: &Trial,
     line: &mut Line,
     (ticket, request): (Ticket, &ControlRequest),
     (until, sent): (Timestamp<Server>, &str),
 ) -> Checked {
-    // The one renews its lease and does not name it, the other names it and no instant.
+    // The first renews the lease without naming the request. The second names the request, but no instant.
     let asks = [Inquiry::default(), about(&[request])];
     for inquiry in asks.iter().cycle() {
         if trial.now() >= until + trial.slack() || line.asked(ticket).heard.len() > 1 {
@@ -464,15 +464,15 @@ fn ends_at(
         line.listen(trial.soon(50), |line| line.asked(ticket).heard.len() > 1)?;
     }
     match line.asked(ticket).heard.get(1) {
-        None => Err(differs(sent, "nothing", "its end at `pending_until`")),
+        None => Err(differs(sent, "nothing", "the end of the request at `pending_until`")),
         Some(end) if end.at < until - ROUNDING => {
-            Err(differs(sent, &end.text, "its end at `pending_until`, and no earlier"))
+            Err(differs(sent, &end.text, "the end of the request at `pending_until`, and no earlier"))
         }
         Some(end) => Ok(format!("ended {} after that instant", end.at - until)),
     }
 }
 
-/// Limits the lease of a request to the instant that comes `after` now, by the robot's clock.
+/// An inquiry that limits the lease of a request to the instant `after` from now, by the robot's clock.
 fn until_after(trial: &Trial, after: Span, request: &ControlRequest) -> Inquiry {
     Inquiry { pending_until: Some((trial.stamp() + after).assume_clock()), ..about(&[request]) }
 }

@@ -257,7 +257,7 @@ impl Mission {
         }
     }
 
-    /// Refuses robots that could start what was not decided, where the scenario requires that none can.
+    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`.
     pub(super) fn check_strictness(&mut self) {
         if self.choreography.requirements.all_or_none.is_none() {
             return;

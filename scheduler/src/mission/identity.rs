@@ -83,7 +83,7 @@ impl Mission {
                 self.met_another(now, robot, block.id.clone());
                 false
             }
-            // A robot that cannot be commanded need not say which one it is: the paper's step 2 ends the exchange with its reason.
+            // A robot that cannot be commanded need not identify itself: the paper's step 2 ends the exchange with the robot's reason.
             Message::AvailabilityResponse(AvailabilityResponse { status: Status::Failed, error, .. })
                 if matches!(self.phase, Phase::Greeting { .. }) && !self.robots[robot].is_up() =>
             {

@@ -240,7 +240,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
     }
 }
 
-/// Of a robot that ignores `pending_until`.
+/// The warning about a robot that ignores `pending_until`.
 pub(crate) const NOT_STRICT: &str = "it does not declare `pending_until`: a message that takes too long may start a script that was not decided";
 
 fn description(robot: &RobotState) -> Verdict {

@@ -470,7 +470,7 @@ impl RobotState {
         self.block.as_ref().is_some_and(|block| block.inquiry)
     }
 
-    /// Whether it drops by itself what was not decided, however long a message to it was under way.
+    /// Whether the robot itself drops a script that was not decided, however long a message to it was delayed.
     pub(crate) fn drops_undecided(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.inquiry && block.pending_until)
     }

@@ -138,7 +138,7 @@ pub struct RobotReport {
     /// Devices that declare another latency than was compensated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_differs: Option<LatencyDiffers>,
-    /// Whether it drops by itself what was not decided: it declares `pending_until`. `None`: it has not described itself.
+    /// Whether the robot declares `pending_until`, and so drops a script that was not decided. `None`: it has not described itself.
     pub pending_until: Option<bool>,
     /// After a stop: whether it is known to be at rest.
     pub stop: StopState,
@@ -221,7 +221,7 @@ impl Report {
     }
 }
 
-/// `trusts_files`: robots were not asked for their descriptions, which the fleet's files give.
+/// With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from the robots.
 fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
     let is_described = trusts_files || robot.introduced;
     let totals = &robot.totals;

@@ -14,7 +14,7 @@ use stage::play::{Play, SHORT, SOON};
 use stage::quiet::await_that;
 use stage::{Stage, Via};
 
-/// Megabytes that the scheduler or the robot may take, whatever strangers send.
+/// The limit for the memory of the scheduler and of the robot in megabytes, whatever strangers send.
 const MEGABYTES_MAX: u64 = 200;
 const STRANGERS: usize = 14;
 

@@ -94,7 +94,7 @@ fn a_robot_that_floods_while_it_plays_is_left_out_and_connected_to_again_only_to
         assert!(raw.heard("initialization_request").len() <= 3, "it was connected to again and again");
         let requests = raw.heard("control_request");
         let script = &requests[0];
-        // A script whose acceptance takes long is sent again.
+        // The scheduler sends a script again if its acceptance takes long.
         let stops: Vec<_> =
             requests.iter().filter(|request| request["request_id"] != script["request_id"]).collect();
         assert!(script["control_value"].as_array().is_some_and(|steps| !steps.is_empty()), "{script}");

@@ -184,7 +184,7 @@ fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_c
     asked.until(850);
     asked.inquire(about(&["a"]));
     asked.until(5_000);
-    assert_eq!(asked.values(), [], "nor does one that names no other instant");
+    assert_eq!(asked.values(), [], "an inquiry without an instant lifts nothing");
 
     let mut committed = held();
     committed.until(850);
@@ -202,7 +202,7 @@ fn what_nobody_has_confirmed_by_its_pending_until_never_starts() {
         bench.request(ControlRequest { pending_until: Some(at(pending_until)), ..request });
         bench
     };
-    // Heard all the time, and confirmed by nobody.
+    // The robot hears the server, but no inquiry confirms the request.
     let mut heard = requested(10, 900);
     heard.until(850);
     heard.inquire(Inquiry::default());

@@ -7,7 +7,7 @@ use super::{NamedScripts, Question};
 use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::{Script, ScriptState};
 
-/// The limit of a committed script lies behind its start, so that it never ends one that has a right to begin.
+/// The limit of a committed script lies this long after its start, so that it never drops a script that may begin.
 const BEYOND_START: Span = Span::from_millis(1_000);
 
 /// Whether a robot still takes part in an act.
@@ -182,19 +182,19 @@ impl Member {
         (offset < lease && self.before(script).is_none()).then_some(offset)
     }
 
-    /// Until when a script may wait for its start while its act is not committed, by the robot's clock.
+    /// The instant of the robot's clock until which a script may wait for its start while its act is not committed.
     pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         (timing.brink() + offset + ahead.unwrap_or(self.shift)).assume_clock()
     }
 
-    /// The same of a committed act: an instant behind its start.
+    /// The same instant for a committed act: it lies after the start of the script.
     pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
         (timing.start + offset + self.shift + BEYOND_START).assume_clock()
     }
 
-    /// The requests that it may have, in the groups in which it is asked for them.
+    /// The requests that the robot may have, grouped by the lease that an inquiry gives them.
     pub(super) fn names(
         &self,
         timing: &Timing,

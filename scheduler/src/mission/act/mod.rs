@@ -107,13 +107,13 @@ pub(crate) struct NamedScripts {
     pub(crate) requests: Vec<RequestId>,
 }
 
-/// What a question does to the pending limits of the requests that it names.
+/// The effect of a question on the pending limits of the requests that it names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Question {
     Asks,
-    /// The act approaches its start: they end at its brink.
+    /// The act approaches its start: the limits end at its brink.
     Shortens,
-    /// The act is committed: they reach beyond the start.
+    /// The act is committed: the limits reach beyond its start.
     Extends,
 }
 
@@ -384,7 +384,7 @@ impl Act {
         }
     }
 
-    /// The request of a script. `ahead` is what the robot's clock is ahead of the server's, if that is known.
+    /// The request of a script. `ahead` is the time by which the robot's clock is ahead of the server's, if known.
     pub(crate) fn request(
         &self,
         script: ScriptRef,

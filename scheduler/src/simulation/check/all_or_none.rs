@@ -70,7 +70,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot that knows `pending_until` begins no act that was not committed, whatever its link and the scheduler do.
+/// A robot that acts on `pending_until` begins no act that was not committed, whatever its link and the scheduler do.
 fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
     if act.committed.is_some() {
         return;
@@ -191,7 +191,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot));
     if facts.drawn().robots[robot].block.inquiry && act.committed.is_none() {
-        // It knows `pending_until`, and no inquiry has moved that: whatever its link and the processes do, it drops the script.
+        // It acts on `pending_until`, and no inquiry has moved it: whatever its link and the processes do, it drops the script.
         return set;
     }
     let set = set
@@ -207,7 +207,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// A script of an act that was never decided came so late, since the robot's link carried nothing or its process stalled, that
+/// A script of an act that was never decided came so late, because the robot's link carried nothing or its process stalled, that
 /// its lease reached over the start or that the script which it was to follow had been dropped; and the scheduler was not there to
 /// take it back.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
@@ -284,7 +284,7 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
                 let ends = until.min(*at + lease) - DRIFT * 2;
                 leases_end.insert(named, (ends, inquiry.timestamp));
             }
-            // A question that only asks leaves them as they are.
+            // A question without an instant leaves the leases unchanged.
             None if until.is_none() => {}
             None => {
                 // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.

@@ -147,8 +147,8 @@ fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timesta
     facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
 }
 
-/// A stop ends, confirmed or not, when the operator's patience does. A stop that brings robots to rest in another way has a deadline of
-/// its own; repeating the same one gives no more time.
+/// A stop ends, confirmed or not, when the operator's patience does. A later stop that brings robots to rest in another way
+/// has its own deadline. A repetition of the same stop does not extend the deadline.
 fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (stopping, record) in &facts.ran.records {
         let Record::Stopping { rest: first, .. } = record else { continue };

@@ -88,7 +88,7 @@ fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
     facts.ran.history.iter().filter_map(home).collect()
 }
 
-/// The times at which a new process of the robot started. It does not know the movements of the previous one.
+/// The times at which a new process of the robot started. The new process does not know the movements of the previous one.
 fn begins<'a>(facts: &'a Facts<'_>, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + 'a {
     let is_of = move |happened: &Happened| matches!(happened, Happened::Back(of) if *of == robot);
     facts.ran.history.iter().filter(move |(_, happened)| is_of(happened)).map(|(at, _)| *at)
