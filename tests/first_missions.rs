@@ -117,8 +117,7 @@ fn a_mission_in_the_background_is_stopped_from_another_terminal() {
 #[test]
 fn a_mission_whose_scheduler_was_killed_is_stopped_from_its_journal() {
     let stage = stage(2);
-    let mut running = stage.start(&["run", "long.yaml"]);
-    stage.robots.iter().for_each(|robot| robot.await_sets(3, SOON));
+    let mut running = stage.begin(&["run", "long.yaml"], 0..stage.robots.len(), 3);
     running.process.kill();
     let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(0), "{stopped}");

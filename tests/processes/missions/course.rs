@@ -97,8 +97,7 @@ fn an_act_that_is_stopped_while_it_plays_is_not_called_withdrawn_though_its_robo
     stage.robot("robot.yaml", Via::Proxy);
     // Nor can it be asked.
     stage.robots[0].link.as_ref().unwrap().leave_out(&["inquiry"]);
-    let running = stage.start(&["run", "show.yaml", "--format", "json", "--patience", "1s"]);
-    stage.robots[0].await_sets(5, Duration::from_secs(20));
+    let running = stage.begin(&["run", "show.yaml", "--format", "json", "--patience", "1s"], [0], 5);
     stage.robots[0].freeze();
     running.process.signal(Signal::INT);
     let ended = running.ended();

@@ -239,8 +239,7 @@ fn robots_that_report_nothing_are_sent_every_script_and_are_not_said_to_be_done_
 fn robots_that_report_nothing_and_miss_a_value_are_not_done() {
     let matrix = Matrix::of(2, Reports::Untold, vec![[4, 4, 4]]);
     let mut stage = matrix.stage();
-    let running = stage.start(&["run", "refills.yaml", "--format", "json"]);
-    stage.robots[0].await_sets(6, std::time::Duration::from_secs(20));
+    let running = stage.begin(&["run", "refills.yaml", "--format", "json"], [0], 6);
     stage.restart(0);
     let ran = running.ended();
     assert!(!matrix.deviations(&stage).is_empty(), "it was to miss values");

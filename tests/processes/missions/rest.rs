@@ -24,8 +24,7 @@ fn stage() -> Stage {
 }
 
 fn playing(stage: &Stage) -> Running {
-    let running = stage.start(&["run", "play.yaml"]);
-    stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
+    let running = stage.begin(&["run", "play.yaml"], 0..stage.robots.len(), 5);
     running
 }
 

@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 
-use stage::play::{LONG, Play, SHORT, SOON};
+use stage::play::{LONG, Play, SHORT};
 use stage::{Robot, Stage, Via, sleep_until};
 
 /// The script of the first robot, which nothing reaches any more, ends after the stop was sent.
@@ -11,8 +11,7 @@ fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
     let stage = Play { steps: 14, ..LONG }.stage(&[Via::Proxy, Via::Direct]);
     let link = stage.robots[0].link.as_ref().unwrap();
     link.leave_out(keys);
-    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
-    stage.robots[0].await_sets(10, SOON);
+    let mut running = stage.begin(&["run", "play.yaml", "--patience", "2s"], [0], 10);
     link.deafen();
     running.process.signal(Signal::INT);
     assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
@@ -34,8 +33,7 @@ fn the_end_of_a_script_confirms_no_stop_where_the_robot_names_no_requests() {
 #[test]
 fn robots_that_stop_are_not_said_to_be_in_their_default_state() {
     let mut stage = Play { on_failure: "stop", ..LONG }.stage(&[Via::Direct, Via::Direct]);
-    let running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
-    stage.robots[1].await_sets(3, SOON);
+    let running = stage.begin(&["run", "play.yaml", "--patience", "1s"], [1], 3);
     stage.robots[1].kill();
     let ended = running.ended();
     assert!(!ended.out.contains("default state"), "{ended}");
@@ -69,8 +67,7 @@ fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
 /// The second robot is frozen once both have set so many values, and the operator stops the mission.
 #[track_caller]
 fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
-    let mut running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
-    stage.robots.iter().for_each(|robot| robot.await_sets(sets, SOON));
+    let mut running = stage.begin(&["run", "play.yaml", "--patience", "1s"], 0..stage.robots.len(), sets);
     stage.robots[1].freeze();
     running.process.signal(Signal::INT);
     assert!(running.line("stopping all robots").is_some(), "{}", running.ended());

@@ -20,8 +20,8 @@ const FORTY_SECONDS: Play = Play { steps: 200, every_ms: 200, ..LONG };
 #[track_caller]
 fn check_that_silence_is_noticed(play: &Play, within: Duration) {
     let stage = play.stage(&[Via::Direct, Via::Direct]);
-    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
-    stage.robots.iter().for_each(|robot| robot.await_sets(2, SOON));
+    let running =
+        stage.begin(&["run", "play.yaml", "--format", "json", "--patience", "2s"], 0..stage.robots.len(), 2);
     stage.robots[1].freeze();
     let frozen = epoch_nanos();
     let ended = running.ended();
@@ -76,9 +76,8 @@ fn check_that_none_starts(before: i64) {
 #[track_caller]
 fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
-    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let running = stage.begin(&["run", "play.yaml", "--format", "json"], [0], 2);
     let link = stage.robots[0].link.as_ref().unwrap();
-    stage.robots[0].await_sets(2, SOON);
     link.freeze();
     std::thread::sleep(Duration::from_millis(600));
     link.open();
@@ -176,8 +175,7 @@ fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
 #[test]
 fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
     let mut stage = FORTY_SECONDS.stage(&[Via::Proxy, Via::Direct]);
-    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
-    stage.robots[0].await_sets(3, SOON);
+    let running = stage.begin(&["run", "play.yaml", "--format", "json", "--patience", "2s"], [0], 3);
     // Its proxy goes on listening.
     stage.robots[0].kill();
     let ended = running.ended();
@@ -201,8 +199,7 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     let acts: String = [(1, 4_000), (2, 400), (3, 400)].map(|(number, length)| act(number, length)).concat();
     let head = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: 6s}\nacts:\n";
     stage.file("play.yaml", format!("{head}{acts}"));
-    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
-    stage.robots[0].await_sets(1, SOON);
+    let running = stage.begin(&["run", "play.yaml", "--format", "json"], [0], 1);
     let link = stage.robots[0].link.as_ref().unwrap();
     link.freeze();
     std::thread::sleep(Duration::from_secs(2));

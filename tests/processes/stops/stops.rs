@@ -78,8 +78,7 @@ fn a_stop_leaves_where_it_is_what_a_failure_has_stopped() {
         .collect::<Vec<_>>()
         .join(", ");
     stage.file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\non_failure: stop\nstop_condition: {{running: none}}\ncues:\n  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
-    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
-    stage.robots[1].await_sets(5, Duration::from_secs(30));
+    let mut running = stage.begin(&["run", "play.yaml", "--patience", "2s"], [1], 5);
     stage.robots[1].kill();
     assert!(running.line("stopping all robots").is_some());
     stage.await_record(r#""record":"stop_confirmed","robot":"r0""#);

@@ -134,8 +134,7 @@ fn a_check_says_no_word_twice() {
 #[test]
 fn a_stop_because_of_a_failure_names_the_robot_and_its_reason() {
     let mut stage = LONG.stage(&[Via::Direct, Via::Direct]);
-    let mut run = stage.start(&["run", "play.yaml", "--patience", "1s"]);
-    stage.robots[1].await_sets(3, SOON);
+    let mut run = stage.begin(&["run", "play.yaml", "--patience", "1s"], [1], 3);
     stage.robots[1].kill();
     let line = run.line("stopping all robots: ");
     let ended = run.ended();

@@ -163,8 +163,7 @@ fn a_recording_that_fails_fails_alone() {
 #[test]
 fn a_recording_that_fails_hides_no_robot_whose_stop_is_not_confirmed() {
     let stage = stage();
-    let mut running = stage.start(&["run", "play.yaml", "--record", "/dev/full", "--patience", "1s"]);
-    stage.robots[0].await_sets(3, SOON);
+    let mut running = stage.begin(&["run", "play.yaml", "--record", "/dev/full", "--patience", "1s"], [0], 3);
     stage.robots[1].freeze();
     running.process.signal(Signal::INT);
     assert!(running.line("stopping all robots").is_some(), "{}", running.ended());

@@ -13,7 +13,7 @@ const REASONS: [(&str, &str); 6] = [
 ];
 
 /// The number of times that a mission is played at the most.
-const ATTEMPTS: usize = 5;
+pub const ATTEMPTS: usize = 5;
 
 /// The reason for which this machine was too slow, if a report names one.
 pub fn reason(report: &str) -> Option<&'static str> {
@@ -24,7 +24,7 @@ pub fn reason(report: &str) -> Option<&'static str> {
 }
 
 /// The reason for which this machine was too slow to start a mission at all: nothing has moved.
-fn reason_of_no_start(report: &str) -> Option<&'static str> {
+pub fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
 

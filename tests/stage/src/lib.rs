@@ -233,6 +233,29 @@ impl Stage {
         Running::new(self.command(args))
     }
 
+    /// Starts a mission, and returns once each of these robots has set this many values. Starts it again if its report says that this
+    /// machine was too slow to begin.
+    #[track_caller]
+    pub fn begin(&self, args: &[&str], robots: impl IntoIterator<Item = usize>, sets: usize) -> Running {
+        let robots: Vec<usize> = robots.into_iter().collect();
+        let have_begun = || robots.iter().all(|robot| self.robots[*robot].sets().len() >= sets);
+        'attempts: for _ in 0..held_up::ATTEMPTS {
+            let mut running = self.start(args);
+            let started = Instant::now();
+            while !have_begun() {
+                if running.has_ended() {
+                    running.ended().assert_not_begun_in_time();
+                    continue 'attempts;
+                }
+                let waited = started.elapsed();
+                assert!(waited < play::SOON, "after {waited:?}, not every robot has set {sets} values");
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            return running;
+        }
+        panic!("this machine was too slow to begin {} times", held_up::ATTEMPTS);
+    }
+
     /// Runs the program to its end. Plays a mission again if this machine was too slow to start it.
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
@@ -467,6 +490,10 @@ impl Running {
         Some(today(time))
     }
 
+    fn has_ended(&mut self) -> bool {
+        self.process.0.try_wait().unwrap().is_some()
+    }
+
     /// Waits for its end, a minute at most.
     #[track_caller]
     pub fn ended(self) -> Ended {
@@ -492,6 +519,14 @@ impl Running {
 }
 
 impl Ended {
+    /// Fails unless the report says that this machine was too slow to begin.
+    #[track_caller]
+    fn assert_not_begun_in_time(&self) {
+        let reason = held_up::reason_of_no_start(&self.said());
+        let reason = reason.unwrap_or_else(|| panic!("it ended before its robots moved: {self}"));
+        eprintln!("started again at {}: {reason}", std::panic::Location::caller());
+    }
+
     /// Fails unless the report says that this machine was too slow.
     #[track_caller]
     pub fn assert_held_up(&self) {
