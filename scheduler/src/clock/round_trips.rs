@@ -28,13 +28,17 @@ impl RoundTrips {
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
         let (began, outliers) = (at - delay, self.outliers());
         let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
-        let same = if later { None } else { self.latest.iter_mut().find(|(ended, _)| began < *ended) };
+        let same = if later { None } else { self.latest.iter().position(|(ended, _)| began < *ended) };
+        let mut largest_forgotten = Span::ZERO;
         match same {
-            Some((ended, longest)) if delay > *longest => (*ended, *longest) = (at.max(*ended), delay),
+            Some(same) if delay > self.latest[same].1 => {
+                let ended = at.max(self.latest[same].0);
+                self.latest[same] = (ended, delay);
+                largest_forgotten = self.forget_between(same, ended);
+            }
             Some(_) => {}
             None => self.latest.push_back((at, delay)),
         }
-        let mut largest_forgotten = Span::ZERO;
         while self.latest.len() > EXCHANGES_MAX
             || (self.latest.len() > EXCHANGES_KEPT
                 && self.latest.front().is_some_and(|(ended, _)| at - *ended > WINDOW))
@@ -47,6 +51,19 @@ impl RoundTrips {
         if delay > self.high || largest_forgotten >= self.high || self.outliers() != outliers {
             self.high = self.above_outliers();
         }
+    }
+
+    /// Forgets the exchanges after this one that began before its end: they describe the same moment. Returns the longest of them.
+    fn forget_between(&mut self, same: usize, ended: Timestamp<Server>) -> Span {
+        let mut largest = Span::ZERO;
+        while let Some((at, delay)) =
+            self.latest.get(same + 1).copied().filter(|(at, delay)| *at - *delay < ended)
+        {
+            self.latest.remove(same + 1);
+            self.latest[same].0 = ended.max(at);
+            largest = largest.max(delay);
+        }
+        largest
     }
 
     /// How long round trips take now. Outliers that stand alone leave it as it is, three in a row raise it at once.
@@ -159,6 +176,24 @@ mod tests {
             trips.add(Timestamp::from_nanos(0) + millis(at), millis(at - sent));
         }
         assert!(trips.high() < millis(30), "{trips:?}");
+    }
+
+    #[test]
+    fn a_pause_is_one_moment_in_whichever_order_its_questions_are_answered() {
+        // One question is under way when the pause begins, and others follow until it ends.
+        let sent = [331, 411, 491, 621, 826];
+        for first in 0..sent.len() {
+            let mut trips = RoundTrips::default();
+            let order = (first..sent.len()).chain(0..first);
+            let late = order.enumerate().map(|(place, index)| (sent[index], 861 + place as i64));
+            let before = [(302, 316), (316, 338)];
+            let after = [(867, 880), (908, 925), (949, 966)];
+            for (sent, at) in before.into_iter().chain(late).chain(after) {
+                trips.add(Timestamp::from_nanos(0) + millis(at), millis(at - sent));
+            }
+            assert!(trips.high() < millis(60), "from {first}: {trips:?}");
+            assert_eq!(trips.high(), trips.above_outliers(), "from {first}: {trips:?}");
+        }
     }
 
     #[test]
