@@ -10,11 +10,13 @@ use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 
 impl Robot {
     /// Which devices' scripts the driver is told ahead of their time, to time them by itself. To be said before
-    /// [`Robot::hardware_found`], of each connection.
+    /// [`Robot::hardware_found`], of each connection. Such a driver starts by its own clock what it was handed, so the robot no longer
+    /// declares that it drops what was not committed.
     pub fn plans_ahead(&mut self, lookahead: &BTreeMap<DeviceId, Lookahead>) {
         for device in &mut self.devices {
             device.lookahead = lookahead.get(&device.spec.id).copied();
         }
+        self.block.pending_until = lookahead.is_empty();
     }
 
     /// A command of a device was accepted: it is a plan if the driver times it.

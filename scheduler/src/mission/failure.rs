@@ -208,6 +208,15 @@ impl Mission {
     pub(super) fn fail_all(&mut self, now: Timestamp<Server>, failing: Vec<(usize, FailureKind)>) {
         let out = |mission: &Self, robot: usize| mission.robots[robot].standing == Standing::Out;
         let failing: Vec<_> = failing.into_iter().filter(|(robot, _)| !out(self, *robot)).collect();
+        let performing = self.phase == Phase::Performing;
+        let is_absent = |robot: usize| performing && self.robots[robot].standing == Standing::Absent;
+        let (absent, failing): (Vec<_>, Vec<_>) =
+            failing.into_iter().partition(|(robot, _)| is_absent(*robot));
+        // The others play without it anyway: it does not join.
+        for (robot, kind) in absent {
+            self.note_failure(robot, kind);
+            self.robots[robot].standing = Standing::Out;
+        }
         let robots: Vec<usize> = failing.iter().map(|(robot, _)| *robot).collect();
         // What a stop ends is no failure.
         let stopping = matches!(self.phase, Phase::Stopping { .. } | Phase::Ended);

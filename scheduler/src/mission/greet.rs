@@ -51,6 +51,10 @@ impl Mission {
             if self.is_to_be_seized(robot, &error) {
                 return self.greeting_progress(now);
             }
+            // A robot that comes later may still be about to start up: the next round asks it again.
+            if self.robots[robot].standing == Standing::Absent {
+                return;
+            }
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
         let times = Times {
@@ -114,6 +118,9 @@ impl Mission {
                  there, `encoding: json` is understood by every robot",
                 state.settings.encoding
             ));
+        }
+        if self.choreography.requirements.all_or_none.is_some() && !(block.inquiry && block.pending_until) {
+            reasons.push(NOT_STRICT_ENOUGH.to_owned());
         }
         let plans = self.choreography.acts.iter().flat_map(|act| &act.plan.robots);
         let scripts = plans.filter(|plan| plan.robot == state.id).flat_map(|plan| &plan.scripts);
@@ -257,16 +264,15 @@ impl Mission {
         }
     }
 
-    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`.
-    pub(super) fn check_strictness(&mut self) {
-        if self.choreography.requirements.all_or_none.is_none() {
+    /// Refuses robots that could start a script that was not decided, if the scenario requires `all_or_none: strict`. This is for
+    /// `handshake: skip`; otherwise each robot's own description decides.
+    fn check_strictness(&mut self) {
+        if self.options.greeting == Greeting::Full || self.choreography.requirements.all_or_none.is_none() {
             return;
         }
         for robot in 0..self.robots.len() {
-            let state = &self.robots[robot];
-            if state.standing == Standing::In && state.block.is_some() && !state.drops_undecided() {
-                let reason = "the scenario requires `all_or_none: strict`, and the robot does not declare `pending_until`";
-                self.note_failure(robot, FailureKind::Unfit { reason: reason.to_owned() });
+            if !self.robots[robot].drops_undecided() {
+                self.note_failure(robot, FailureKind::Unfit { reason: NOT_STRICT_ENOUGH.to_owned() });
             }
         }
     }
@@ -493,6 +499,8 @@ fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[Dev
     others.take(SHOWN_MAX).cloned().collect()
 }
 
+/// Of a robot in a scenario that requires `all_or_none: strict`.
+const NOT_STRICT_ENOUGH: &str = "the scenario requires `all_or_none: strict`, and the robot does not declare `pending_until` and `inquiry`";
 /// Encodings of one robot that are listed.
 const ENCODINGS_SHOWN: usize = 8;
 /// Readings that a robot owes at most: of what an act waits for, the newest count.

@@ -85,7 +85,9 @@ impl Mission {
             }
             // A robot that cannot be commanded need not identify itself: the paper's step 2 ends the exchange with the robot's reason.
             Message::AvailabilityResponse(AvailabilityResponse { status: Status::Failed, error, .. })
-                if matches!(self.phase, Phase::Greeting { .. }) && !self.robots[robot].is_up() =>
+                if matches!(self.phase, Phase::Greeting { .. })
+                    && self.robots[robot].standing == Standing::In
+                    && !self.robots[robot].is_up() =>
             {
                 let error = error_of_status(error.as_ref());
                 self.fail(now, robot, FailureKind::NotAvailable { error });

@@ -117,12 +117,7 @@ impl Mission {
     pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         let robot = act.robot_of(script);
-        let state = &self.robots[robot];
-        let ahead = state.clock_at(now).map(|reading| reading.offset);
-        let session = self.options.session_on_the_wire();
-        let Some(mut request) = act.request(script, session.as_ref(), ahead) else { return };
-        // Only an inquiry extends it.
-        request.pending_until = request.pending_until.filter(|_| state.takes_inquiries());
+        let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
         act.sent(now, script);
         let lease = act.shortest_lease_of(script);
         let state = &mut self.robots[robot];
@@ -141,7 +136,7 @@ impl Mission {
 
     /// Sends a message. While an act of the robot approaches its start, it goes behind a question that carries the lease;
     /// between the critical instant and the commitment it waits.
-    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
         let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
         if self.acts.iter().any(waits) {
             return self.deferred.push((robot, message));
@@ -149,7 +144,20 @@ impl Mission {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             self.inquire_now(now, robot);
         }
+        // As late as here: the act of a script that had to wait may have been committed meanwhile.
+        self.limit(now, robot, &mut message);
         self.post(now, robot, message);
+    }
+
+    /// Gives a script the limit that it has if it is sent now. Only an inquiry extends it, so a robot without inquiries gets none.
+    fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
+        let Message::ControlRequest(request) = message else { return };
+        let state = &self.robots[robot];
+        let script = request.request_id.as_ref().and_then(|id| state.requests.get(id));
+        let Some(script) = script.filter(|_| state.takes_inquiries()) else { return };
+        let act = self.acts.iter().find(|act| act.number() == script.act);
+        let ahead = state.clock_at(now).map(|reading| reading.offset);
+        request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
     }
 
     /// Sends what had to wait.

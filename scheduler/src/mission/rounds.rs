@@ -8,12 +8,13 @@ use urrcp::{
     AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Robot, Server, Span, Status, Timestamp,
 };
 
-use super::act::Act;
+use super::act::{Act, NamedScripts};
 use super::exchanges::Times;
 use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
+use super::robot_state::Standing;
 use super::seize::Ownership;
-use super::{Mission, Phase, Progress, error_of_status};
+use super::{Greeting, Mission, Phase, Progress, error_of_status};
 use crate::clock::ClockSample;
 
 /// Between two rounds where no lease asks for more.
@@ -50,11 +51,19 @@ impl Mission {
         for robot in 0..self.robots.len() {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
                 (false, _) if self.is_asked_anyway(lately, robot) => {}
+                (false, _) if self.robots[robot].standing == Standing::Absent => self.ask_absent(now, robot),
                 (false, _) => self.ask(now, robot),
                 // A robot that was left out has not confirmed yet.
                 (true, true) => self.repeat_stop(now, robot),
                 (true, false) => {}
             }
+        }
+    }
+
+    /// Requests the availability of a robot that is to join, until the robot is available.
+    fn ask_absent(&mut self, now: Timestamp<Server>, robot: usize) {
+        if self.robots[robot].is_up() && self.options.greeting == Greeting::Full {
+            self.ask_availability(now, robot);
         }
     }
 
@@ -108,16 +117,12 @@ impl Mission {
         self.ask_about(now, robot, named);
     }
 
-    pub(super) fn ask_about(
-        &mut self,
-        now: Timestamp<Server>,
-        robot: usize,
-        named: Vec<super::act::NamedScripts>,
-    ) {
+    pub(super) fn ask_about(&mut self, now: Timestamp<Server>, robot: usize, named: Vec<NamedScripts>) {
         let state = &mut self.robots[robot];
         if !state.is_up() {
             return;
         }
+        let named = in_parts(named);
         state.questions.asked(now);
         state.exchanges.asked(now, named.len().max(1));
         let session = self.options.session_on_the_wire();
@@ -308,8 +313,61 @@ impl Mission {
     }
 }
 
+/// The names of scripts that one question carries, in bytes. A robot takes at most 64 KiB from a connection that has not named its
+/// session yet, as a new one after an interruption.
+const NAMES_BYTES: usize = 32 * 1024;
+
+/// The same names in as many groups as their length requires.
+fn in_parts(named: Vec<NamedScripts>) -> Vec<NamedScripts> {
+    let mut parts = Vec::with_capacity(named.len());
+    for NamedScripts { lease, until, requests } in named {
+        let mut bytes = 0;
+        let (mut part, empty) = (Vec::new(), requests.is_empty());
+        for id in requests {
+            bytes += id.as_str().len();
+            if bytes > NAMES_BYTES && !part.is_empty() {
+                bytes = id.as_str().len();
+                parts.push(NamedScripts { lease, until, requests: std::mem::take(&mut part) });
+            }
+            part.push(id);
+        }
+        if empty || !part.is_empty() {
+            parts.push(NamedScripts { lease, until, requests: part });
+        }
+    }
+    parts
+}
+
 /// A third of a lease, within what is sensible.
 fn interval_for(lease: Option<Span>) -> Span {
     let interval = lease.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
     interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::RequestId;
+
+    use super::*;
+
+    #[test]
+    fn a_question_about_very_many_scripts_is_asked_in_parts_that_a_new_connection_may_send() {
+        let id = |n: usize| RequestId::new(format!("{:0>70}", n)).unwrap();
+        let group = |count: usize, lease: i64| NamedScripts {
+            lease: Some(Span::from_millis(lease)),
+            until: None,
+            requests: (0..count).map(id).collect(),
+        };
+        let parts = in_parts(vec![group(2_000, 1), group(0, 2), group(3, 3)]);
+        let leases: Vec<_> =
+            parts.iter().filter_map(|part| part.lease).map(|lease| lease.as_nanos() / 1_000_000).collect();
+        assert_eq!(leases, [1, 1, 1, 1, 1, 2, 3]);
+        let named: Vec<_> = parts.iter().flat_map(|part| part.requests.clone()).collect();
+        assert_eq!(named.len(), 2_003);
+        for NamedScripts { requests, .. } in parts {
+            let mut line = Vec::new();
+            urrcp::encode(&Message::Inquiry(Inquiry { requests, ..Inquiry::default() }), &mut line);
+            assert!(line.len() < 64 * 1024, "{}", line.len());
+        }
+    }
 }

@@ -22,6 +22,12 @@ pub(super) fn whole(device: &str) -> Bench {
     planned(&[(device, Lookahead::Script)])
 }
 
+#[test]
+fn a_robot_whose_driver_times_scripts_does_not_declare_that_it_drops_what_was_not_committed() {
+    assert!(planned(&[]).robot.block().pending_until);
+    assert!(!whole("arm").robot.block().pending_until);
+}
+
 impl Bench {
     fn parts(&self) -> Vec<&PlanPart<urrcp::Robot>> {
         self.out.iter().filter_map(|o| if let Output::Plan(part) = o { Some(part) } else { None }).collect()

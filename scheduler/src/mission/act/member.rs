@@ -185,7 +185,9 @@ impl Member {
     /// The instant of the robot's clock until which a script may wait for its start while its act is not committed.
     pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
-        (timing.brink() + offset + ahead.unwrap_or(self.shift)).assume_clock()
+        // A clock that was set forward since the script was sent brings its start forward, and not this limit.
+        let ahead = ahead.unwrap_or(self.shift).min(self.shift + timing.early());
+        (timing.brink() + offset + ahead).assume_clock()
     }
 
     /// The same instant for a committed act: it lies after the start of the script.

@@ -384,21 +384,19 @@ impl Act {
         }
     }
 
-    /// The request of a script. `ahead` is the time by which the robot's clock is ahead of the server's, if known.
-    pub(crate) fn request(
-        &self,
-        script: ScriptRef,
-        session: Option<&SessionId>,
-        ahead: Option<Span>,
-    ) -> Option<ControlRequest> {
+    /// The request of a script, without its limit.
+    pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
         let timing = self.timing.as_ref()?;
-        let member = &self.members[script.member];
-        let pending_until = match self.is_committed() {
+        Some(preparing::request(timing, &self.members[script.member], script.script, session))
+    }
+
+    /// The limit of a script that is sent now. `ahead` is the time by which the robot's clock is ahead of the server's, if known.
+    pub(crate) fn pending_until(&self, script: ScriptRef, ahead: Option<Span>) -> Option<Timestamp<Robot>> {
+        let (timing, member) = (self.timing.as_ref()?, &self.members[script.member]);
+        Some(match self.is_committed() {
             true => member.beyond_start(script.script, timing),
             false => member.brink_of(script.script, timing, ahead),
-        };
-        let request = preparing::request(timing, member, script.script, session);
-        Some(ControlRequest { pending_until: Some(pending_until), ..request })
+        })
     }
 
     /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that

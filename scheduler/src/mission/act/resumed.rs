@@ -68,6 +68,12 @@ impl Act {
         act.timing = Some(act.timing_of(promise));
         act.stage = match reached {
             Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
+            // The commitment is written down ahead of time, and was not sent yet.
+            Reached::Commitment if act.timing.as_ref().is_some_and(|timing| now < timing.critical()) => {
+                let mut approach = Approach::taken_up(now);
+                approach.recorded();
+                Stage::Approaching(approach)
+            }
             Reached::Commitment => {
                 act.begin(now);
                 act.stage

@@ -230,6 +230,11 @@ impl Timing {
         self.pace.early + self.pace.round_trip / 2
     }
 
+    /// How much earlier than planned a robot may start, because its clock is ahead.
+    pub(crate) const fn early(&self) -> Span {
+        self.pace.early
+    }
+
     /// When a robot whose clock is ahead may start.
     pub(crate) fn earliest_start(&self) -> Timestamp<Server> {
         self.start - self.pace.early

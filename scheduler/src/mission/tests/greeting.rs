@@ -47,8 +47,9 @@ fn a_robot_that_could_start_what_was_not_decided_is_refused_where_the_scenario_i
     {
         let mut mission = begins_at_once(tells);
         Arc::make_mut(&mut mission.choreography).requirements.all_or_none = all_or_none;
-        mission.robots[0].introduced = true;
-        mission.check_strictness();
+        mission.options.greeting = Greeting::Full;
+        let block = robot("r0", tells, 2).block.unwrap();
+        mission.introduced(at(0), 0, block);
         assert_eq!(mission.robots[0].has_failed(), refused, "{tells:?} {all_or_none:?}");
         let checks = &preflight::table(&mission, at(0)).rows[0].checks;
         let warned = checks
@@ -355,6 +356,46 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
             assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
         }
     }
+}
+
+#[test]
+fn a_robot_that_comes_later_and_cannot_join_yet_or_ever_stops_nobody() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mutes(1);
+    played.happens(Event::LinkUp { robot: 1 });
+    let block = robot("r1", Everything, 2).block.unwrap();
+    played.happens(Event::Received { robot: 1, message: Message::InitializationBlock(block) });
+    let away = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1_000)),
+        timestamp: by_robot(at(1_000)),
+        status: Status::Failed,
+        error: Some(ControlError::new(ErrorCode::Internal, "its hardware is away")),
+    };
+    let asked = asks_of(&played, 1);
+    played.happens(Event::Received { robot: 1, message: Message::AvailabilityResponse(away) });
+    played.run_until(at(4_000));
+    assert_eq!(
+        (&played.mission.phase, played.mission.robots[1].standing),
+        (&Phase::Performing, Standing::Absent)
+    );
+    assert!(asks_of(&played, 1) > asked, "the mission asks again");
+
+    let mut unfit = waits_for_nobody(Greeting::Full);
+    Arc::make_mut(&mut unfit.mission.choreography).requirements.all_or_none = Some(AllOrNone::Strict);
+    unfit.mutes(1);
+    unfit.happens(Event::LinkUp { robot: 1 });
+    let block = robot("r1", Reports, 2).block.unwrap();
+    unfit.happens(Event::Received { robot: 1, message: Message::InitializationBlock(block) });
+    unfit.run_until(at(4_000));
+    assert_eq!((&unfit.mission.phase, unfit.mission.robots[1].standing), (&Phase::Performing, Standing::Out));
+    assert_eq!(unfit.mission.robots[1].failures.len(), 1);
+}
+
+/// The number of availability requests that a robot was sent.
+fn asks_of(played: &Played, robot: usize) -> usize {
+    let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_));
+    played.sent.iter().filter(|(_, to, message)| *to == robot && asks(message)).count()
 }
 
 #[test]

@@ -70,16 +70,33 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot that acts on `pending_until` begins no act that was not committed, whatever its link and the scheduler do.
+/// A robot that knows `pending_until` begins no act before an inquiry has moved the limit beyond the start, whatever its link, its
+/// clock and the scheduler do. Only the commitment moves it.
 fn never_committed(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started], verdict: &mut Verdict) {
-    if act.committed.is_some() {
-        return;
-    }
     let knows = |robot: &&Started| facts.drawn().robots[robot.robot].block.inquiry;
-    for robot in started.iter().filter(knows).filter(|robot| robot.began && robot.excuse.is_none()) {
+    for robot in
+        started.iter().filter(knows).filter(|robot| robot.began && !was_confirmed(facts, act, robot.robot))
+    {
         let number = act.promise.number;
-        verdict.violated('a', format!("r{} began act {number}, which was never committed", robot.robot));
+        verdict.violated(
+            'a',
+            format!("r{} began act {number}, and no inquiry had moved its limit", robot.robot),
+        );
     }
+}
+
+/// Whether a question about a script of the act has reached the robot that moves its limit beyond its start, by its own clock.
+fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
+    let beyond = |inquiry: &urrcp::Inquiry| {
+        let Some((until, named)) = inquiry.pending_until.zip(inquiry.requests.first()) else { return false };
+        let of_act = act.of(robot).find(|script| script.promised.request_id == *named);
+        of_act
+            .is_some_and(|script| until > (act.start_as_told(script) + script.promised.shift).assume_clock())
+    };
+    facts.between(act.at, Timestamp::from_nanos(i64::MAX)).iter().any(|(_, happened)| match happened {
+        Happened::AtRobot(r, Message::Inquiry(inquiry)) => *r == robot && beyond(inquiry),
+        _ => false,
+    })
 }
 
 /// The first act of a mission that sent none: it started nowhere.

@@ -350,7 +350,9 @@ fn the_lease_of_a_robot_whose_clock_is_ahead_ends_when_those_of_the_others_do() 
     assert_eq!(bench.act.progress(), Progressed::Approaching);
     let brink = bench.timing().brink();
     let until = |ahead| bench.act.names_of(0, bench.now, ahead)[0].until.unwrap();
-    assert_eq!(until(Some(ms(35))), (brink + ms(35)).assume_clock());
+    for ahead in [bench.timing().early(), ms(-35)] {
+        assert_eq!(until(Some(ahead)), (brink + ahead).assume_clock());
+    }
     assert_eq!(until(None), brink.assume_clock());
 }
 
@@ -414,6 +416,38 @@ fn what_is_withdrawn_ends_before_it_begins_and_no_earlier_than_it_has_to() {
     assert!(at_the_brink.is_empty(), "its lease has ended by then");
     bench.commit_from_here();
     assert!(withdrawn(&bench).is_empty(), "it may have begun");
+}
+
+#[test]
+fn a_limit_ends_before_the_start_by_the_same_clock_however_far_that_was_set() {
+    for ahead in [-500, 0, 5, 100, 500].map(ms) {
+        let mut bench =
+            Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100)]]);
+        bench.decide(Leases::Shortened);
+        let start = |offset: i64| by_robot(bench.timing().start + ms(offset));
+        let named = bench.act.to_withdraw(0, bench.now, Some(ahead));
+        let untils: Vec<_> = named.iter().filter_map(|named| named.until).collect();
+        assert!(untils.len() == 2 && untils[0] < start(0) && untils[1] < start(60), "{ahead}");
+        let of_request = |script: usize| {
+            let script = ScriptRef { act: bench.act.number(), member: 0, script };
+            bench.act.pending_until(script, Some(ahead)).unwrap()
+        };
+        assert!(
+            of_request(0) < start(0) && of_request(1) < start(100) && of_request(2) < start(60),
+            "{ahead}"
+        );
+    }
+}
+
+#[test]
+fn a_script_that_is_sent_once_its_act_is_committed_may_start() {
+    let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100), ("a", 100, 100)]]);
+    bench.decide(Leases::Shortened);
+    let script = ScriptRef { act: bench.act.number(), member: 0, script: 1 };
+    let start = by_robot(bench.timing().start + ms(100));
+    assert!(bench.act.pending_until(script, None).unwrap() < start);
+    bench.commit_from_here();
+    assert!(bench.act.pending_until(script, None).unwrap() > start);
 }
 
 #[test]

@@ -50,6 +50,17 @@ fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn
 }
 
 #[test]
+fn an_act_whose_commitment_was_written_down_ahead_of_time_is_still_committed_all_or_none() {
+    let mut bench = taken_up(Reached::Commitment, ms(400));
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    bench.run_until(bench.start());
+    assert_eq!(bench.act.progress(), Progressed::Committed);
+    assert!(bench.commitments().is_empty(), "it is on the disk already");
+    let critical = bench.timing().critical();
+    assert!(bench.asked.iter().any(|question| question.at >= critical));
+}
+
+#[test]
 fn no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it() {
     for before_start in [200, 69, 20, -500] {
         let mut bench = taken_up(Reached::Decision, ms(before_start));
