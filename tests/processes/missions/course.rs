@@ -1,7 +1,5 @@
 //! What becomes of acts that wait: the report names every act of the scenario, and what was skipped is no success.
 
-use std::time::Duration;
-
 use rustix::process::Signal;
 use serde_json::Value;
 

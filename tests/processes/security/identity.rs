@@ -5,7 +5,7 @@ use std::time::Duration;
 use stage::play::{LONG, Play, SHORT};
 use stage::quiet::stays;
 use stage::session::Session;
-use stage::{Ended, Running, Stage, Via};
+use stage::{Ended, Stage, Via};
 
 /// A fleet file of robots, each with the index of the robot whose port it is given, and with further keys.
 fn addresses(stage: &Stage, places: &[(usize, usize, &str)]) {
@@ -96,7 +96,7 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
         stage.robots[1].port()
     );
     stage.file("fleet.yaml", fleet);
-    let run = moving(&stage, &["run", "play.yaml", "--patience", "2s", "--format", "json"]);
+    let run = stage.begin(&["run", "play.yaml", "--patience", "2s", "--format", "json"], [0], 5);
     link.lead_to(stage.robots[2].port());
     link.interrupt();
     link.open();
@@ -112,7 +112,7 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
 fn the_same_robot_that_comes_back_goes_on() {
     let play = Play { steps: 30, running: "2s", ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
-    let run = moving(&stage, &["run", "play.yaml"]);
+    let run = stage.begin(&["run", "play.yaml"], [0], 5);
     let link = stage.robots[0].link.as_ref().unwrap();
     link.interrupt();
     link.open();
@@ -120,25 +120,10 @@ fn the_same_robot_that_comes_back_goes_on() {
     stage.robots.iter().for_each(|robot| play.was_played_by(robot));
 }
 
-/// A mission whose first robot moves. One that ends before is started again if this machine was too slow.
-fn moving(stage: &Stage, args: &[&str]) -> Running {
-    for _ in 0..5 {
-        let mut run = stage.start(args);
-        while run.process.0.try_wait().unwrap().is_none() {
-            if stage.robots[0].sets().len() >= 5 {
-                return run;
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        run.ended().assert_held_up();
-    }
-    panic!("it never starts")
-}
-
 /// A mission whose scheduler was killed while it played, and whose robot `r0` is another one now.
 fn left_behind() -> Stage {
     let mut stage = Play { running: "20s", ..LONG }.stage(&[Via::Direct, Via::Direct]);
-    let mut run = moving(&stage, &["run", "play.yaml"]);
+    let mut run = stage.begin(&["run", "play.yaml"], [0], 5);
     run.process.kill();
     stage.replace(0, "stranger");
     stage
@@ -163,7 +148,7 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
 fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is_not_confirmed_by_it() {
     let play = Play { running: "none", steps: 200, every_ms: 200, ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
-    let mut run = moving(&stage, &["run", "play.yaml"]);
+    let mut run = stage.begin(&["run", "play.yaml"], [0], 5);
     run.process.kill();
     stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
         if message.get("initialization_block").is_some() {
@@ -186,7 +171,7 @@ fn a_robot_that_takes_over_an_address_is_sent_no_stop_by_the_mission_that_has_lo
     let link = stage.robots[0].link.as_ref().unwrap();
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     stage.file("fleet.yaml", fleet.replace("[r0, r1, r2]", "[r0, r1]"));
-    let run = moving(&stage, &["run", "play.yaml", "--patience", "2s", "--format", "json"]);
+    let run = stage.begin(&["run", "play.yaml", "--patience", "2s", "--format", "json"], [0], 5);
     link.lead_to(stage.robots[2].port());
     let since = stage.robots[2].log().len();
     link.interrupt();
@@ -264,7 +249,7 @@ fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
 fn after_a_crash_a_robot_is_stopped_that_calls_itself_as_the_fleet_file_says() {
     let stage = LONG.stage(&[Via::Direct, Via::Direct]);
     addresses(&stage, &[(0, 1, ", robot_id: r1"), (1, 0, ", robot_id: r0")]);
-    let mut run = moving(&stage, &["run", "play.yaml"]);
+    let mut run = stage.begin(&["run", "play.yaml"], [0], 5);
     run.process.kill();
     says(&stage.run(&["stop"]), 0, &["r0: stop confirmed", "r1: stop confirmed"]);
 }

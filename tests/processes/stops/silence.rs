@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde_json::Value;
 
 use stage::play::{CHAIN, LONG, Play, SHORT, SOON};
-use stage::{Robot, Via, epoch_nanos, sleep_until};
+use stage::{Ended, Robot, Via, epoch_nanos, held_up, sleep_until};
 
 fn failed_robots(report: &Value) -> Vec<&str> {
     let failures = report["failures"].as_array().unwrap();
@@ -58,7 +58,7 @@ fn a_robot_killed_before_the_start_keeps_the_others_from_starting() {
 fn check_that_none_starts(before: i64) {
     let mut stage = SHORT.stage(&[Via::Direct; 3]);
     let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
-    let start = running.start().unwrap();
+    let start = running.start();
     sleep_until(start - before);
     stage.robots[1].kill();
     let struck = (start - epoch_nanos()) / 1_000_000;
@@ -199,12 +199,15 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     let acts: String = [(1, 4_000), (2, 400), (3, 400)].map(|(number, length)| act(number, length)).concat();
     let head = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: 6s}\nacts:\n";
     stage.file("play.yaml", format!("{head}{acts}"));
-    let running = stage.begin(&["run", "play.yaml", "--format", "json"], [0], 1);
-    let link = stage.robots[0].link.as_ref().unwrap();
-    link.freeze();
-    std::thread::sleep(Duration::from_secs(2));
-    link.open();
-    let ended = running.ended();
+    let play = || {
+        let running = stage.begin(&["run", "play.yaml", "--format", "json"], [0], 1);
+        let link = stage.robots[0].link.as_ref().unwrap();
+        link.freeze();
+        std::thread::sleep(Duration::from_secs(2));
+        link.open();
+        running.ended()
+    };
+    let ended = held_up::played(play, Ended::said);
     assert_eq!(ended.code, Some(0), "{ended}");
     let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
     // The first act was prepared before the pause: how long its lead is shows how busy this machine is.

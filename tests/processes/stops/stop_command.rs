@@ -42,33 +42,10 @@ fn stage(robots: usize) -> Stage {
     stage
 }
 
-/// A mission whose robots have all begun to move. One that ends before is started again if this machine was too slow.
-#[track_caller]
-fn playing(stage: &Stage, args: &[&str], robots: &[usize]) -> Running {
-    let sets = || robots.iter().map(|robot| stage.robots[*robot].sets().len()).collect::<Vec<_>>();
-    for _ in 0..5 {
-        let before = sets();
-        let mut mission = stage.start(args);
-        if mission.line("every lease reaches over the start").is_none() {
-            mission.ended().assert_held_up();
-            continue;
-        }
-        while mission.process.0.try_wait().unwrap().is_none() {
-            if sets().iter().zip(&before).all(|(sets, before)| *sets >= before + 2) {
-                return mission;
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        }
-        mission.ended().assert_held_up();
-    }
-    panic!("it never starts")
-}
-
 /// A mission whose scheduler was killed while all robots play.
 fn cut_off(robots: usize) -> Stage {
     let stage = stage(robots);
-    let all: Vec<usize> = (0..robots).collect();
-    let mut mission = playing(&stage, &["run", "long.yaml"], &all);
+    let mut mission = stage.begin(&["run", "long.yaml"], 0..robots, 2);
     mission.process.kill();
     stage
 }
@@ -222,7 +199,7 @@ fn old_journals_are_not_read_however_long_they_are() {
 fn a_lease_of_a_robot_that_cannot_be_reached_is_told() {
     let stage = stage(1);
     stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 20s}"));
-    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    let mut mission = stage.begin(&["run", "long.yaml"], [0], 2);
     mission.process.kill();
     stage.robots[0].freeze();
     says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ends at"]);
@@ -236,7 +213,7 @@ fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
     let with = fleet
         .replace("groups:\n  all: [r0]", "  s: {init: robot.yaml, address: sim}\ngroups:\n  all: [r0, s]");
     stage.file("fleet.yaml", with);
-    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    let mut mission = stage.begin(&["run", "long.yaml"], [0], 2);
     mission.process.kill();
     let simulated = "s: was simulated in the scheduler's own process";
     says(&stage.run(&["stop"]), 0, &["r0: stop confirmed", simulated]);
@@ -248,8 +225,7 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
     let stage = stage(0);
     stage.file("fleet.yaml", "robots: {s: {init: robot.yaml, address: sim}}\n");
     stage.file("long.yaml", plays("long", "s"));
-    let mut mission = stage.start(&["run", "long.yaml"]);
-    assert!(mission.line("every lease reaches over the start").is_some());
+    let mut mission = stage.start_until(&["run", "long.yaml"], "every lease reaches over the start");
     mission.process.kill();
     says(&stage.run(&["stop"]), 0, &["s: was simulated in the scheduler's own process"]);
     says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
@@ -259,7 +235,7 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
 fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
     for damage in [|journal: &mut Vec<u8>| journal[15] ^= 1, |journal: &mut Vec<u8>| journal.clear()] {
         let stage = stage(1);
-        let mission = playing(&stage, &["run", "long.yaml"], &[0]);
+        let mission = stage.begin(&["run", "long.yaml"], [0], 2);
         let folder = std::fs::read_dir(stage.path("state")).unwrap().flatten().next().unwrap().path();
         let mut journal = std::fs::read(folder.join("journal")).unwrap();
         damage(&mut journal);
@@ -295,10 +271,10 @@ fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_nam
     for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
         stage.file(&format!("{name}.yaml"), plays(name, robots));
     }
-    let mut dead = playing(&stage, &["run", "one.yaml"], &[0]);
+    let mut dead = stage.begin(&["run", "one.yaml"], [0], 2);
     dead.process.kill();
-    let two = playing(&stage, &["run", "two.yaml"], &[1]);
-    let three = playing(&stage, &["run", "three.yaml"], &[2, 3]);
+    let two = stage.begin(&["run", "two.yaml"], [1], 2);
+    let three = stage.begin(&["run", "three.yaml"], [2, 3], 2);
     let stopped = stage.run(&["stop"]);
     says(&stopped, 0, &["one@", "two@", "three@", "  r0: stop confirmed", "  r3: stop confirmed"]);
     all_rest(&stage);
@@ -309,9 +285,9 @@ fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_nam
 fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
     let stage = stage(2);
     stage.file("one.yaml", plays("one", "[r0]")).file("two.yaml", plays("two", "[r1]"));
-    let mut one = playing(&stage, &["run", "one.yaml"], &[0]);
+    let mut one = stage.begin(&["run", "one.yaml"], [0], 2);
     one.process.kill();
-    let two = playing(&stage, &["run", "two.yaml"], &[1]);
+    let two = stage.begin(&["run", "two.yaml"], [1], 2);
     stage.robots[0].freeze();
     let stopped = stage.run(&["stop", "--all", "--patience", "1s", "--format", "json"]);
     assert_eq!(stopped.code, Some(4), "{stopped}");
@@ -328,7 +304,7 @@ fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
 #[test]
 fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
     let stage = stage(2);
-    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     mission.process.signal(Signal::STOP);
     let began = Instant::now();
     let sent = "was sent SIGTERM; if it continues, it ends";
@@ -345,7 +321,7 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
 #[test]
 fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
     let stage = stage(2);
-    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
     for folder in std::fs::read_dir(stage.path("state")).unwrap() {
         std::fs::remove_file(folder.unwrap().path().join("control")).unwrap();
     }
@@ -359,8 +335,7 @@ fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
 fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
     let stage = stage(1);
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
-    let mut mission = stage.start(&["run", "acts.yaml"]);
-    assert!(mission.line("`two` waits for the operator's go").is_some());
+    let mission = stage.start_until(&["run", "acts.yaml"], "`two` waits for the operator's go");
     mission.process.signal(Signal::STOP);
     says(&stage.run(&["go"]), 1, &["it does not answer within 1 s"]);
     mission.process.signal(Signal::CONT);
@@ -388,11 +363,11 @@ acts:
 fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() {
     let stage = stage(1);
     stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
-    let mut mission = playing(&stage, &["run", "acts.yaml"], &[0]);
+    let mut mission = stage.begin(&["run", "acts.yaml"], [0], 2);
     says(&stage.run(&["go"]), 1, &["`two` waits until `one` has ended"]);
     says(&stage.run(&["go", "one"]), 1, &["`one` does not wait for the operator now"]);
     says(&stage.run(&["go", "three"]), 1, &["no act is called `three`"]);
-    assert!(mission.line("`two` waits for the operator's go").is_some());
+    mission.line("`two` waits for the operator's go");
     // Said once the act before has ended, and not while it plays.
     let said = epoch_nanos();
     stage.robots[0].await_sets(20, Duration::from_secs(20));
@@ -461,11 +436,11 @@ fn taken_over() -> (Stage, String, Running) {
     let stage = stage(1);
     let old = plays("old", "all").replace("{running: none}", "{running: 1s}");
     stage.file("old.yaml", old).file("new.yaml", plays("new", "all"));
-    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    let mut old = stage.begin(&["run", "old.yaml"], [0], 2);
     old.process.kill();
     let name = cut_off_name(&stage);
     await_end_of_lease(&stage);
-    let new = playing(&stage, &["run", "new.yaml"], &[0]);
+    let new = stage.begin(&["run", "new.yaml"], [0], 2);
     (stage, name, new)
 }
 
@@ -500,7 +475,7 @@ fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
         let steps = plays(name, robots).replace(&steps(100, 300), &steps(4, 100));
         stage.file(&format!("{name}.yaml"), steps);
     }
-    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    let mut old = stage.begin(&["run", "old.yaml"], [0], 2);
     old.process.kill();
     let warning = format!("mission `{}` was cut off and has not ended; it drove `r0`", cut_off_name(&stage));
     let other = stage.run(&["run", "other.yaml"]);
@@ -516,7 +491,7 @@ fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
 fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
     let stage = stage(1);
     stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 2s}"));
-    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    let mut mission = stage.begin(&["run", "long.yaml"], [0], 2);
     mission.process.kill();
     stage.robots[0].freeze();
     let stop = || stage.run(&["stop", "--patience", "500ms", "--format", "json"]);

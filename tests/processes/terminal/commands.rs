@@ -5,7 +5,7 @@ use std::fs::File;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use stage::play::{LONG, SHORT, SOON};
+use stage::play::{LONG, SHORT};
 use stage::quiet::await_that;
 use stage::session::{Session, root};
 use stage::{Process, Via};
@@ -47,7 +47,7 @@ fn several_missions_run_and_were_cut_off() {
     let mut one = stage.start(&["run", "one.yaml"]);
     let mut two = stage.start(&["run", "two.yaml"]);
     for run in [&mut one, &mut two] {
-        assert!(run.line("connected").is_some());
+        run.line("connected");
     }
     let go = stage.run(&["go"]);
     assert_eq!(go.code, Some(2), "{go}");
@@ -138,7 +138,7 @@ fn a_stop_because_of_a_failure_names_the_robot_and_its_reason() {
     stage.robots[1].kill();
     let line = run.line("stopping all robots: ");
     let ended = run.ended();
-    assert!(line.is_some_and(|line| line.contains("stopping all robots: r1: link down: ")), "{ended}");
+    assert!(line.contains("stopping all robots: r1: link down: "), "{ended}");
 }
 
 #[test]

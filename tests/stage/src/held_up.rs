@@ -24,7 +24,7 @@ pub fn reason(report: &str) -> Option<&'static str> {
 }
 
 /// The reason for which this machine was too slow to start a mission at all: nothing has moved.
-pub fn reason_of_no_start(report: &str) -> Option<&'static str> {
+fn reason_of_no_start(report: &str) -> Option<&'static str> {
     reason(report).filter(|reason| reason.starts_with("outcome"))
 }
 

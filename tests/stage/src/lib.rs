@@ -233,25 +233,40 @@ impl Stage {
         Running::new(self.command(args))
     }
 
-    /// Starts a mission, and returns once each of these robots has set this many values. Starts it again if its report says that this
-    /// machine was too slow to begin.
+    /// Starts a mission, and returns once each of these robots has set this many further values.
     #[track_caller]
     pub fn begin(&self, args: &[&str], robots: impl IntoIterator<Item = usize>, sets: usize) -> Running {
         let robots: Vec<usize> = robots.into_iter().collect();
-        let have_begun = || robots.iter().all(|robot| self.robots[*robot].sets().len() >= sets);
-        'attempts: for _ in 0..held_up::ATTEMPTS {
-            let mut running = self.start(args);
-            let started = Instant::now();
-            while !have_begun() {
-                if running.has_ended() {
-                    running.ended().assert_not_begun_in_time();
-                    continue 'attempts;
+        self.start_in_time(args, |running| {
+            let counts = || robots.iter().map(|robot| self.robots[*robot].sets().len());
+            let (before, started): (Vec<_>, _) = (counts().collect(), Instant::now());
+            while !running.has_ended() {
+                if counts().zip(&before).all(|(count, before)| count >= before + sets) {
+                    return true;
                 }
                 let waited = started.elapsed();
                 assert!(waited < play::SOON, "after {waited:?}, not every robot has set {sets} values");
                 std::thread::sleep(Duration::from_millis(2));
             }
-            return running;
+            false
+        })
+    }
+
+    /// Starts a mission, and returns once it has printed a line with this text.
+    #[track_caller]
+    pub fn start_until(&self, args: &[&str], text: &str) -> Running {
+        self.start_in_time(args, |running| running.find(text).is_some())
+    }
+
+    /// Starts a mission again if it ended before it had begun, and its report says that this machine was too slow.
+    #[track_caller]
+    fn start_in_time(&self, args: &[&str], has_begun: impl Fn(&mut Running) -> bool) -> Running {
+        for _ in 0..held_up::ATTEMPTS {
+            let mut running = self.start(args);
+            if has_begun(&mut running) {
+                return running;
+            }
+            running.ended().assert_held_up();
         }
         panic!("this machine was too slow to begin {} times", held_up::ATTEMPTS);
     }
@@ -471,8 +486,16 @@ impl Running {
         Self { process: Process(child), lines, told: String::new(), out }
     }
 
-    /// The next line that it says with this text; `None` when it ends without.
-    pub fn line(&mut self, text: &str) -> Option<String> {
+    /// The next line with this text. Fails with the report if the program ends without it.
+    #[track_caller]
+    pub fn line(&mut self, text: &str) -> String {
+        self.find(text).unwrap_or_else(|| {
+            let out = std::mem::replace(&mut self.out, std::thread::spawn(String::new));
+            panic!("no line contains `{text}`: {}{}", self.told, out.join().unwrap())
+        })
+    }
+
+    fn find(&mut self, text: &str) -> Option<String> {
         while let Ok(line) = self.lines.recv() {
             self.told.push_str(&line);
             self.told.push('\n');
@@ -484,10 +507,11 @@ impl Running {
     }
 
     /// The start of the act that it prepares next, in nanoseconds since the epoch.
-    pub fn start(&mut self) -> Option<i64> {
-        let line = self.line("start at ")?;
-        let time = line.split("start at ").nth(1)?.split([' ', ',']).next()?;
-        Some(today(time))
+    #[track_caller]
+    pub fn start(&mut self) -> i64 {
+        let line = self.line("start at ");
+        let time = line.split("start at ").nth(1).unwrap().split([' ', ',']).next().unwrap();
+        today(time)
     }
 
     fn has_ended(&mut self) -> bool {
@@ -519,18 +543,10 @@ impl Running {
 }
 
 impl Ended {
-    /// Fails unless the report says that this machine was too slow to begin.
-    #[track_caller]
-    fn assert_not_begun_in_time(&self) {
-        let reason = held_up::reason_of_no_start(&self.said());
-        let reason = reason.unwrap_or_else(|| panic!("it ended before its robots moved: {self}"));
-        eprintln!("started again at {}: {reason}", std::panic::Location::caller());
-    }
-
     /// Fails unless the report says that this machine was too slow.
     #[track_caller]
     pub fn assert_held_up(&self) {
-        let reason = held_up::reason(&format!("{}{}", self.told, self.out));
+        let reason = held_up::reason(&self.said());
         let reason = reason.unwrap_or_else(|| panic!("it ended before its robots moved: {self}"));
         eprintln!("started again at {}: {reason}", std::panic::Location::caller());
     }
