@@ -79,7 +79,7 @@ impl Mission {
             let performs = self.phase == Phase::Performing;
             match action {
                 ActAction::Tell(progress) => self.tell(progress),
-                ActAction::Fail(failing) => self.fail_all(now, failing),
+                ActAction::Fail(failing) => self.fail_of_act(now, number, failing),
                 _ if !performs => {}
                 ActAction::Record(record) => self.record_for(now, number, record),
                 ActAction::Send(script) => {
@@ -88,7 +88,7 @@ impl Mission {
                 }
                 ActAction::Refill(robots) => robots.into_iter().for_each(|robot| self.refill(now, robot)),
                 ActAction::Ask(robots) => robots.into_iter().for_each(|robot| self.inquire(now, robot)),
-                ActAction::Withdraw(outcome) => self.abort(now, outcome, Rest::InPlace, None),
+                ActAction::Withdraw(outcome) => self.withdraw_act(now, number, outcome),
                 ActAction::TimedOut(way) => self.skip_act(now, number, way),
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be waited for.
@@ -189,9 +189,17 @@ impl Mission {
 
     /// One more act begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
+        self.line_up_attempt(now, index, 0);
+    }
+
+    /// The same, after so many attempts that were withdrawn.
+    pub(super) fn line_up_attempt(&mut self, now: Timestamp<Server>, index: usize, attempts: u32) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
         let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
+        if attempts > 0 {
+            act.is_attempted_again(attempts);
+        }
         if self.options.verify_motion {
             act.verify_motions(&self.robots);
         }
@@ -269,6 +277,26 @@ impl Mission {
     pub(super) fn close_all(&mut self, now: Timestamp<Server>) {
         while !self.acts.is_empty() {
             self.close_act(now, 0);
+        }
+    }
+
+    /// An attempt to start an act was withdrawn, and is repeated: it counts in no report.
+    pub(super) fn forget_act(&mut self, now: Timestamp<Server>, index: usize) {
+        let act = self.acts.remove(index);
+        for member in act.members() {
+            let robot = &mut self.robots[member.robot];
+            robot.left.clear();
+            let names = member.scripts().iter().filter_map(Script::request_id);
+            names.for_each(|id| _ = robot.requests.remove(id));
+        }
+        if let Some(report) = ActReport::new(&act, &self.robots) {
+            let over = ActOver { act: act.index(), fate: self.fate_of(now, &act) };
+            self.record(Record::ActEnded {
+                report: Box::new(report),
+                flaws: ActFlaws::default(),
+                over,
+                again: true,
+            });
         }
     }
 
@@ -350,7 +378,7 @@ impl Mission {
         let flaws = ActFlaws { unaccounted, out_of_tolerance };
         self.is_flawed(&flaws);
         let over = ActOver { act: act.index(), fate: self.fates[act.index()].fate.clone() };
-        self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over });
+        self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over, again: false });
         self.reports.push_back(report);
         let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
         while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {

@@ -44,6 +44,9 @@ pub struct ActReport {
     /// A robot that went silent without a word so shortly before the start may not have been noticed in time.
     #[serde(rename = "doubt_ms")]
     pub doubt: Span,
+    /// How often it was withdrawn before anything moved, and prepared again, because this machine was too slow.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub prepared_again: u32,
     /// Readings that the scenario asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
@@ -55,6 +58,11 @@ pub struct ActReport {
     pub motion_spread: Option<MotionSpread>,
     /// Robots in the order of the plan.
     pub robots: Vec<ActRobot>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+const fn is_zero(count: &u32) -> bool {
+    *count == 0
 }
 
 /// What one robot did in one act.
@@ -139,6 +147,7 @@ impl ActReport {
             margin_left: timing.accepted_at.map(|at| timing.decision - at),
             window: timing.round.map(|(sent, answered)| answered - sent),
             doubt: timing.doubt(),
+            prepared_again: act.attempts(),
             readings: act.readings().to_vec(),
             robots: act.members().iter().map(robot).collect(),
         })

@@ -10,6 +10,7 @@
 #![warn(clippy::too_many_lines)]
 
 pub(crate) mod act;
+mod again;
 #[cfg(test)]
 mod bench;
 mod claim;
@@ -122,6 +123,10 @@ pub struct Mission {
     detour: Option<usize>,
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
+    /// An act that is withdrawn to be prepared again.
+    again: Option<again::Again>,
+    /// How late this machine was for an act, doubled: later acts allow for it as for a slower link.
+    hold_up: Span,
     next_round: Option<Timestamp<Server>>,
     /// Rounds that this machine was too late for.
     rounds_held_up: u64,
@@ -205,6 +210,8 @@ impl Mission {
             bounded: false,
             detour: None,
             then: None,
+            again: None,
+            hold_up: Span::ZERO,
             next_round: None,
             rounds_held_up: 0,
             next_silence: None,

@@ -188,8 +188,10 @@ impl Mission {
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let plan = &act.written().plan;
         let slowest = self.slowest(act);
-        let round_trip = lead::counted(slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip));
         let prescribed = plan.stop_condition.pending.map(Millis::span);
+        let slow = slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip);
+        // A lease that the scenario prescribes cannot allow for a slow machine.
+        let round_trip = lead::counted(slow + prescribed.map_or(self.hold_up, |_| Span::ZERO));
         let measured = self.measured(act, round_trip, prescribed, skew);
         let least = LeadTime::lease_needed(round_trip).max(measured.lease_least());
         if let Some(lease) = prescribed.filter(|lease| *lease < least) {
@@ -254,7 +256,8 @@ impl Mission {
     /// What the operator asked for is kept or refused, never silently played later.
     fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
         let safe_start = now + needed.total();
-        if let Some(lead) = self.wanted_lead(act).filter(|lead| *lead < needed.total()) {
+        let wanted = self.wanted_lead(act).filter(|_| self.hold_up == Span::ZERO);
+        if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
         let asked = self.options.start_at.filter(|_| act.number() == 0);

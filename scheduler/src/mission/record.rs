@@ -71,6 +71,9 @@ pub enum Record {
         /// For the course of the mission.
         #[serde(flatten)]
         over: ActOver,
+        /// It was withdrawn before anything moved, to be prepared again.
+        #[serde(skip_serializing_if = "std::ops::Not::not")]
+        again: bool,
     },
     /// An act was not played.
     ActSkipped(ActOver),

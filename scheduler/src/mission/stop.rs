@@ -247,23 +247,32 @@ impl Mission {
             self.outcome = Some(Outcome::NotStarted);
         }
         self.phase = Phase::Ended;
-        self.close_all(now);
         let confirmed = self.robots.iter().all(RobotState::is_settled);
+        if self.goes_again(now, confirmed) {
+            self.then = None;
+            self.perform_again();
+            return self.line_up_again(now);
+        }
+        self.close_all(now);
         match self.then.take().filter(|_| confirmed) {
             Some(act) => {
                 let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
                 self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
-                for robot in &mut self.robots {
-                    robot.stop = Stop::None;
-                    robot.touched.clear();
-                    robot.left.clear();
-                }
-                self.phase = Phase::Performing;
+                self.perform_again();
                 self.go_way(now, Way::Act(act));
                 self.goes_on(now);
             }
             None => self.end(),
         }
+    }
+
+    fn perform_again(&mut self) {
+        for robot in &mut self.robots {
+            robot.stop = Stop::None;
+            robot.touched.clear();
+            robot.left.clear();
+        }
+        self.phase = Phase::Performing;
     }
 
     /// Why robots could not be reached that have not confirmed their stop, where that has not been told.

@@ -1,5 +1,6 @@
 //! Missions without links, as far as they can be seen by what they answer.
 
+mod again;
 mod clocks;
 mod course;
 mod greeting;

@@ -336,6 +336,12 @@ fn act_sentences(act: &ActReport) -> Vec<String> {
         lead.lease,
         lead.margin
     )];
+    if act.prepared_again > 0 {
+        let times = counted(act.prepared_again as usize, "time");
+        sentences.push(format!(
+            "withdrawn {times} before anything moved, and prepared again: this machine was too slow"
+        ));
+    }
     if let Some(skew) = &act.skew {
         sentences.push(budget_text(skew));
     }

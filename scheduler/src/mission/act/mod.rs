@@ -125,6 +125,8 @@ pub(crate) struct Act {
     choreography: Arc<Choreography>,
     stage: Stage,
     follow: Way,
+    /// How often it was withdrawn and prepared again.
+    attempts: u32,
     since: Timestamp<Server>,
     /// The planned end of the act before it, if that still played when this one began to wait.
     before: Option<Timestamp<Server>>,
@@ -156,6 +158,7 @@ impl Act {
             index,
             stage: Stage::Waiting(waiting::Waiting::default()),
             follow: choreography.acts[index].next,
+            attempts: 0,
             since,
             before,
             alone_since: None,
@@ -197,6 +200,17 @@ impl Act {
     /// Since when it is the next one.
     pub(crate) const fn since(&self) -> Timestamp<Server> {
         self.since
+    }
+
+    /// How often it was withdrawn and prepared again.
+    pub(crate) const fn attempts(&self) -> u32 {
+        self.attempts
+    }
+
+    /// It was withdrawn so often, and what it waited for has come.
+    pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
+        self.attempts = attempts;
+        self.stage = Stage::Ready { target: None, look: None };
     }
 
     pub(crate) const fn timing(&self) -> Option<&Timing> {

@@ -78,6 +78,11 @@ impl Act {
         }
     }
 
+    /// Whether it is to start at an instant of its own.
+    pub(crate) fn has_fixed_start(&self, options: &MissionOptions) -> bool {
+        self.fixed_target(options).is_some()
+    }
+
     pub(super) fn wait_wakeup(&self, waiting: &Waiting) -> Option<Timestamp<Server>> {
         let over = self.alone_since.zip(self.written().timeout).map(|(since, timeout)| since + timeout);
         over.into_iter().chain(waiting.poll).min()

@@ -37,6 +37,8 @@ pub(super) struct SentAct<'a> {
     pub(super) ahead: Span,
     /// Another act was promised under its number by a process that took the mission up: it is forgotten.
     pub(super) superseded: bool,
+    /// It was withdrawn and prepared again under another number.
+    pub(super) repeated: bool,
     /// How far apart its robots may start, as the operator was told before anything was sent.
     pub(super) skew: Option<&'a SkewBudget>,
     /// What the operator was told at the decision.
@@ -99,6 +101,7 @@ impl<'a> Facts<'a> {
                     at,
                     ahead: self.ahead_at(at),
                     superseded: false,
+                    repeated: false,
                     skew: None,
                     decided: None,
                     committed: None,
@@ -108,6 +111,10 @@ impl<'a> Facts<'a> {
             Record::Committed { number } => {
                 let act = self.acts.iter_mut().rfind(|act| act.promise.number == *number);
                 act.into_iter().for_each(|act| act.committed = act.committed.or(Some(at)));
+            }
+            Record::ActEnded { report, again: true, .. } => {
+                let act = self.acts.iter_mut().rfind(|act| act.promise.number == report.number);
+                act.into_iter().for_each(|act| act.repeated = true);
             }
             Record::Dropped { robot } => {
                 if let Some(robot) = self.index_of(robot) {
@@ -281,6 +288,11 @@ fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
 }
 
 impl<'a> SentAct<'a> {
+    /// Whether it is the last attempt at this act.
+    pub(super) const fn counts(&self) -> bool {
+        !self.superseded && !self.repeated
+    }
+
     /// The scripts of one robot.
     pub(super) fn of(&self, robot: usize) -> impl Iterator<Item = &SentScript<'a>> {
         self.scripts.iter().filter(move |script| script.robot == robot)

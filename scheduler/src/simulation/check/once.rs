@@ -1,4 +1,4 @@
-//! (b) Nothing starts late, and nothing happens twice.
+//! (b) Nothing starts late, and nothing happens twice: an act is prepared again only if none of its robots has begun it.
 
 use std::collections::HashSet;
 
@@ -11,6 +11,13 @@ use super::facts::Facts;
 const START_LATE_MAX: Span = Span::from_millis(51);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in facts.acts.iter().filter(|act| act.repeated) {
+        let honest = act.scripts.iter().filter(|script| facts.honest(script.robot));
+        for script in honest.filter(|script| script.began()) {
+            let number = act.promise.number;
+            verdict.violated('b', format!("r{} began act {number}, which was prepared again", script.robot));
+        }
+    }
     for (robot, log) in facts.ran.logs.iter().enumerate().filter(|(robot, _)| facts.honest(*robot)) {
         let mut done: HashSet<(&str, u32)> = HashSet::new();
         for entry in log.iter().filter(|entry| entry.motion == "set") {

@@ -23,8 +23,8 @@ impl Said<'_> {
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
-        let missing =
-            self.facts.acts.iter().map(|act| act.promise.number).filter(|number| !numbers.contains(number));
+        let reported = self.facts.acts.iter().filter(|act| !act.repeated);
+        let missing = reported.map(|act| act.promise.number).filter(|number| !numbers.contains(number));
         if !self.resumed && self.report.acts_omitted == 0 {
             wrong.extend(missing.map(|number| format!("act {number} was promised, and is not reported")));
         }

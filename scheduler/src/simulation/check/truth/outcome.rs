@@ -24,7 +24,7 @@ impl Said<'_> {
     /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own
     /// clock, and later steps on time or counted as late. That nothing is set twice is an invariant of its own.
     fn all_done(&self, wrong: &mut Vec<String>) {
-        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
+        for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
                 self.script_done(act, script, wrong);
             }
@@ -58,7 +58,7 @@ impl Said<'_> {
     }
 
     fn done_but_for_those_left_out(&self, wrong: &mut Vec<String>) {
-        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
+        for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
                 let knows = self.facts.drawn().robots[script.robot].block.reports;
                 if self.facts.dropped[script.robot].is_none() && knows && !self.resumed {
@@ -97,7 +97,7 @@ impl Said<'_> {
     fn course(&self, wrong: &mut Vec<String>) {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
-                self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
+                self.facts.acts.iter().filter(|act| act.promise.act == index && !act.repeated).collect();
             // If an act was played several times, the last time counts.
             let last = sent.last();
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {

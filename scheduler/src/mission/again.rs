@@ -1,0 +1,123 @@
+//! Preparing an act again that was withdrawn before anything moved, because this machine was too slow for it.
+
+use urrcp::{Server, Span, Timestamp};
+
+use super::act::{Act, Member, Progressed};
+use super::course::may_have_moved;
+use super::failure_kind::FailureKind;
+use super::robot_state::Rest;
+use super::script::Script;
+use super::{Mission, Outcome};
+
+/// An act is prepared again so many times at most.
+const AGAIN_MAX: u32 = 2;
+/// A machine that was late by less may be late by this much the next time.
+const HOLD_UP_MIN: Span = Span::from_millis(40);
+
+/// An act that is withdrawn and prepared again once all robots have confirmed their stop.
+#[derive(Debug)]
+pub(super) struct Again {
+    act: usize,
+    attempts: u32,
+    /// Robots that had not accepted. They have failed if they do not confirm their stop either.
+    silent: Vec<(usize, FailureKind)>,
+    hold_up: Span,
+}
+
+impl Mission {
+    /// This machine was too slow to start an act: withdraws it, and prepares it again if it may.
+    pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: u32, outcome: Outcome) {
+        match self.may_be_prepared_again(number) {
+            true => self.prepare_again(now, outcome, Vec::new()),
+            false => self.abort(now, outcome, Rest::InPlace, None),
+        }
+    }
+
+    /// Robots of an act have failed. If most of them did not accept in time although their links stand, this machine may be
+    /// too slow, rather than each of them: the act is prepared again once before they count as failed.
+    pub(super) fn fail_of_act(
+        &mut self,
+        now: Timestamp<Server>,
+        number: u32,
+        failing: Vec<(usize, FailureKind)>,
+    ) {
+        let act = self.acts.iter().find(|act| act.number() == number);
+        let suspect = act.is_some_and(|act| {
+            let silent = failing.iter().all(|(_, kind)| matches!(kind, FailureKind::Silent { .. }));
+            let most = failing.len() >= 2 && failing.len() * 2 > act.present().count();
+            silent && most && act.progress() == Progressed::Preparing && act.attempts() == 0
+        });
+        match suspect && self.may_be_prepared_again(number) {
+            true => self.prepare_again(now, Outcome::DecisionLate { by: Span::ZERO }, failing),
+            false => self.fail_all(now, failing),
+        }
+    }
+
+    /// Whether nothing else is under way that a stop would end, and the act need not begin at an instant of its own.
+    pub(super) fn may_be_prepared_again(&self, number: u32) -> bool {
+        let [act] = self.acts.as_slice() else { return false };
+        act.number() == number && act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options)
+    }
+
+    fn prepare_again(&mut self, now: Timestamp<Server>, outcome: Outcome, silent: Vec<(usize, FailureKind)>) {
+        let Some(act) = self.acts.first() else { return };
+        let (name, index) = (act.name(), act.index());
+        let late = match &outcome {
+            Outcome::DecisionLate { by } | Outcome::CommitmentLate { by } => *by,
+            _ => Span::ZERO,
+        };
+        let hold_up = (late * 2).max(HOLD_UP_MIN).max(self.hold_up * 2);
+        let reason = match silent.len() {
+            0 => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
+            count => format!("{count} of {} robots have not accepted in time", act.present().count()),
+        };
+        let reason = format!("{reason}; `{name}` is prepared again");
+        self.again = Some(Again { act: index, attempts: act.attempts() + 1, silent, hold_up });
+        self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
+    }
+
+    /// The stop of a withdrawn act is over. Returns whether the act is prepared again; if not, the mission ends.
+    pub(super) fn goes_again(&mut self, now: Timestamp<Server>, confirmed: bool) -> bool {
+        let Some(again) = self.again.take() else { return false };
+        let moved = self.acts.iter().any(|act| self.may_have_begun(now, act));
+        if self.then == Some(again.act) && confirmed && !moved {
+            self.hold_up = again.hold_up;
+            self.again = Some(again);
+            return true;
+        }
+        self.then = None;
+        if self.outcome.as_ref().is_none_or(|outcome| outcome.hold_up().is_none()) {
+            return false;
+        }
+        let unconfirmed = again.silent.into_iter().filter(|(robot, _)| self.robots[*robot].awaits_stop());
+        let unconfirmed: Vec<_> = unconfirmed.collect();
+        if !unconfirmed.is_empty() {
+            let before = if self.reports.is_empty() { Outcome::NotStarted } else { Outcome::Failed };
+            self.outcome = Some(before);
+        }
+        unconfirmed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
+        false
+    }
+
+    /// Whether a robot may have begun an act that was not committed. One that drops what is not committed has not, unless it says so.
+    fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
+        let unaccounted = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
+        let drops = |member: &Member| self.robots[member.robot].drops_undecided();
+        let safe = !act.is_committed() && act.members().iter().filter(unaccounted).all(drops);
+        act.has_begun() || !safe && may_have_moved(now, act)
+    }
+
+    /// Forgets the attempt that was withdrawn, and lines the act up once more. What it waited for has come.
+    pub(super) fn line_up_again(&mut self, now: Timestamp<Server>) {
+        let Some(Again { act, attempts, .. }) = self.again.take() else { return };
+        while !self.acts.is_empty() {
+            self.forget_act(now, 0);
+        }
+        self.outcome = None;
+        self.because = None;
+        // The same act does not count twice.
+        self.options.acts_max = self.options.acts_max.map(|acts| acts.saturating_add(1));
+        self.line_up_attempt(now, act, attempts);
+        self.goes_on(now);
+    }
+}
