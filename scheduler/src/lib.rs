@@ -34,7 +34,7 @@
 //! | [`conformance`] | whether a robot does what the protocol demands |
 //! | [`calibrate`], [`onset`] | how long devices take from a command to visible motion |
 //! | [`session`] | on whose behalf robots are driven |
-//! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
+//! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; room for many sockets |
 
 pub mod calibrate;
 pub mod certificate;
@@ -64,6 +64,7 @@ mod signals;
 pub mod simulation;
 pub mod stop_lane;
 pub mod trials;
+pub mod zone;
 
 #[doc(hidden)]
 pub use cli::main;

@@ -10,7 +10,7 @@ use super::live::{Live, Speaker};
 use super::metrics::{Metrics, MetricsArgs};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
-use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
+use super::run::{HowArgs, finish, listen, server_clock, stop_lane};
 use super::traces::{Traces, TracesArgs};
 use super::withdraw::{How, Programs, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
@@ -19,6 +19,7 @@ use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot};
 use crate::link::Endpoint;
 use crate::mission::{Mission, MissionOptions};
 use crate::report::Report;
+use crate::report::local::ZONE;
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
@@ -155,7 +156,7 @@ impl<'a> Resumption<'a> {
             greeting: fleet::greeting(&self.fleet),
             patience: self.how.patience,
             session: Some(self.found.opened.drives_as()),
-            utc_offset: utc_offset(),
+            zone: ZONE,
             ..MissionOptions::default()
         };
         let participants = fleet::participants(&robots);

@@ -26,6 +26,7 @@ use crate::fleet::{self, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
 use crate::mission::{Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
+use crate::report::local::ZONE;
 use crate::report::{HostWakeUp, Outcome, Report, report_text};
 use crate::run::control::Control;
 use crate::run::desk::Desk;
@@ -34,6 +35,7 @@ use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 use crate::session::{Session, SessionKey};
 use crate::signals::OnHangUp;
 use crate::stop_lane::StopLane;
+use crate::zone::{SkippedTime, Zone};
 
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
@@ -348,7 +350,9 @@ impl Work<'_> {
         let key = SessionKey::random().map_err(|error| failed(error.to_string()))?;
         let driven_as =
             Session::with_key(session.clone(), &key).map_err(|error| failed(error.to_string()))?;
-        let options = self.options(fleet, (clock, server_uncertainty), driven_as, first_act);
+        let options = self.options(fleet, (clock, server_uncertainty), driven_as, first_act)?;
+        check_waits(&choreography, &options, clock.now())
+            .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
         let (lane, mut operator) = stop_lane(self.on_hang_up()).map_err(failed)?;
         let mut control = None;
@@ -391,23 +395,32 @@ impl Work<'_> {
         (clock, server_uncertainty): (ServerClock, Span),
         session: Session,
         first_act: usize,
-    ) -> MissionOptions {
-        let utc_offset = utc_offset();
-        MissionOptions {
+    ) -> Result<MissionOptions, Stopped> {
+        Ok(MissionOptions {
             greeting: fleet::greeting(fleet),
             lead: self.lead,
             patience: self.how.patience,
             server_uncertainty,
             session: Some(session),
-            start_at: self.at.map(|at| at.instant(clock.now(), utc_offset)),
+            start_at: self.start(clock.now())?,
             first_act,
             acts_max: None,
             join: self.join,
             seize: self.seize,
             verify_motion: self.verify_motion,
             preflight_only: self.preflight_only,
-            utc_offset,
+            zone: ZONE,
+        })
+    }
+
+    /// The instant that `--at` means, by the zone of this machine.
+    fn start(&self, now: Timestamp<Server>) -> Result<Option<Timestamp<Server>>, Stopped> {
+        let Some(at) = self.at else { return Ok(None) };
+        let start = at.instant(now, ZONE).map_err(|skipped| usage(format!("--at: {}", refusal(skipped))))?;
+        if let (Some(choice), Format::Text) = (at.choice_of_two(start, ZONE), self.format) {
+            console::note(&choice);
         }
+        Ok(Some(start))
     }
 
     /// What goes with it, but for its journal and its stop lane.
@@ -507,12 +520,51 @@ impl Work<'_> {
 }
 
 impl StartAt {
-    fn instant(self, now: Timestamp<Server>, utc_offset: Span) -> Timestamp<Server> {
+    fn instant(self, now: Timestamp<Server>, zone: Zone) -> Result<Timestamp<Server>, SkippedTime> {
         match self {
-            Self::Instant(at) => at,
-            Self::TimeOfDay(time) => crate::mission::next_time_of_day(now, time, utc_offset),
+            Self::Instant(at) => Ok(at),
+            Self::TimeOfDay(time) => zone.next(now, time),
         }
     }
+
+    /// Which of two is meant, where clocks show a time of day twice.
+    fn choice_of_two(self, at: Timestamp<Server>, zone: Zone) -> Option<String> {
+        let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
+        let which = if at < other { "the first" } else { "the second" };
+        Some(format!(
+            "clocks show {} twice: --at means {which}, {}; for the other one, write --at {}",
+            zone.seconds_of_day(at),
+            zone.rfc3339(at),
+            zone.rfc3339(other)
+        ))
+    }
+}
+
+/// Refuses a scenario with an act that would wait for a time that clocks skip.
+fn check_waits(
+    choreography: &Choreography,
+    options: &MissionOptions,
+    now: Timestamp<Server>,
+) -> Result<(), String> {
+    let acts = choreography.acts.iter().skip(options.first_act);
+    let mut from = options.start_at.unwrap_or(now);
+    for act in acts.skip(usize::from(options.start_at.is_some())) {
+        from = match &act.wait {
+            Wait::TimeOfDay(time) => {
+                let next = options.zone.next(from, *time);
+                next.map_err(|skipped| {
+                    format!("act `{}` waits for a time: {}", act.called(), refusal(skipped))
+                })?
+            }
+            Wait::Instant(at) => from.max(*at),
+            Wait::Done | Wait::Operator | Wait::Sensor { .. } => from,
+        };
+    }
+    Ok(())
+}
+
+fn refusal(skipped: SkippedTime) -> String {
+    format!("{skipped}; the nearest times that exist are {}", skipped.nearest())
 }
 
 /// Where it fails, the mission still plays.
@@ -541,11 +593,6 @@ fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
 #[expect(clippy::expect_used, reason = "a constant below every limit")]
 fn unnamed() -> SessionId {
     "downbeat".parse().expect("a constant below every limit")
-}
-
-/// Local time minus UTC, now.
-pub(super) fn utc_offset() -> Span {
-    Span::from_millis(i64::from(chrono::Local::now().offset().local_minus_utc()) * 1_000)
 }
 
 /// How late this host wakes its robots; takes a moment.

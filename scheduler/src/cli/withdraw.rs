@@ -11,7 +11,7 @@ use tokio::sync::mpsc;
 use urrcp::{Device, RobotId, Server, Span, Timestamp};
 
 use super::live::Live;
-use super::run::{listen, stop_lane, utc_offset};
+use super::run::{listen, stop_lane};
 use super::{Format, console, identity, robot};
 use crate::fleet::{self, StartPrograms};
 use crate::journal::{FileDisk, Found, Journal, Kept, Left, LeftOn, Opened, OpenedRobot, Torn, read};
@@ -213,7 +213,6 @@ async fn withdraw_as(
         greeting: kept.opened.greeting,
         patience: how.patience,
         session: Some(kept.opened.drives_as()),
-        utc_offset: utc_offset(),
         ..MissionOptions::default()
     };
     let begun = clock.now();
@@ -237,8 +236,7 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
     });
     let inside = inside.collect();
     let clock = ServerClock::anchored(Span::ZERO);
-    let options =
-        MissionOptions { patience: how.patience, utc_offset: utc_offset(), ..MissionOptions::default() };
+    let options = MissionOptions { patience: how.patience, ..MissionOptions::default() };
     let left = Left {
         robots: robots.iter().map(|robot| (robot.id.clone(), anything_on(robot))).collect(),
         own_ids: robots

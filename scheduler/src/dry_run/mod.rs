@@ -23,7 +23,7 @@ pub use self::spread::ActStarts;
 pub use self::watch::Watched;
 use self::world::VirtualWorld;
 use crate::drive::{at_once, drive};
-use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress, next_time_of_day};
+use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
 use crate::report::Report;
 
 /// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
@@ -183,7 +183,7 @@ impl Rehearsal {
 fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
     let times = choreography.acts.iter().filter_map(|act| match act.wait {
         Wait::Instant(at) => Some(at),
-        Wait::TimeOfDay(time) => Some(next_time_of_day(BEGIN, time, options.utc_offset)),
+        Wait::TimeOfDay(time) => Some(options.zone.next(BEGIN, time).unwrap_or_else(|skipped| skipped.at)),
         Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
     });
     let before =

@@ -52,7 +52,6 @@ use std::sync::Arc;
 use downbeat_scripts::{Choreography, Plan};
 use urrcp::{ControlError, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
-pub(crate) use act::next_time_of_day;
 pub use claim::Claim;
 pub use downbeat_scripts::{ClockMode, MissionSettings, Requirement};
 pub use events::{Action, Event, Loss, Progress, TakenReading};

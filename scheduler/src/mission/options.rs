@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::session::Session;
+use crate::zone::Zone;
 
 /// A robot that takes part, by its index in the mission from here on.
 #[derive(Clone, Debug)]
@@ -83,8 +84,8 @@ pub struct MissionOptions {
     pub verify_motion: bool,
     /// Ends once the fleet is checked.
     pub preflight_only: bool,
-    /// The server's local time minus UTC, for acts that wait for a time of day.
-    pub utc_offset: Span,
+    /// The zone of times of day for which acts wait.
+    pub zone: Zone,
 }
 
 impl MissionOptions {
@@ -119,7 +120,7 @@ impl Default for MissionOptions {
             seize: false,
             verify_motion: false,
             preflight_only: false,
-            utc_offset: Span::ZERO,
+            zone: Zone::UTC,
         }
     }
 }

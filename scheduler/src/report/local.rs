@@ -1,34 +1,34 @@
 //! Times as people read them: local, to the millisecond. Nanoseconds in UTC belong into JSON.
 
 use chrono::{DateTime, Local};
-use urrcp::{Span, Timestamp};
+use urrcp::{Server, Timestamp};
 
-/// A time of day, to the millisecond.
-const TIME_OF_DAY: &str = "%H:%M:%S%.3f";
+use crate::zone::Zone;
 
-fn local<C>(at: Timestamp<C>) -> DateTime<Local> {
-    DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&Local)
-}
+/// The zone of this machine, or that of the environment variable `TZ`.
+pub(crate) const ZONE: Zone =
+    Zone::new(|at| *DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&Local).offset());
 
 /// The time of day on this machine's clocks: `19:30:00.412`.
 #[must_use]
-pub fn time_of_day<C>(at: Timestamp<C>) -> String {
-    local(at).format(TIME_OF_DAY).to_string()
+pub fn time_of_day(at: Timestamp<Server>) -> String {
+    ZONE.time_of_day(at)
 }
 
-/// The time of day where clocks are so far ahead of UTC.
-pub(crate) fn time_of_day_at<C>(at: Timestamp<C>, utc_offset: Span) -> String {
-    DateTime::from_timestamp_nanos((at + utc_offset).as_nanos()).format(TIME_OF_DAY).to_string()
+/// The same, and the date if that is not the date of `today`: `03:30:00.000 on 28 Mar 2027`.
+#[must_use]
+pub fn time_as_of(at: Timestamp<Server>, today: Timestamp<Server>) -> String {
+    ZONE.time_as_of(at, today)
 }
 
 /// The same to the second: `19:30:00`.
 #[must_use]
-pub fn seconds_of_day<C>(at: Timestamp<C>) -> String {
-    local(at).format("%H:%M:%S").to_string()
+pub fn seconds_of_day(at: Timestamp<Server>) -> String {
+    ZONE.seconds_of_day(at)
 }
 
 /// With its date: `22 Nov 2026, 19:30:00.412`.
 #[must_use]
-pub fn date_and_time<C>(at: Timestamp<C>) -> String {
-    local(at).format("%-d %b %Y, %H:%M:%S%.3f").to_string()
+pub fn date_and_time(at: Timestamp<Server>) -> String {
+    ZONE.date_and_time(at)
 }

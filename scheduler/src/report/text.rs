@@ -7,7 +7,7 @@ use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::{Latency, Span};
 
-use super::local::{date_and_time, time_of_day};
+use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
 use super::table::{Rows, wrapped};
 use super::{
@@ -288,7 +288,7 @@ fn outcome_text(outcome: &Outcome) -> String {
         Outcome::StartTooSoon { start, safe_start } => format!(
             "not sent: a start at {} has passed or is too soon, the earliest safe start was {}",
             date_and_time(*start),
-            time_of_day(*safe_start)
+            time_as_of(*safe_start, *start)
         ),
         Outcome::LeadTooShort { lead, needed, safe_start } => format!(
             "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); \
@@ -297,7 +297,7 @@ fn outcome_text(outcome: &Outcome) -> String {
             needed.prepare,
             needed.lease,
             needed.margin,
-            time_of_day(*safe_start)
+            date_and_time(*safe_start)
         ),
         other => other.to_string(),
     }
@@ -306,10 +306,11 @@ fn outcome_text(outcome: &Outcome) -> String {
 fn acts_table(report: &Report, columns: usize) -> String {
     let header = ["act", "start", "gap", "lead", "predicted spread", "spread", "margin left", "window"];
     let mut rows = Rows::new(&header, 2);
+    let first = report.acts.first().map(|act| act.start);
     for act in &report.acts {
         rows.add([
             act.act.clone(),
-            time_of_day(act.start),
+            time_as_of(act.start, first.unwrap_or(act.start)),
             or_dash(act.gap),
             act.lead.total().to_string(),
             or_dash(act.skew.as_ref().map(|skew| skew.predicted)),

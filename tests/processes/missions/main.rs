@@ -7,6 +7,7 @@ mod claims;
 mod course;
 mod encodings;
 mod large_show;
+mod local_times;
 mod missions;
 mod preflight;
 mod processes;

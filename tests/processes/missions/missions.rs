@@ -1,7 +1,7 @@
 //! Missions as people run them: several acts, other terminals, crashes.
 
 use std::io::{BufRead, BufReader};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use stage::quiet::await_that;
@@ -28,7 +28,7 @@ acts:
           shoulder: [{at: 0s, to: 20}, {at: 400ms, to: 0}]
 ";
 
-fn evening(wait: &str) -> Session {
+pub fn evening(wait: &str) -> Session {
     let session = Session::new();
     session.file("evening.yaml", TWO_ACTS.replace("WAIT", wait));
     session
@@ -36,7 +36,11 @@ fn evening(wait: &str) -> Session {
 
 /// Starts a mission and waits until it says this.
 fn start(session: &Session, args: &[&str], says: &str) -> Process {
-    let mut command = session.command(args);
+    start_command(session.command(args), says).0
+}
+
+/// Starts a command and waits until it says this. Returns all that it said until then.
+pub fn start_command(mut command: Command, says: &str) -> (Process, String) {
     let mut child = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(child.0.stderr.take().unwrap());
     let mut told = String::new();
@@ -45,7 +49,7 @@ fn start(session: &Session, args: &[&str], says: &str) -> Process {
     }
     // Whatever else it says must not block it.
     std::thread::spawn(move || lines.lines().count());
-    child
+    (child, told)
 }
 
 fn finished(mut child: Process) -> Ran {

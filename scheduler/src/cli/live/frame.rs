@@ -11,7 +11,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::model::{Confirmed, Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
 use crate::mission::Rest;
-use crate::report::local::{seconds_of_day, time_of_day};
+use crate::report::local::{seconds_of_day, time_as_of};
 
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 const DIM: Style = Style::new().add_modifier(Modifier::DIM);
@@ -208,7 +208,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
         match &shown_act.stage {
             Stage::Waiting { .. } => lines.extend(waiting(model, shown_act, act, now)),
             Stage::Preparing { start } => {
-                let text = format!("in {}, at {}", length(*start - now), time_of_day(*start));
+                let text = format!("in {}, at {}", length(*start - now), time_as_of(*start, now));
                 lines.push(Line::from(vec![Piece::styled("start   ", DIM), Piece::raw(text)]));
             }
             Stage::Decided(decided) => lines.extend(decided_lines(*decided, act, now, columns)),
@@ -281,13 +281,13 @@ fn decided_lines(
     let Decided { start, duration, no_return, committed } = decided;
     let mut lines = Vec::new();
     if now < start {
-        let text = format!("in {}, at {}", length(start - now), time_of_day(start));
+        let text = format!("in {}, at {}", length(start - now), time_as_of(start, now));
         lines.push(Line::from(vec![Piece::styled("start   ", DIM), Piece::styled(text, BOLD)]));
         let point = match (committed, now < no_return) {
             (_, true) => format!(
                 "decided; a failure still withdraws it for {}, until {}",
                 length(no_return - now),
-                time_of_day(no_return)
+                time_as_of(no_return, now)
             ),
             (true, false) => "committed, past the point of no return: it starts".to_owned(),
             (false, false) => "past the point of no return: only a stop ends it".to_owned(),

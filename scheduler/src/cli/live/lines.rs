@@ -4,7 +4,7 @@ use downbeat_scripts::counted;
 use urrcp::{Server, Timestamp};
 
 use crate::mission::{Preflight, Progress, Rest, SkewBudget, Verdict};
-use crate::report::local::time_of_day;
+use crate::report::local::{time_as_of, time_of_day};
 
 /// The sentence of an event, if there is one.
 pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<String> {
@@ -14,7 +14,7 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
         Progress::Waiting { act, awaits, .. } => format!("`{act}` waits for {awaits}"),
         Progress::Preparing { act, start, lead, skew, .. } => format!(
             "preparing `{act}`, start at {} (lead {}: {} to prepare, {} of lease, {} of margin{})",
-            time_of_day(*start),
+            time_as_of(*start, at),
             lead.total(),
             lead.prepare,
             lead.lease,

@@ -145,6 +145,25 @@ fn a_wait_for_a_time_counts_down_to_it() {
 }
 
 #[test]
+fn a_start_on_another_day_shows_its_date() {
+    let mut model = meeting();
+    let tomorrow = 24 * 3_600_000 + 5_000;
+    let progress = Progress::Decided {
+        act: "arrival".to_owned(),
+        start: at(tomorrow),
+        duration: SECOND * 40,
+        leases_end: at(0),
+        no_return: at(tomorrow),
+        doubt: Span::from_millis(50),
+    };
+    model.tell(at(1_000), &progress);
+    let text = drawn(&model, 2_000, 100, 24);
+    assert_eq!(text.matches(" Nov 2023").count(), 2, "{text}");
+    let text = drawn(&model, tomorrow - 1, 100, 24);
+    assert!(!text.contains(" Nov 2023"), "{text}");
+}
+
+#[test]
 fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
     let mut model = meeting();
     let awaits = "the operator's go".to_owned();

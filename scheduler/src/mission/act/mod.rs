@@ -32,7 +32,6 @@ pub(crate) use member::{Member, members};
 pub(crate) use playing::LAPSE;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
-pub(crate) use waiting::next_time_of_day;
 
 /// How far an act is.
 #[derive(Clone, Debug)]

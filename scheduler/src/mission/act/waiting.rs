@@ -6,11 +6,10 @@ use urrcp::{Server, Span, Timestamp};
 use super::{Act, ActAction, Stage, act_name};
 use crate::mission::robot_state::{Reading, RobotState};
 use crate::mission::{MissionOptions, Progress};
-use crate::report::local::time_of_day_at;
+use crate::zone::SkippedTime;
 
 /// Between two readings of a sensor that an act waits for.
 const POLL: Span = Span::from_millis(100);
-const DAY: Span = Span::from_millis(24 * 3_600 * 1_000);
 
 /// An act whose condition does not hold yet.
 #[derive(Clone, Debug, Default)]
@@ -33,7 +32,7 @@ impl Act {
         robots: &[RobotState],
         options: &MissionOptions,
     ) -> Vec<ActAction> {
-        let fixed = self.fixed_target(options);
+        let fixed = self.fixed_target(options).map(instant_of);
         let Stage::Waiting(waiting) = &mut self.stage else { return Vec::new() };
         let written = &self.choreography.acts[self.index];
         if let Some(fixed) = fixed {
@@ -66,14 +65,14 @@ impl Act {
         }
     }
 
-    /// The instant that the operator or the scenario wants.
-    fn fixed_target(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
+    /// The instant that the operator or the scenario wants, unless clocks skip it.
+    fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
         if let Some(at) = options.start_at.filter(|_| self.number == 0) {
-            return Some(at);
+            return Some(Ok(at));
         }
         match &self.written().wait {
-            Wait::Instant(at) => Some(*at),
-            Wait::TimeOfDay(time) => Some(next_time_of_day(self.since, *time, options.utc_offset)),
+            Wait::Instant(at) => Some(Ok(*at)),
+            Wait::TimeOfDay(time) => Some(options.zone.next(self.since, *time)),
             Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
         }
     }
@@ -124,7 +123,10 @@ impl Act {
         waiting.announced = true;
         let written = self.written();
         let awaits = match (fixed, &written.wait) {
-            (Some(at), _) => time_of_day_at(at, options.utc_offset),
+            (Some(Ok(at)), _) => options.zone.time_as_of(at, self.since),
+            (Some(Err(skipped)), _) => {
+                format!("{}, because {skipped}", options.zone.time_as_of(skipped.at, self.since))
+            }
             (None, Wait::Operator) => "the operator's go".to_owned(),
             (None, Wait::Sensor { robot, sensor, range }) => format!("`{robot}/{sensor}` {range}"),
             (None, _) => return None,
@@ -137,31 +139,11 @@ impl Act {
                 format!("{awaits}, for {timeout} at most, then `{}`", act_name(&self.choreography, other))
             }
         };
-        Some(Progress::Waiting { act: self.name(), awaits, at: fixed })
+        Some(Progress::Waiting { act: self.name(), awaits, at: fixed.map(instant_of) })
     }
 }
 
-/// The first instant from `from` on at which clocks show this time of day.
-pub(crate) fn next_time_of_day(from: Timestamp<Server>, time: Span, utc_offset: Span) -> Timestamp<Server> {
-    let local = from + utc_offset;
-    let since_midnight = Span::from_nanos(local.as_nanos().rem_euclid(DAY.as_nanos()));
-    let ahead = time - since_midnight;
-    from + if ahead < Span::ZERO { ahead + DAY } else { ahead }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_time_of_day_is_today_or_tomorrow() {
-        let hour = Span::from_millis(3_600_000);
-        // 1970-01-02T10:00Z, where clocks show 12:00.
-        let from = Timestamp::from_nanos((DAY + hour * 10).as_nanos());
-        let offset = hour * 2;
-        assert_eq!(next_time_of_day(from, hour * 13, offset), from + hour);
-        assert_eq!(next_time_of_day(from, hour * 12, offset), from);
-        assert_eq!(next_time_of_day(from, hour * 11, offset), from + hour * 23);
-        assert_eq!(time_of_day_at(from, offset), "12:00:00.000");
-    }
+/// A mission that plays cannot be refused any more: an act whose time is skipped starts as clocks skip it.
+fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
+    target.unwrap_or_else(|skipped| skipped.at)
 }

@@ -1,8 +1,10 @@
 //! What it waits for, and what counts as the operator's go.
 
+use chrono::{FixedOffset, Offset, Utc};
 use downbeat_scripts::{SensorRange, Wait, Way};
 
 use super::*;
+use crate::zone::Zone;
 
 fn waits_for(wait: Wait) -> Bench {
     let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
@@ -89,4 +91,56 @@ fn an_act_that_follows_another_aims_at_its_end_and_one_with_a_time_at_the_later_
     let mut late = behind_another(Wait::Instant(at(800)));
     late.pump();
     assert_eq!(late.act.target(), Some(at(800)));
+}
+
+const HOUR: i64 = 3_600_000;
+/// Until then clocks are ahead of UTC by an hour, from `at(0)` on.
+const BACK: i64 = 240 * HOUR;
+const CHANGES: Zone = Zone::new(|instant| {
+    if instant >= at(0) && instant < at(BACK) { FixedOffset::east_opt(3_600).unwrap() } else { Utc.fix() }
+});
+
+/// The announcement and the target of an act that becomes the next one at `at(since)` and waits until clocks show what they show
+/// in UTC at `at(shown)`.
+fn waits_across_a_change(since: i64, shown: i64) -> (String, Option<Timestamp<Server>>) {
+    let time = Span::from_nanos(at(shown).as_nanos().rem_euclid(ms(24 * HOUR).as_nanos()));
+    let mut bench = waits_for(Wait::TimeOfDay(time));
+    bench.act = Act::new(Arc::clone(&bench.act.choreography), 0, 0, &bench.robots, at(since), None);
+    bench.options.zone = CHANGES;
+    let announced = bench.act.announcement(&bench.options);
+    let Some(Progress::Waiting { awaits, at: fixed, .. }) = announced else { panic!("{announced:?}") };
+    bench.now = at(since);
+    bench.pump();
+    assert_eq!(bench.act.target(), fixed);
+    (awaits, fixed)
+}
+
+#[test]
+fn an_act_waits_for_a_time_by_the_clocks_of_that_time() {
+    assert_eq!(waits_across_a_change(-HOUR, 2 * HOUR).1, Some(at(HOUR)));
+}
+
+#[test]
+fn an_act_whose_time_clocks_skip_starts_as_they_skip_it_and_says_so() {
+    let (awaits, fixed) = waits_across_a_change(-HOUR, HOUR / 2);
+    assert_eq!(fixed, Some(at(0)));
+    assert!(awaits.contains(", because 00:46:40 does not exist on 1 Jan 1970"), "{awaits}");
+}
+
+#[test]
+fn an_act_whose_time_clocks_show_twice_says_which_it_means() {
+    let half = HOUR / 2;
+    for (since, start, offset) in [(BACK - HOUR, BACK - half, "UTC+01:00"), (BACK, BACK + half, "UTC+00:00")]
+    {
+        let (awaits, fixed) = waits_across_a_change(since, BACK + half);
+        assert_eq!(fixed, Some(at(start)));
+        assert!(awaits.contains(offset), "{awaits}");
+    }
+}
+
+#[test]
+fn a_time_that_has_just_passed_when_an_act_becomes_the_next_one_is_tomorrow() {
+    let (awaits, fixed) = waits_across_a_change(-30 * HOUR, -30 * HOUR - 1);
+    assert_eq!(fixed, Some(at(-6 * HOUR - 1)));
+    assert!(awaits.contains(" on 31 Dec 1969"), "{awaits}");
 }
