@@ -3,6 +3,7 @@
 
 mod certificates;
 mod compare;
+mod local_times;
 mod page;
 mod picture;
 mod require;

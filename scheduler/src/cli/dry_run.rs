@@ -15,6 +15,7 @@ use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::page::{self, Rehearsed, Told};
+use crate::report::local::ZONE;
 use crate::report::{picture, report_text};
 use crate::requirements::{Figures, any_unmet, closest_of, judge};
 use crate::trials::Trials;
@@ -201,7 +202,8 @@ pub(super) fn rehearse(
 ) -> Result<(Played, Vec<Told>), (Exit, String)> {
     let mut viewers = Viewers { bar: Bar::new(format), told: Some(Vec::new()) };
     let whole = Choice { readings: &[], seed: 0, logs: Logs::Kept };
-    let options = MissionOptions { greeting: fleet::greeting(fleet), ..MissionOptions::default() };
+    let options =
+        MissionOptions { greeting: fleet::greeting(fleet), zone: ZONE, ..MissionOptions::default() };
     let played = play(&whole, choreography, options, fleet, &mut viewers);
     viewers.bar.0.finish_and_clear();
     Ok((played?, viewers.told.unwrap_or_default()))
@@ -342,6 +344,7 @@ fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions
         greeting: fleet::greeting(fleet),
         first_act,
         acts_max: args.acts,
+        zone: ZONE,
         ..MissionOptions::default()
     }
 }
