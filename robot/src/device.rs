@@ -15,6 +15,7 @@ use urrcp::{
 };
 
 use crate::held::{Held, Limit, Steps};
+use crate::late_steps::LateSteps;
 use crate::lease::{LastHeard, Lease};
 use crate::plans::Lookahead;
 use crate::reach::Reach;
@@ -86,7 +87,7 @@ pub(crate) enum Effect {
         request_id: Option<RequestId>,
         value: f64,
         steps_done: u32,
-        late_steps: u32,
+        late: LateSteps,
     },
     Failed {
         command: CommandId,
@@ -116,8 +117,6 @@ pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a
 /// stop with a timestamp of the future close the device to everyone.
 const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
-/// A step that is done later than this after its deadline counts as late.
-const LATE: Span = Span::from_millis(1);
 
 /// Rates that continue after their command has ended, still under that command's lease.
 #[derive(Clone, Debug)]
@@ -255,7 +254,6 @@ impl DeviceMachine {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
-        let late = u32::from(now - at > LATE);
         if !held.began {
             held.began = true;
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
@@ -265,11 +263,11 @@ impl DeviceMachine {
                 self.queue.push_front(held);
                 return;
             }
-            held.late_steps += late;
+            held.late.note(now - at);
             self.set_step(&mut held, at, effects);
             effects.push(started(&held, value));
         } else {
-            held.late_steps += late;
+            held.late.note(now - at);
             self.set_step(&mut held, at, effects);
         }
         match held.time_of(held.next_step) {
@@ -326,9 +324,9 @@ impl DeviceMachine {
         let last = held.next_step.saturating_sub(1);
         let value = held.setpoint(last).map_or(0.0, |setpoint| setpoint.value);
         let (link, request_id) = (held.link, held.request_id.clone());
-        let (steps_done, late_steps) = (held.steps_done(), held.late_steps);
+        let (steps_done, late) = (held.steps_done(), held.late);
         let command = held.command;
-        effects.push(Effect::Ended { command, link, request_id, value, steps_done, late_steps });
+        effects.push(Effect::Ended { command, link, request_id, value, steps_done, late });
         let lease = held.lease();
         let rates: Vec<_> = self.rates_left_on().filter(|rate| held.drives(*rate)).collect();
         if lease.silence.is_some() && !rates.is_empty() {
@@ -585,7 +583,7 @@ impl DeviceMachine {
             steps,
             stop_condition: request.stop_condition,
             next_step: 0,
-            late_steps: 0,
+            late: LateSteps::default(),
             began: false,
             pending_until: request.pending_until,
             limited_by: None,

@@ -3,6 +3,7 @@
 use urrcp::{ControlType, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp};
 
 use crate::device::CommandId;
+use crate::late_steps::LateSteps;
 use crate::lease::{self, LastHeard, Lease};
 use crate::robot::LinkId;
 
@@ -18,7 +19,7 @@ pub(crate) struct Held {
     pub(crate) steps: Steps,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) next_step: usize,
-    pub(crate) late_steps: u32,
+    pub(crate) late: LateSteps,
     pub(crate) began: bool,
     /// Its pending lease ends then at the latest, whatever is heard.
     pub(crate) pending_until: Option<Timestamp<Robot>>,

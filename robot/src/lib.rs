@@ -92,6 +92,7 @@ mod host;
 pub mod invariants;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 mod key_file;
+mod late_steps;
 mod lease;
 mod outgoing;
 mod parties;

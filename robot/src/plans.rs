@@ -9,6 +9,7 @@ use urrcp::{ControlError, DeviceId, Interpolation, RequestId, Robot, Setpoint, S
 
 use crate::device::CommandId;
 use crate::held::Held;
+use crate::late_steps::LateSteps;
 use crate::tolerance::Tolerance;
 
 /// Names a script, or a single value, that was handed over to a driver.
@@ -117,8 +118,6 @@ const GRAIN: Span = Span::from_millis(10);
 pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
 /// An edge that looks for a report so much too late was itself held up, and the report may still wait for it.
 const HELD_UP: Span = Span::from_millis(100);
-/// A step that is done later than this after its deadline counts as late.
-const LATE: Span = Span::from_millis(1);
 
 /// How far a script is, as the device's machine sees it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -148,7 +147,7 @@ pub(crate) struct Plan {
     pub(crate) began_told: bool,
     pub(crate) done: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
-    pub(crate) late_steps: u32,
+    pub(crate) late: LateSteps,
     /// The driver has ended it by itself, or never took it.
     pub(crate) is_over_there: bool,
     /// Reports are awaited until then, because the edge was held up.
@@ -281,7 +280,7 @@ impl Plan {
         };
         if step >= self.steps_done {
             self.steps_done = step + 1;
-            self.late_steps += u32::from(at - due > LATE);
+            self.late.note(at - due);
         }
         Ok(())
     }
@@ -334,7 +333,7 @@ impl Plans {
             began_told: false,
             done: None,
             steps_done: 0,
-            late_steps: 0,
+            late: LateSteps::default(),
             is_over_there: false,
             extended: None,
             tolerance: self.tolerance,

@@ -465,12 +465,13 @@ impl Robot {
                 let status_value = StatusValue::Number(value);
                 (link, ControlResponse { request_id, status_value, ..base(Status::Started) })
             }
-            Effect::Ended { link, request_id, value, steps_done, late_steps, .. } => {
+            Effect::Ended { link, request_id, value, steps_done, late, .. } => {
                 self.counts.ended += 1;
-                self.counts.late_steps += u64::from(late_steps);
+                self.counts.late_steps += u64::from(late.count);
                 let status_value = StatusValue::Number(value);
                 let steps_done = Some(steps_done);
-                let base = ControlResponse { late_steps: Some(late_steps), ..base(Status::Ok) };
+                let (late_steps, late_ms_max) = (Some(late.count), late.ms_max());
+                let base = ControlResponse { late_steps, late_ms_max, ..base(Status::Ok) };
                 (link, ControlResponse { request_id, status_value, steps_done, ..base })
             }
             Effect::Failed { link, request_id, error, steps_done, .. } => {

@@ -12,7 +12,7 @@ use crate::error::ControlError;
 use crate::number::{self, Number};
 use crate::object;
 use crate::text::{DeviceId, Label, RequestId};
-use crate::time::{Robot, Timestamp};
+use crate::time::{Millis, Robot, Timestamp};
 
 /// Confirms acceptance, reports progress, or provides a reading.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -42,6 +42,9 @@ pub struct ControlResponse {
     /// How many of them more than a millisecond late (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
+    /// By how much the latest of them was late (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub late_ms_max: Option<Millis>,
     /// Why it failed (our extension).
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
@@ -72,6 +75,7 @@ impl ControlResponse {
             event_timestamp: None,
             steps_done: None,
             late_steps: None,
+            late_ms_max: None,
             error: None,
         }
     }
@@ -108,6 +112,7 @@ impl ControlResponse {
             self.event_timestamp.is_some(),
             self.steps_done.is_some(),
             self.late_steps.is_some(),
+            self.late_ms_max.is_some(),
             self.error.is_some(),
         ];
         let fields = 4 + optional.into_iter().filter(|given| *given).count();
@@ -130,6 +135,9 @@ impl ControlResponse {
         }
         if let Some(late_steps) = &self.late_steps {
             fields.serialize_field("late_steps", late_steps)?;
+        }
+        if let Some(late_ms_max) = &self.late_ms_max {
+            fields.serialize_field("late_ms_max", late_ms_max)?;
         }
         if let Some(error) = &self.error {
             fields.serialize_field("error", error)?;

@@ -93,6 +93,9 @@ pub struct RequestReport {
     /// How many of them more than a millisecond late.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
+    /// By how much the latest of them was late.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub late_ms_max: Option<Millis>,
     /// Why one that has ended was refused or ended early. Absent: it completed.
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
@@ -157,6 +160,7 @@ impl RequestReport {
             event_timestamp: None,
             steps_done: None,
             late_steps: None,
+            late_ms_max: None,
             error: None,
         }
     }

@@ -129,7 +129,7 @@ fn control_response() -> impl Strategy<Value = ControlResponse> {
         number().prop_map(StatusValue::Number),
         script().prop_map(StatusValue::Script),
     ];
-    let counts = (option::of(any::<u32>()), option::of(any::<u32>()));
+    let counts = (option::of(any::<u32>()), option::of(any::<u32>()), option::of(millis()));
     (timestamp(), text(), status(), value, option::of(text()), option::of(timestamp()), counts, error())
         .prop_map(|(timestamp, device, status, status_value, request, event_timestamp, counts, error)| {
             ControlResponse {
@@ -142,6 +142,7 @@ fn control_response() -> impl Strategy<Value = ControlResponse> {
                 event_timestamp,
                 steps_done: counts.0,
                 late_steps: counts.1,
+                late_ms_max: counts.2,
                 error,
             }
         })
@@ -189,7 +190,7 @@ fn request_report() -> impl Strategy<Value = RequestReport> {
         Just(RequestState::Ended),
     ];
     let times = (option::of(timestamp()), option::of(timestamp()));
-    let counts = (option::of(any::<u32>()), option::of(any::<u32>()));
+    let counts = (option::of(any::<u32>()), option::of(any::<u32>()), option::of(millis()));
     (text(), state, any::<bool>(), times, counts, error()).prop_map(
         |(id, state, hashed, times, counts, error)| RequestReport {
             request_id: RequestId::new(id).unwrap(),
@@ -199,6 +200,7 @@ fn request_report() -> impl Strategy<Value = RequestReport> {
             event_timestamp: times.1,
             steps_done: counts.0,
             late_steps: counts.1,
+            late_ms_max: counts.2,
             error,
         },
     )

@@ -84,7 +84,8 @@ impl Judge {
                 true => {
                     let late_steps = report.late_steps.filter(|late| Some(*late) <= steps_done);
                     let state = RequestState::Running;
-                    *report == RequestReport { state, steps_done, late_steps, ..held }
+                    let late_ms_max = report.late_ms_max.filter(|_| late_steps > Some(0));
+                    *report == RequestReport { state, steps_done, late_steps, late_ms_max, ..held }
                 }
             };
         }
@@ -92,8 +93,10 @@ impl Judge {
         let error = answer.error.clone();
         // A refusal because of the session is not kept.
         let forgotten = error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
-        let (steps_done, late_steps) = (answer.steps_done, answer.late_steps);
-        let ended = RequestReport { state: RequestState::Ended, steps_done, late_steps, error, ..known };
+        let (steps_done, late_steps, late_ms_max) =
+            (answer.steps_done, answer.late_steps, answer.late_ms_max);
+        let state = RequestState::Ended;
+        let ended = RequestReport { state, steps_done, late_steps, late_ms_max, error, ..known };
         *report == ended || forgotten && *report == unknown
     }
 

@@ -61,6 +61,7 @@ impl Robot {
                 state: RequestState::Ended,
                 steps_done: known.answer.steps_done,
                 late_steps: known.answer.late_steps,
+                late_ms_max: known.answer.late_ms_max,
                 error: known.answer.error.clone(),
                 ..known_of
             },
@@ -75,7 +76,8 @@ impl Robot {
                 state: RequestState::Running,
                 start_timestamp: known.start,
                 steps_done: Some(plan.steps_done),
-                late_steps: Some(plan.late_steps),
+                late_steps: Some(plan.late.count),
+                late_ms_max: plan.late.ms_max(),
                 ..report
             };
         }
@@ -83,7 +85,8 @@ impl Robot {
             state: RequestState::Running,
             start_timestamp: known.start,
             steps_done: running.map(|held| held.steps_done()),
-            late_steps: running.map(|held| held.late_steps),
+            late_steps: running.map(|held| held.late.count),
+            late_ms_max: running.and_then(|held| held.late.ms_max()),
             ..report
         }
     }

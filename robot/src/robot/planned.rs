@@ -247,7 +247,7 @@ impl Robot {
                 request_id: held.request_id.clone(),
                 value: held.setpoint(last as usize).map_or(0.0, |setpoint| setpoint.value),
                 steps_done: plan.steps_done,
-                late_steps: plan.late_steps,
+                late: plan.late,
             };
             self.reports.push((index, done, ended));
             self.plans.remove(id);

@@ -135,6 +135,7 @@ struct answer {
     double value;
     int64_t event;
     int steps_done, late_steps;
+    int64_t latest; /* ns by which its latest step was late */
     const char *code, *message;
     const struct command *command; /* that is accepted and has not ended */
     char content_hash[65];         /* of what was accepted */
@@ -155,6 +156,7 @@ struct command {
     double from_value;
     enum kind from_kind;
     int done, late, size;
+    int64_t latest;                /* ns by which its latest step was late */
     struct step steps[MAX_STEPS];
 };
 
@@ -377,6 +379,15 @@ static void send_end(struct link *link)
         link_flush(link);
 }
 
+static void put_late(struct link *link, const struct answer *a)
+{
+    put(link, ",\"late_steps\":%d", a->late_steps);
+    if (a->late_steps) {
+        put(link, ",\"late_ms_max\":");
+        put_number(link, a->latest / 1e6);
+    }
+}
+
 static void send_answer(struct link *link, const struct answer *a)
 {
     put(link, "{\"control_response\":{\"timestamp\":");
@@ -402,7 +413,7 @@ static void send_answer(struct link *link, const struct answer *a)
         if (a->status != STARTED)
             put(link, ",\"steps_done\":%d", a->steps_done);
         if (a->status == OK)
-            put(link, ",\"late_steps\":%d", a->late_steps);
+            put_late(link, a);
     }
     if (a->status == FAILED)
         put_error(link, a->code, a->message);
@@ -433,6 +444,7 @@ static void report(struct command *c, enum status status, const double *value, c
     a->event = now;
     a->steps_done = c->done;
     a->late_steps = c->late;
+    a->latest = c->latest;
     a->code = code;
     a->message = message;
     if (to)
@@ -639,6 +651,8 @@ static void go_on(struct device *device, struct command *c, int64_t now)
         tell_started(device, c, now);
         device->tails[step->kind].there = false;
         c->late += now > c->start + step->offset + LATE_STEP;
+        if (now - c->start - step->offset > c->latest)
+            c->latest = now - c->start - step->offset;
         c->from_offset = step->offset;
         c->from_kind = step->kind;
         c->from_value = step->value;
@@ -1312,7 +1326,7 @@ static void put_request(struct link *link, const struct text *request_id)
     if (a && (c ? c->begun : a->is_report))
         put(link, ",\"steps_done\":%d", c ? c->done : a->steps_done);
     if (a && !c && a->is_report && a->status == OK)
-        put(link, ",\"late_steps\":%d", a->late_steps);
+        put_late(link, a);
     if (a && !c && a->status == FAILED)
         put_error(link, a->code, a->message);
     put(link, "}");

@@ -90,7 +90,7 @@ class Command(Fields):
     def __init__(self, body, line, link):
         super().__init__(body, CONTROL, "device_id", "control_type")
         self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
-        self.value, self.passed, self.done, self.late = body.get("control_value"), 0, 0, 0
+        self.value, self.passed, self.done, self.late, self.latest = body.get("control_value"), 0, 0, 0, 0
         self.until = instant(self.pending_until) if self.pending_until else NEVER
         need(not self.script or isinstance(self.value, list) and not self.further, "a script's value is one list")
         valued = re.fullmatch("position|speed|acceleration|custom_[0-9]+", self.control_type)
@@ -183,13 +183,14 @@ class Robot:
             self.arm.set(device.id, value)
         except Exception as fault:
             return self.rest(device, "internal", str(fault), now)
-        c.done, c.late, device.left_on = c.done + 1, c.late + (late > LATE_STEP), []
+        c.done, c.late, c.latest, device.left_on = c.done + 1, c.late + (late > LATE_STEP), max(c.latest, late), []
         if c.done == 1:
             self.respond(c, "Started", value, now)
         if c.done == len(c.steps):
             device.held.remove(c)
             device.left_on = [c] if device.still not in (None, value) and c.leases[-1] is not None else []
-            self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late)
+            latest = {"late_ms_max": c.latest / MS} if c.late else {}
+            self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late, **latest)
     def lose(self, device, c, now):
         """A lease has ended: with one of what runs all ends, with one ahead of a start what starts then or later."""
         why = "link_lost", "silence beyond stop_condition", now
@@ -310,7 +311,7 @@ class Robot:
     def tell(self, key, c):
         told = {"request_id": key, "state": "ended" if key in self.answers else "unknown", **self.facts.get(key, {})}
         last = {"steps_done": c.done} if c and c.passed else {} if c else self.answers.get(key, {})
-        told.update({fact: last[fact] for fact in ("steps_done", "late_steps", "error") if fact in last})
+        told.update({fact: last[fact] for fact in ("steps_done", "late_steps", "late_ms_max", "error") if fact in last})
         if c:
             told.update(state="running" if c.passed else "held", start_timestamp=stamp(c.times[0]))
         return told

@@ -640,7 +640,7 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         _ if unconfirmed => Exit::Unconfirmed,
         Outcome::DoneWithout | Outcome::DoneSkipping { .. } => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,
-        Outcome::OutOfTolerance { .. } | Outcome::Unknown => Exit::Uncertain,
+        Outcome::OutOfTolerance { .. } | Outcome::StepsLate { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,
     }
 }

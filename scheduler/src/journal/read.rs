@@ -11,7 +11,7 @@ use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
 use super::private::{self, How};
 use super::{Opened, OpenedRobot};
-use crate::mission::{ActFlaws, ActOver, OutOfTolerance, Promise, Rest};
+use crate::mission::{ActFlaws, ActOver, OutOfTolerance, Promise, Rest, StepsLate};
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -187,6 +187,7 @@ struct Head {
     #[serde(default)]
     unaccounted: Vec<RobotId>,
     out_of_tolerance: Option<OutOfTolerance>,
+    steps_late: Option<StepsLate>,
 }
 
 #[derive(Deserialize)]
@@ -346,8 +347,8 @@ impl Kept {
                 under_way.retain(|(number, ..)| Some(*number) != ended);
                 self.ended_acts += 1;
                 self.course.extend(serde_json::from_slice::<ActOver>(json));
-                let Head { unaccounted, out_of_tolerance, .. } = head;
-                let flaws = ActFlaws { unaccounted, out_of_tolerance };
+                let Head { unaccounted, out_of_tolerance, steps_late, .. } = head;
+                let flaws = ActFlaws { unaccounted, out_of_tolerance, steps_late };
                 self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
             }
             "act_skipped" => self.course.extend(serde_json::from_slice::<ActOver>(json)),

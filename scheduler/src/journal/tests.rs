@@ -2,7 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::{ActFate, ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Rest};
+use crate::mission::{ActFate, ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Rest, StepsLate};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -155,6 +155,7 @@ fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended(
     let mut flawed = sound.clone();
     flawed["unaccounted"] = "arm".split(' ').collect();
     flawed["out_of_tolerance"] = serde_json::json!({"spread_ms": 12.5, "tolerance_ms": 10});
+    flawed["steps_late"] = serde_json::json!({"late_ms": 225, "tolerance_ms": 10});
     for ended in [sound, flawed] {
         bytes.extend(line(&ended).unwrap());
     }
@@ -164,6 +165,7 @@ fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended(
     let expected = ActFlaws {
         unaccounted: vec![RobotId::new("arm").unwrap()],
         out_of_tolerance: Some(OutOfTolerance { spread, tolerance: Span::from_millis(10) }),
+        steps_late: Some(StepsLate { late: Span::from_millis(225), tolerance: Span::from_millis(10) }),
     };
     assert_eq!((kept.ended_acts, kept.flaws, kept.torn), (2, vec![expected], None));
 }

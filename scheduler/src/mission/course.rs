@@ -9,7 +9,7 @@ use urrcp::{Server, Timestamp};
 use super::act::{Act, ActAction, Member, act_name};
 use super::facts::{ActReport, spread};
 use super::fates::ActFate;
-use super::record::{ActFlaws, ActOver, OutOfTolerance, Record};
+use super::record::{ActFlaws, ActOver, OutOfTolerance, Record, StepsLate};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
 use super::{Action, Mission, Outcome, Phase, Progress};
@@ -173,7 +173,7 @@ impl Mission {
         if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;
         }
-        if let Some(flaw) = &self.flaw_of_starts {
+        if let Some(flaw) = &self.flaw_of_times {
             return flaw.clone();
         }
         if self.robots.iter().any(is_out) {
@@ -360,7 +360,10 @@ impl Mission {
     /// An act has ended so, here or before another process died.
     pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
         if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
-            self.flaw_of_starts.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
+            self.flaw_of_times.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
+        }
+        if let Some(StepsLate { late, tolerance }) = flaws.steps_late {
+            self.flaw_of_times.get_or_insert(Outcome::StepsLate { late, tolerance });
         }
         for robot in self.robots.iter_mut().filter(|robot| flaws.unaccounted.contains(&robot.id)) {
             robot.was_lost_sight_of = true;
@@ -372,10 +375,12 @@ impl Mission {
         let spread = spread(act, act.present()).into_iter().chain(report.off_plan()).max();
         let out_of_tolerance =
             spread.filter(|spread| *spread > tolerance).map(|spread| OutOfTolerance { spread, tolerance });
+        let late = report.late_max().filter(|late| *late > tolerance);
+        let steps_late = late.map(|late| StepsLate { late, tolerance });
         let lost = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
         let unaccounted = act.members().iter().filter(lost);
         let unaccounted = unaccounted.map(|member| self.robots[member.robot].id.clone()).collect();
-        let flaws = ActFlaws { unaccounted, out_of_tolerance };
+        let flaws = ActFlaws { unaccounted, out_of_tolerance, steps_late };
         self.is_flawed(&flaws);
         let over = ActOver { act: act.index(), fate: self.fates[act.index()].fate.clone() };
         self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over, again: false });

@@ -120,6 +120,9 @@ pub struct DeviceReport {
     pub steps_planned: usize,
     /// Steps that came more than a millisecond late.
     pub late_steps: u32,
+    /// By how much the latest of them was late, if the robot says so.
+    #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
+    pub late_max: Option<Span>,
 }
 
 impl ActReport {
@@ -160,6 +163,12 @@ impl ActReport {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.start_error).map(Span::abs).max()
     }
+
+    /// How late a step was, at most, of the robots that were not left out.
+    pub(super) fn late_max(&self) -> Option<Span> {
+        let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
+        scripts.filter_map(|script| script.late_max).max()
+    }
 }
 
 /// Largest minus smallest error of the starts that are to be simultaneous: of the first script of every device.
@@ -192,5 +201,6 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
         steps_done: script.steps_done(),
         steps_planned: script.plan.script.steps().len(),
         late_steps: script.late_steps(),
+        late_max: script.late_max(),
     }
 }

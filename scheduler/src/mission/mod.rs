@@ -64,7 +64,7 @@ pub use motion::{MotionReport, MotionSpread};
 pub use options::{Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;
 pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
-pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record};
+pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};
 
@@ -155,8 +155,8 @@ pub struct Mission {
     said_stop: Option<String>,
     /// Something failed on the way, whatever follows.
     flawed: Option<Outcome>,
-    /// An act whose starts were too far apart.
-    flaw_of_starts: Option<Outcome>,
+    /// The first act whose starts were too far apart, or whose steps were too late.
+    flaw_of_times: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,
     /// When the message arrived that is being handled.
@@ -228,7 +228,7 @@ impl Mission {
             because: None,
             said_stop: None,
             flawed: None,
-            flaw_of_starts: None,
+            flaw_of_times: None,
             reports: VecDeque::new(),
             reports_omitted: 0,
             arrived: now,

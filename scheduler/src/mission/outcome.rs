@@ -31,6 +31,15 @@ pub enum Outcome {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
+    /// It was played to its end, and steps were later than the scenario tolerates.
+    StepsLate {
+        /// By how much the latest step was late, by its robot's own clock.
+        #[serde(rename = "late_ms")]
+        late: Span,
+        /// The scenario's start_tolerance.
+        #[serde(rename = "tolerance_ms")]
+        tolerance: Span,
+    },
     /// It was played to its end, as far as is known: some robots cannot say what they did.
     Unknown,
     /// The fleet is checked and nothing was sent.
@@ -121,6 +130,10 @@ impl fmt::Display for Outcome {
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
                 "played to its end, but out of tolerance: starts were {spread} apart or off their plan, start_tolerance is {tolerance}"
+            ),
+            Self::StepsLate { late, tolerance } => write!(
+                f,
+                "played to its end, but steps were up to {late} late, start_tolerance is {tolerance}"
             ),
             Self::Unknown => {
                 f.write_str("played to its end as far as is known: some robots do not say what they did")

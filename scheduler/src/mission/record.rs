@@ -125,6 +125,9 @@ pub struct ActFlaws {
     /// Starts were further apart, or from their plan, than the scenario allows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub out_of_tolerance: Option<OutOfTolerance>,
+    /// Steps were later than the scenario allows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps_late: Option<StepsLate>,
 }
 
 /// Starts that were further apart, or from their plan, than allowed.
@@ -133,6 +136,17 @@ pub struct OutOfTolerance {
     /// By how much.
     #[serde(rename = "spread_ms")]
     pub spread: Span,
+    /// What is allowed.
+    #[serde(rename = "tolerance_ms")]
+    pub tolerance: Span,
+}
+
+/// Steps that were later than allowed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StepsLate {
+    /// By how much the latest of them was late.
+    #[serde(rename = "late_ms")]
+    pub late: Span,
     /// What is allowed.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,

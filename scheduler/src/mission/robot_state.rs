@@ -120,6 +120,7 @@ pub(crate) struct Totals {
     pub(crate) steps_done: u64,
     pub(crate) steps_planned: u64,
     pub(crate) late_steps: u64,
+    pub(crate) late_max: Option<Span>,
     pub(crate) start_error: Option<Span>,
     /// Scripts that were sent and whose fate is unknown.
     pub(crate) unaccounted: usize,
@@ -138,6 +139,7 @@ impl Totals {
         self.steps_done += u64::from(script.steps_done());
         self.steps_planned += script.plan.script.steps().len() as u64;
         self.late_steps += u64::from(script.late_steps());
+        self.late_max = self.late_max.max(script.late_max());
         self.start_error = self.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
         self.unaccounted += usize::from(script.is_unaccounted());
     }

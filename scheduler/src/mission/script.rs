@@ -79,6 +79,7 @@ pub(crate) struct Script {
     started_at: Option<Timestamp<Robot>>,
     steps_done: u32,
     late_steps: u32,
+    late_max: Option<Span>,
     /// The robot said that it began, though nothing else of that is believed.
     began: bool,
     /// The robot said of it what cannot be true.
@@ -108,6 +109,7 @@ impl Script {
             started_at: None,
             steps_done: 0,
             late_steps: 0,
+            late_max: None,
             began: false,
             discredited: false,
             steps_said: None,
@@ -165,6 +167,11 @@ impl Script {
 
     pub(crate) const fn late_steps(&self) -> u32 {
         self.late_steps
+    }
+
+    /// By how much its latest step was late, if the robot says so.
+    pub(crate) fn late_max(&self) -> Option<Span> {
+        self.late_max.filter(|_| self.late_steps > 0)
     }
 
     /// By the robot's clock: when it first said that it holds it.
@@ -294,6 +301,7 @@ impl Script {
         }
         self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
         self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
+        self.late_max = self.late_max.max(response.late_ms_max.map(Millis::span));
         match &response.status {
             Status::Accepted => match response.content_hash.filter(|hash| *hash != self.content_hash) {
                 Some(_) => self.fail(foreign()),
@@ -318,6 +326,7 @@ impl Script {
         }
         self.steps_done = self.steps_done.max(report.steps_done.unwrap_or(0));
         self.late_steps = self.late_steps.max(report.late_steps.unwrap_or(0));
+        self.late_max = self.late_max.max(report.late_ms_max.map(Millis::span));
         let foreign_content = report.content_hash.is_some_and(|hash| hash != self.content_hash);
         match report.state {
             RequestState::Held | RequestState::Running if foreign_content => self.fail(foreign()),

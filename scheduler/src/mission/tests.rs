@@ -335,7 +335,21 @@ fn starts_that_are_as_far_off_as_is_tolerated_are_in_tolerance() {
         let (mut mission, act, mut report) = sent_act();
         report.robots[0].devices[0].start_error = Some(error);
         mission.keep_report(&act, report);
-        assert_eq!(mission.flaw_of_starts.is_some(), flawed, "{error}");
+        assert_eq!(mission.flaw_of_times.is_some(), flawed, "{error}");
+    }
+}
+
+#[test]
+fn steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_left_out_do_not_count() {
+    let beyond = TOLERANCE + Span::from_nanos(1);
+    for (late, left_out, flawed) in [(TOLERANCE, false, false), (beyond, false, true), (beyond, true, false)]
+    {
+        let (mut mission, act, mut report) = sent_act();
+        report.robots[0].left_out = left_out;
+        report.robots[0].devices[0].late_max = Some(late);
+        mission.keep_report(&act, report);
+        let expected = flawed.then_some(Outcome::StepsLate { late, tolerance: TOLERANCE });
+        assert_eq!(mission.flaw_of_times, expected, "{late}, left out: {left_out}");
     }
 }
 

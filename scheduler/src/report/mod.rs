@@ -119,6 +119,9 @@ pub struct RobotReport {
     pub steps_planned: u64,
     /// Steps that came more than a millisecond late, by its own account.
     pub late_steps: u64,
+    /// By how much the latest of them was late, if the robot says so.
+    #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
+    pub late_max: Option<Span>,
     /// Scripts that it was sent and of which it has not said what became of them.
     pub unaccounted: usize,
     /// Requests sent again.
@@ -239,6 +242,7 @@ fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
         steps_done: totals.steps_done,
         steps_planned: totals.steps_planned,
         late_steps: totals.late_steps,
+        late_max: totals.late_max,
         unaccounted: totals.unaccounted,
         retries: totals.retries,
         reconnects: totals.reconnects,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use anstyle::{AnsiColor, Style};
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
-use urrcp::{Latency, Span};
+use urrcp::{DeviceId, Latency, RobotId, Span};
 
 use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
@@ -417,6 +417,7 @@ fn closing_sentences(report: &Report) -> Vec<String> {
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
     }
+    sentences.extend(late_steps(report));
     sentences.extend(report.robots.iter().filter_map(unaccounted));
     sentences.extend(report.robots.iter().filter_map(stop));
     if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
@@ -442,6 +443,34 @@ fn motions(act: &ActReport, named: bool) -> Vec<String> {
         format!("{of_act}motion spread {spread} ±{uncertainty} over {motions} motions, by their sensors")
     }));
     sentences
+}
+
+/// More devices with late steps are counted.
+const LATE_LISTED_MAX: usize = 10;
+
+/// The devices whose steps were late, those with the latest steps first.
+fn late_steps(report: &Report) -> Vec<String> {
+    let mut devices: BTreeMap<_, (u32, Option<Span>)> = BTreeMap::new();
+    for robot in report.acts.iter().flat_map(|act| &act.robots) {
+        for script in robot.devices.iter().filter(|script| script.late_steps > 0) {
+            let (count, max) = devices.entry((&robot.robot, &script.device)).or_default();
+            *count = count.saturating_add(script.late_steps);
+            *max = script.late_max.max(*max);
+        }
+    }
+    let mut devices: Vec<_> = devices.into_iter().collect();
+    devices.sort_by_key(|(_, late)| std::cmp::Reverse(late.1));
+    let omitted = devices.len().saturating_sub(LATE_LISTED_MAX);
+    devices.truncate(LATE_LISTED_MAX);
+    let line = |((robot, device), (count, max)): ((&RobotId, &DeviceId), (u32, Option<Span>))| {
+        let worst = max.map_or_else(String::new, |max| format!(", {max} at most"));
+        format!("{robot}: {} of `{device}` late by more than 1 ms{worst}", counted(count as usize, "step"))
+    };
+    let mut lines: Vec<_> = devices.into_iter().map(line).collect();
+    if omitted > 0 {
+        lines.push(format!("{} more with late steps", counted(omitted, "device")));
+    }
+    lines
 }
 
 fn unaccounted(robot: &RobotReport) -> Option<String> {

@@ -111,7 +111,8 @@ pub struct RobotResult {
 }
 
 /// Outcomes that a mission has which began and came to its planned end, if with losses.
-const CAME_TO_AN_END: [&str; 5] = ["done", "done_without", "done_skipping", "out_of_tolerance", "unknown"];
+const CAME_TO_AN_END: [&str; 6] =
+    ["done", "done_without", "done_skipping", "out_of_tolerance", "steps_late", "unknown"];
 
 impl Results {
     pub(super) fn of(

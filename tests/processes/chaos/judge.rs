@@ -179,7 +179,7 @@ impl Judge<'_> {
             _ if stopped => 0,
             (Some("done_without" | "done_skipping"), _) => 5,
             (Some("stopped"), _) => 3,
-            (Some("out_of_tolerance" | "unknown"), _) => 6,
+            (Some("out_of_tolerance" | "steps_late" | "unknown"), _) => 6,
             _ => 1,
         };
         told.code() == Some(expected)

@@ -64,6 +64,21 @@ fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
     }
 }
 
+#[test]
+fn steps_that_were_later_than_is_tolerated_are_named_and_are_no_success() {
+    let stage = Play { steps: 20, tolerance: "100ms", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+    let running = stage.begin(&["run", "play.yaml", "--patience", "2s"], 0..2, 3);
+    stage.robots[1].freeze();
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    stage.robots[1].thaw();
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(6), "{ended}");
+    let headline = ended.out.starts_with("play: played to its end, but steps were up to ");
+    assert!(headline && ended.out.contains("start_tolerance is 100 ms"), "{ended}");
+    let line = ended.out.lines().find(|line| line.starts_with("r1: "));
+    assert!(line.is_some_and(|line| line.contains(" of `d` late by more than 1 ms, ")), "{ended}");
+}
+
 /// The second robot is frozen once both have set so many values, and the operator stops the mission.
 #[track_caller]
 fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {

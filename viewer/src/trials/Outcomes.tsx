@@ -9,6 +9,7 @@ const COLOURS: Record<string, string> = {
   done_without: "partly",
   done_skipping: "partly",
   out_of_tolerance: "late",
+  steps_late: "late",
   not_started: "idle",
   failed: "failed",
   stopped: "halted",

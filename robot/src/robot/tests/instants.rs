@@ -544,7 +544,11 @@ fn a_step_counts_as_late_from_a_millisecond_on_and_each_counts() {
             bench.now = Timestamp::from_nanos(at(millis).as_nanos() + nanos);
             bench.robot.advance(bench.now, &mut bench.out);
         }
-        assert_eq!(bench.responses().last().unwrap().late_steps, Some(late));
+        let responses = bench.responses();
+        let ended = responses.last().unwrap();
+        assert_eq!(ended.late_steps, Some(late));
+        let latest = (late > 0).then(|| Millis::new(1.000_001).unwrap());
+        assert_eq!(ended.late_ms_max, latest, "the latest one, where any is late");
     }
 }
 

@@ -327,9 +327,15 @@ fn steps_and_late_steps_never_become_fewer() {
         script.answered(&said);
         assert_eq!((script.steps_done(), script.late_steps()), expected);
     }
-    let told = RequestReport { late_steps: Some(2), ..report(&id, RequestState::Running, None) };
-    script.reported(&told, at(5), by_robot(at(5)));
-    assert_eq!((script.steps_done(), script.late_steps()), (2, 2));
+    assert_eq!(script.late_max(), None);
+    for (late, latest) in [(7.5, 7.5), (2.0, 7.5)] {
+        let late_ms_max = Millis::new(late).ok();
+        let told =
+            RequestReport { late_steps: Some(2), late_ms_max, ..report(&id, RequestState::Running, None) };
+        script.reported(&told, at(5), by_robot(at(5)));
+        assert_eq!((script.steps_done(), script.late_steps()), (2, 2));
+        assert_eq!(script.late_max(), Some(Span::from_millis_f64(latest)));
+    }
 }
 
 #[test]

@@ -201,7 +201,7 @@ impl World {
                 // It knows no extension at all.
                 let ControlResponse { request_id, content_hash, event_timestamp, .. } = response;
                 (*request_id, *content_hash, *event_timestamp) = (None, None, None);
-                (response.steps_done, response.late_steps) = (None, None);
+                (response.steps_done, response.late_steps, response.late_ms_max) = (None, None, None);
             }
             _ => {}
         }

@@ -55,6 +55,10 @@ impl Said<'_> {
         if error.abs() > tolerance {
             wrong.push(format!("done, and r{robot} started {name} {error} from its plan"));
         }
+        let late = script.steps().map(|step| step.set_at - step.due).max();
+        if let Some(late) = late.filter(|late| *late > tolerance && self.facts.counts_steps(script.robot)) {
+            wrong.push(format!("done, and r{robot} set a step of {name} {late} late"));
+        }
     }
 
     fn done_but_for_those_left_out(&self, wrong: &mut Vec<String>) {
