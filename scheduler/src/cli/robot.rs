@@ -35,8 +35,8 @@ Examples:
 pub(super) struct RobotArgs {
     #[command(flatten)]
     process: ProcessArgs,
-    /// How far its uncorrected clock is ahead of the true time.
-    #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
+    /// How far its uncorrected clock is ahead of the true time. A negative time means behind.
+    #[arg(long, value_parser = parse_offset, default_value = "0s", value_name = "TIME", allow_hyphen_values = true)]
     clock_offset: Span,
     /// How far off its clock is after NTP has corrected it.
     #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
@@ -277,6 +277,14 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     args.process.run(id, robot.into(), format)
 }
 
+/// A time that may be negative.
+fn parse_offset(text: &str) -> Result<Span, String> {
+    match text.strip_prefix('-') {
+        Some(behind) => parse_span(behind).map(|behind| Span::ZERO - behind),
+        None => parse_span(text),
+    }
+}
+
 fn parse_reading(text: &str) -> Result<(DeviceId, f64), String> {
     let parsed = text.split_once('=').and_then(|(sensor, reading)| {
         let reading = reading.parse().ok().filter(|reading: &f64| reading.is_finite())?;
@@ -348,5 +356,23 @@ pub(super) async fn serve_until_asked_to_end(
             Ok(Err(error)) => failed(&format!("listening ended: {error}")),
             Err(error) => failed(&format!("listening ended: {error}")),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use urrcp::Span;
+
+    use crate::cli::{Cli, Command};
+
+    #[test]
+    fn a_clock_may_be_behind() {
+        for (time, expected) in [("-80ms", -80), ("80ms", 80)] {
+            let args = ["downbeat", "robot", "--init", "arm.yaml", "--clock-offset", time, "--no-ntp"];
+            let parsed = Cli::try_parse_from(args).map(|cli| cli.command);
+            let Ok(Command::Robot(robot)) = parsed else { panic!("{time}: {parsed:?}") };
+            assert_eq!(robot.clock_offset, Span::from_millis(expected));
+        }
     }
 }
