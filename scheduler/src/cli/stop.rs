@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use downbeat_scripts::shown;
 use rustix::process::Pid;
@@ -20,7 +21,7 @@ use crate::journal::{Found, Kept, Life};
 use crate::mission::Rest;
 use crate::report::local::time_of_day;
 use crate::report::{TAKEN_OVER, Withdrawal};
-use crate::run::control::{self, Unheard};
+use crate::run::control::{self, Ending, Unheard};
 use crate::run::desk::Presented;
 use crate::signals;
 
@@ -150,7 +151,10 @@ impl Unread {
 
     async fn stop(self, rest: Rest, presented: Option<Arc<Presented>>) -> Stopped {
         match control::stop(&self.folder, rest, presented.as_deref()).await {
-            Ok(report) => Stopped::by_itself(self.mission, &report),
+            Ok(ending) if leaves_undone(&ending, rest) => {
+                Stopped::of(self.mission, Err(ENDED_AHEAD.to_owned()))
+            }
+            Ok(ending) => Stopped::by_itself(self.mission, &ending.report),
             Err(refused @ Unheard::Refused(_)) => Stopped::of(self.mission, Err(refused.to_string())),
             Err(unheard) => {
                 let reason =
@@ -218,7 +222,7 @@ fn worst(one: Exit, other: Exit) -> Exit {
 async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> Stopped {
     match found.life {
         Life::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
-            Ok(report) => Stopped::by_itself(found.opened.session.clone(), &report),
+            Ok(ending) => heard(&found, how, &ending).await,
             // It is not stopped by its journal instead.
             Err(refused @ Unheard::Refused(_)) => {
                 Stopped::of(found.opened.session.clone(), Err(refused.to_string()))
@@ -228,6 +232,43 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
         Life::CutOff => cut_off(&found, how).await,
         Life::Ended => directly(&found, how, "it has ended; its robots are stopped again").await,
     }
+}
+
+/// Why a mission did not carry out a stop.
+const ENDED_AHEAD: &str = "it ended by an earlier stop before it took this one";
+/// How long the process of a mission may take to end once it has reported.
+const ENDS_WITHIN: Duration = Duration::from_secs(2);
+/// The interval at which the command checks whether it has ended.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+/// Whether robots have come to rest in the other way, though this word is the operator's latest.
+fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
+    let other = match rest {
+        Rest::InPlace => "home",
+        Rest::Home => "confirmed",
+    };
+    let report: Value = serde_json::from_str(&ending.report).unwrap_or_default();
+    let mut robots = report["robots"].as_array().into_iter().flatten();
+    !ending.superseded && robots.any(|robot| robot["stop"]["state"] == other)
+}
+
+/// A mission has ended, and has reported how.
+async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
+    if !leaves_undone(ending, how.rest) {
+        return Stopped::by_itself(found.opened.session.clone(), &ending.report);
+    }
+    // Hardware that its process drives can be reached once that is gone.
+    let gone = async {
+        while Found::look_at(&found.folder).ok().flatten().is_some_and(|found| found.life == Life::Running) {
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    };
+    let scheduler = match tokio::time::timeout(ENDS_WITHIN, gone).await {
+        Ok(()) => Scheduler::Gone,
+        Err(_) => Scheduler::Silent,
+    };
+    directly(found, How { scheduler, ..how }, &format!("{ENDED_AHEAD}; its robots are stopped directly"))
+        .await
 }
 
 /// A mission that was there and gave no report.
@@ -259,7 +300,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
         Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), how).await),
         // By another stop, most likely, which is told of by its socket.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
-            Ok(report) => Stopped::by_itself(mission, &report),
+            Ok(ending) => heard(found, how, &ending).await,
             Err(unheard) => {
                 directly(found, how, &format!("another process has its journal: {unheard}")).await
             }

@@ -2,7 +2,7 @@
 //!
 //! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
 //! or `home`, which sends robots to their default state, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
-//! by its report, a line of JSON. So a client knows within a second whether the mission listens.
+//! by its report, a line of JSON, after `superseded` if a later word brought robots to rest in the other way. So a client knows within a second whether the mission listens.
 //!
 //! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
 //! word, `as CERTIFICATE SIGNATURE`, and may do what its roles permit ([`super::desk`]); what they do not is answered by `refused: REASON`.
@@ -41,6 +41,9 @@ const ALIVE_EVERY: Duration = Duration::from_millis(250);
 const STANDS_STILL: Duration = Duration::from_secs(2);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
+
+/// A later word of the operator brings robots to rest in the other way.
+const SUPERSEDED: &str = "superseded";
 
 /// The socket in a mission's folder.
 #[must_use]
@@ -191,7 +194,12 @@ impl Listener {
         loop {
             let reported = timeout(ALIVE_EVERY, self.report.wait_for(Option::is_some)).await;
             match reported.map(|report| report.ok().and_then(|report| report.clone())) {
-                Ok(Some(report)) => return self.say(&report).await,
+                Ok(Some(report)) => {
+                    if !self.voice.latest_is(rest) {
+                        self.say(SUPERSEDED).await?;
+                    }
+                    return self.say(&report).await;
+                }
                 // The mission ended without one.
                 Ok(None) => return Ok(()),
                 // Robots are asked again at least once a second.
@@ -255,12 +263,22 @@ pub async fn go(
     }
 }
 
-/// Stops a mission. Returns its report, a line of JSON, once it has ended.
+/// How a mission ended that was told to stop.
+#[derive(Clone, Debug)]
+pub struct Ending {
+    /// Its report, a line of JSON.
+    pub report: String,
+    /// A later word of the operator counts in place of this one.
+    pub superseded: bool,
+}
+
+/// Stops a mission. Returns how it has ended, once it has.
 ///
 /// # Errors
 /// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
-pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<String, Unheard> {
+pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Unheard> {
     let mut speaker = Speaker::to(folder).await?;
+    let mut superseded = false;
     let word = match rest {
         Rest::InPlace => "stop",
         Rest::Home => "home",
@@ -274,8 +292,9 @@ pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> R
     loop {
         let line = speaker.hear().await?;
         if line.starts_with('{') {
-            return Ok(line);
+            return Ok(Ending { report: line, superseded });
         }
+        superseded |= line == SUPERSEDED;
         if let Some(reason) = line.strip_prefix("refused: ") {
             return Err(Unheard::Refused(reason.to_owned()));
         }

@@ -74,6 +74,12 @@ impl Voice {
         }
     }
 
+    /// Whether the operator's latest stop brings robots to rest like this.
+    #[must_use]
+    pub fn latest_is(&self, rest: Rest) -> bool {
+        *self.alarm.borrow() == Alarm::Ringing(rest)
+    }
+
     /// Whether the mission has taken all that was said, or is over.
     #[must_use]
     pub fn is_heard(&self) -> bool {

@@ -72,6 +72,24 @@ fn says(ended: &Ended, code: i32, parts: &[&str]) {
 const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 
 #[test]
+fn of_two_stops_within_a_moment_the_later_one_counts() {
+    for delay in [10, 30, 50, 80] {
+        let stage = stage(2);
+        let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+        let first = stage.start(&["stop"]);
+        std::thread::sleep(Duration::from_millis(delay));
+        let home = stage.start(&["stop", "--home"]).ended();
+        match home.code {
+            // The mission had ended.
+            Some(2) => says(&home, 2, &["no mission runs or was cut off"]),
+            _ => says(&home, 0, &["r0: default state confirmed", "r1: default state confirmed"]),
+        }
+        says(&first.ended(), 0, &[]);
+        assert_eq!(mission.ended().code, Some(3));
+    }
+}
+
+#[test]
 fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
     let stage = cut_off(2);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
