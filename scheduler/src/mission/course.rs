@@ -342,6 +342,11 @@ impl Mission {
         self.fates[act.index()].note(fate);
     }
 
+    /// Whether robots have moved, or may have, in an act that is over, here or before another process died.
+    pub(super) fn has_moved(&self) -> bool {
+        self.fates.iter().any(|act| act.moved)
+    }
+
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
         let deserted = act.present().next().is_none();

@@ -281,7 +281,7 @@ impl Mission {
     }
 
     fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {
-        let moved = self.acts.iter().any(|act| may_have_moved(now, act)) || !self.reports.is_empty();
+        let moved = self.acts.iter().any(|act| may_have_moved(now, act)) || self.has_moved();
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
         let reason = self.reason_of(robots);

@@ -48,11 +48,15 @@ pub struct ActCourse {
     /// What became of it.
     #[serde(flatten)]
     pub fate: ActFate,
+    /// Whether robots have moved in it, or may have, one of the times that it came.
+    #[serde(skip)]
+    pub(super) moved: bool,
 }
 
 impl ActCourse {
     pub(super) fn note(&mut self, fate: ActFate) {
         self.played += u32::from(fate == ActFate::Played);
+        self.moved |= matches!(fate, ActFate::Played | ActFate::Stopped | ActFate::Unknown);
         self.fate = fate;
     }
 

@@ -483,6 +483,9 @@ impl Mission {
     /// Ends before anything has been sent that could move a robot.
     pub(super) fn refuse(&mut self, outcome: Outcome) {
         self.outcome = Some(outcome);
+        if self.has_moved() {
+            self.admit_that_it_moved();
+        }
         self.end();
     }
 }

@@ -100,6 +100,19 @@ pub enum Outcome {
 }
 
 impl Outcome {
+    /// Whether it says that nothing was sent, or that none started.
+    pub(super) const fn denies_any_start(&self) -> bool {
+        matches!(
+            self,
+            Self::NotStarted
+                | Self::LeadTooShort { .. }
+                | Self::StartTooSoon { .. }
+                | Self::LeaseTooShort { .. }
+                | Self::DecisionLate { .. }
+                | Self::CommitmentLate { .. }
+        )
+    }
+
     /// What held the scheduler up, for people, if that is why an act was withdrawn.
     pub(crate) fn hold_up(&self) -> Option<String> {
         let (what, late) = match self {

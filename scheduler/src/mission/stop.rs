@@ -57,6 +57,15 @@ impl Mission {
         Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval(), by }
     }
 
+    /// An outcome that denies that anything was sent or started gives way to one that does not.
+    pub(super) fn admit_that_it_moved(&mut self) {
+        if let Some(denial) = self.outcome.take_if(|outcome| outcome.denies_any_start()) {
+            let reason = (denial != Outcome::NotStarted).then(|| denial.to_string());
+            self.because = denial.hold_up().or(reason);
+            self.outcome = Some(Outcome::Failed);
+        }
+    }
+
     /// Nothing more may be promised.
     pub(super) fn journal_lost(&mut self, now: Timestamp<Server>, reason: String) {
         self.tell(Progress::JournalLost { reason: reason.clone() });
@@ -230,20 +239,13 @@ impl Mission {
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
         self.tell_unreached();
         // Whatever was planned: what the robots say they did is what happened.
-        let begun = self.acts.iter().any(Act::has_begun);
-        let not_begun = |outcome: &Outcome| {
-            matches!(
-                outcome,
-                Outcome::NotStarted | Outcome::DecisionLate { .. } | Outcome::CommitmentLate { .. }
-            )
-        };
-        if begun && self.outcome.as_ref().is_some_and(not_begun) {
-            self.because = self.outcome.as_ref().and_then(Outcome::hold_up);
-            self.outcome = Some(Outcome::Failed);
+        let begun = self.has_moved() || self.acts.iter().any(Act::has_begun);
+        if begun {
+            self.admit_that_it_moved();
         }
         let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());
         let unknown = scripts.into_iter().any(|script| script.is_unaccounted());
-        if !begun && !unknown && self.reports.is_empty() && self.outcome == Some(Outcome::Failed) {
+        if !begun && !unknown && self.outcome == Some(Outcome::Failed) {
             self.outcome = Some(Outcome::NotStarted);
         }
         self.phase = Phase::Ended;

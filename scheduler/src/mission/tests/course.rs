@@ -59,6 +59,20 @@ fn a_mission_that_fails_has_not_started_as_long_as_nothing_has_moved() {
 }
 
 #[test]
+fn a_mission_has_started_if_an_act_was_played_whatever_keeps_the_next_one_from_its_start() {
+    let late = Outcome::DecisionLate { by: ms(3) };
+    let short = Outcome::LeaseTooShort { lease: ms(1), needed: ms(2) };
+    for denial in [late, short] {
+        let mut played = Played::begun(waits_in(1));
+        played.run_until(played.now + ms(3_000));
+        let now = played.now;
+        played.mission.abort(now, denial.clone(), Rest::InPlace, None);
+        assert_eq!(played.run_to_the_end(), Outcome::Failed, "{denial}");
+        assert!(played.mission.because().is_some(), "{denial}");
+    }
+}
+
+#[test]
 fn acts_follow_each_other_and_no_more_begin_than_are_wanted() {
     for (acts_max, begun, bound) in [(None, 2, None), (Some(2), 2, None), (Some(1), 1, Some(1))] {
         let mut mission = waits_in(2);
