@@ -8,6 +8,7 @@ use urrcp::{Server, Timestamp};
 
 use super::act::{Act, ActAction, Member, act_name};
 use super::facts::{ActReport, spread};
+use super::failure_kind::FailureKind;
 use super::fates::ActFate;
 use super::record::{ActFlaws, ActOver, OutOfTolerance, Record, StepsLate};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
@@ -162,13 +163,21 @@ impl Mission {
     }
 
     fn come_to_the_end(&mut self) {
+        for robot in 0..self.robots.len() {
+            if let Some(reason) = self.robots[robot].why_it_never_joined() {
+                self.note_failure(robot, FailureKind::NeverJoined { reason });
+            }
+        }
         self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
         self.end();
     }
 
     /// What may be said of a mission that came to its end.
     fn outcome_at_the_end(&self) -> Outcome {
-        let is_out = |robot: &RobotState| robot.standing == Standing::Out;
+        let never_joined = |robot: &RobotState| {
+            robot.failures.iter().any(|f| matches!(f.kind, FailureKind::NeverJoined { .. }))
+        };
+        let is_out = |robot: &RobotState| robot.standing == Standing::Out || never_joined(robot);
         // Of those that were left out nothing is promised.
         if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;

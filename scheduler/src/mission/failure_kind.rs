@@ -184,6 +184,12 @@ pub enum FailureKind {
         /// The robot's reason.
         error: ControlError,
     },
+    /// It was not there when the mission began, and had no part in it until its end.
+    #[error("it never joined: {reason}")]
+    NeverJoined {
+        /// Why, for people.
+        reason: String,
+    },
 }
 
 /// What makes a link too slow.
@@ -295,7 +301,8 @@ mod tests {
                 FailureKind::Claim { device: device(), claim: Claim::Steps { claimed: 2, planned: 1 } }
             }
             FailureKind::Claim { .. } => FailureKind::Script { device: device(), error: error() },
-            FailureKind::Script { .. } => return None,
+            FailureKind::Script { .. } => FailureKind::NeverJoined { reason: text() },
+            FailureKind::NeverJoined { .. } => return None,
         })
     }
 

@@ -477,6 +477,7 @@ impl Mission {
     /// From the next act on that has not been sent.
     pub(super) fn joins(&mut self, robot: usize) {
         self.robots[robot].standing = Standing::In;
+        self.robots[robot].joined_late = true;
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 

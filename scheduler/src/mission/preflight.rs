@@ -273,7 +273,8 @@ fn column(kind: &FailureKind) -> Check {
         | FailureKind::Flooding { .. }
         | FailureKind::TooSlow { .. }
         | FailureKind::Garbled { .. }
-        | FailureKind::Silent { .. } => Check::Link,
+        | FailureKind::Silent { .. }
+        | FailureKind::NeverJoined { .. } => Check::Link,
         FailureKind::WrongVersion { .. } => Check::Version,
         FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
         FailureKind::Clock { .. } | FailureKind::LatencySpread { .. } => Check::Clock,

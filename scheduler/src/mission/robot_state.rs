@@ -226,6 +226,8 @@ pub(crate) struct RobotState {
     /// Attempts to reach it since it was last heard.
     attempts: u32,
     pub(crate) standing: Standing,
+    /// It was not there when the mission began.
+    pub(crate) joined_late: bool,
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
     pub(crate) introduced: bool,
@@ -287,6 +289,7 @@ impl RobotState {
             link: Link::Connecting,
             attempts: 0,
             standing: Standing::In,
+            joined_late: false,
             block: participant.block,
             introduced: false,
             latency_differs: None,
@@ -312,6 +315,21 @@ impl RobotState {
             exchanges: Exchanges::default(),
             totals: Totals::default(),
             was_lost_sight_of: false,
+        }
+    }
+
+    /// Why a robot that was not there at first has had no part in the mission, which is at its end.
+    pub(crate) fn why_it_never_joined(&self) -> Option<String> {
+        match self.standing {
+            Standing::Absent if self.has_failed() => None,
+            Standing::Absent => Some(match self.lost() {
+                Some(lost) => format!("link down: {}", lost.reason),
+                None => "it has not answered".to_owned(),
+            }),
+            Standing::In if self.joined_late && self.totals.sent == 0 => {
+                Some("its acts had begun when it came".to_owned())
+            }
+            Standing::In | Standing::Out => None,
         }
     }
 

@@ -79,7 +79,7 @@ metrics! {
 }
 
 /// The kinds of failures, as reports name them.
-pub(super) const FAILURE_KINDS: [&str; 16] = [
+pub(super) const FAILURE_KINDS: [&str; 17] = [
     "link_down",
     "flooding",
     "too_slow",
@@ -96,6 +96,7 @@ pub(super) const FAILURE_KINDS: [&str; 16] = [
     "position",
     "claim",
     "script",
+    "never_joined",
 ];
 
 #[cfg(test)]

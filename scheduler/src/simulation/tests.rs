@@ -62,6 +62,11 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             Outcome::NotStarted | Outcome::DoneWithout if report.failures.iter().all(unplayable) => {
                 refused += 1;
             }
+            Outcome::DoneWithout
+                if report.failures.iter().all(|f| matches!(f.kind, FailureKind::NeverJoined { .. })) =>
+            {
+                done += 1;
+            }
             // What the scenario asks for is kept or refused.
             Outcome::LeadTooShort { .. } | Outcome::LeaseTooShort { .. } => refused += 1,
             Outcome::Failed | Outcome::DoneSkipping { .. }

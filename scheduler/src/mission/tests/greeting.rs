@@ -330,6 +330,11 @@ fn waits_for_nobody(greeting: Greeting) -> Played {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
     choreography.acts[0].next = Way::Act(0);
     choreography.acts[0].wait = Wait::Done;
+    begun_without_the_second(choreography, greeting)
+}
+
+/// A mission of two robots. The second one is not there at first.
+fn begun_without_the_second(choreography: Choreography, greeting: Greeting) -> Played {
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
     let participants = vec![participant("r0"), participant("r1")];
     let options = MissionOptions { greeting, join: Join::NextAct, ..MissionOptions::default() };
@@ -355,6 +360,21 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
         if greeting == Greeting::Full {
             assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
         }
+    }
+}
+
+#[test]
+fn a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out() {
+    for comes in [false, true] {
+        let long = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
+        let mut played = begun_without_the_second(long, Greeting::Full);
+        if comes {
+            played.happens(Event::LinkUp { robot: 1 });
+        }
+        assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "comes: {comes}");
+        let [failure] = &*played.mission.robots[1].failures else { panic!("comes: {comes}") };
+        assert!(matches!(failure.kind, FailureKind::NeverJoined { .. }), "{failure:?}");
+        assert_eq!(played.mission.robots[1].standing == Standing::In, comes);
     }
 }
 

@@ -4,7 +4,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::Said;
 use super::acts::error_by_its_clock;
-use crate::mission::{ActFate, Join, Outcome, Progress, Record};
+use crate::mission::{ActFate, Outcome, Progress, Record};
 use crate::report::RobotReport;
 use crate::simulation::Happened;
 use crate::simulation::check::facts::{SentAct, SentScript};
@@ -29,12 +29,7 @@ impl Said<'_> {
                 self.script_done(act, script, wrong);
             }
         }
-        // One that never came, and may come when it likes, was sent nothing.
-        let may_be_absent = self.facts.drawn().join == Join::NextAct;
-        let ill = |row: &&RobotReport| {
-            let there = row.standing == "in" || (row.standing == "absent" && may_be_absent);
-            !there || row.unaccounted > 0
-        };
+        let ill = |row: &&RobotReport| row.standing != "in" || row.unaccounted > 0;
         if let Some(row) = self.report.robots.iter().find(ill) {
             wrong.push(format!(
                 "done, and {} is {} with {} unknown",
