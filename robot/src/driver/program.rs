@@ -153,6 +153,19 @@ impl Program {
     fn ask(&mut self, line: &str, wait: Duration) -> Result<String, DriverError> {
         let away = || DriverError::Away("the program does not run".to_owned());
         let answer = self.running.as_mut().ok_or_else(away)?.ask(line, wait);
+        self.answered(answer)
+    }
+
+    /// The same of a line with which it starts: nothing has moved yet, so that the end of the edge waits for no answer.
+    fn ask_at_start(&mut self, line: &str) -> Result<String, DriverError> {
+        let away = || DriverError::Away("the program does not run".to_owned());
+        let running = self.running.as_mut().ok_or_else(away)?;
+        let is_over = || self.ear.as_ref().is_some_and(|ear| ear.pushes.is_over());
+        let answer = running.ask_unless(line, self.timeouts.start, &is_over);
+        self.answered(answer)
+    }
+
+    fn answered(&mut self, answer: Result<String, String>) -> Result<String, DriverError> {
         let answer = answer.map_err(|reason| {
             self.running = None;
             DriverError::Away(format!("the program `{}` {reason}", self.command))
@@ -183,7 +196,7 @@ impl Program {
             running.may_tell();
         }
         let init = json!({ "version": 2, "block": self.block });
-        let answer = self.ask(&format!("init {init}"), self.timeouts.start)?;
+        let answer = self.ask_at_start(&format!("init {init}"))?;
         let declared = match answer.strip_prefix("ok").map(str::trim) {
             Some("") => Ok(Declared::default()),
             Some(json) => serde_json::from_str(json).map_err(|error| error.to_string()),
@@ -289,7 +302,7 @@ impl Driver for Program {
         self.running = Some(started.map_err(|error| {
             DriverError::Away(format!("the program `{}` does not start: {error}", self.command))
         })?);
-        self.declared = match self.ask("hello", self.timeouts.start)?.as_str() {
+        self.declared = match self.ask_at_start("hello")?.as_str() {
             "ok" => Declared::default(),
             "ok ramps" => Declared { ramps: true, ..Declared::default() },
             "ok 2" => self.introduce()?,

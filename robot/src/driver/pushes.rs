@@ -25,6 +25,11 @@ impl Pushes {
         Self(mailbox)
     }
 
+    /// Whether the driver is to end.
+    pub(super) fn is_over(&self) -> bool {
+        self.0.is_closed()
+    }
+
     /// A sensor reads this now, in its unit. A reading that is asked for within the sensor's `max_delay`, or within a second if it has
     /// none, is answered with it. Nothing while the hardware is not connected.
     pub fn reading(&self, sensor: &DeviceId, reading: f64) {

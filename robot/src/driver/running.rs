@@ -123,20 +123,42 @@ impl Running {
 
     /// Sends a line and returns the answer.
     pub(super) fn ask(&mut self, line: &str, wait: Duration) -> Result<String, String> {
+        self.ask_unless(line, wait, &|| false)
+    }
+
+    /// The same, but returns early once nobody needs the answer.
+    pub(super) fn ask_unless(
+        &mut self,
+        line: &str,
+        wait: Duration,
+        is_over: &dyn Fn() -> bool,
+    ) -> Result<String, String> {
         let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
         // Together in one write: a program may read in pieces.
         let verb = line.split(' ').next().unwrap_or(line);
         let shown = if line.len() > SHOWN_MAX { verb } else { line };
-        match write_within(input, format!("{line}\n").as_bytes(), wait) {
+        match write_within(input, format!("{line}\n").as_bytes(), wait, is_over) {
             Ok(true) => {}
+            Ok(false) if is_over() => return Err(format!("had not read `{shown}` when it was ended")),
             Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
             Err(error) if error.kind() == ErrorKind::BrokenPipe => return Err(self.why_it_reads_no_more()),
             Err(error) => return Err(format!("takes no line: {error}")),
         }
-        self.answers.recv_timeout(wait).map_err(|error| match error {
-            RecvTimeoutError::Timeout => format!("did not answer `{shown}` within {}", seconds(wait)),
-            RecvTimeoutError::Disconnected => "has ended".to_owned(),
-        })
+        let mut left = wait;
+        loop {
+            let slice = left.min(LOOK_EVERY);
+            match self.answers.recv_timeout(slice) {
+                Ok(answer) => return Ok(answer),
+                Err(RecvTimeoutError::Disconnected) => return Err("has ended".to_owned()),
+                Err(RecvTimeoutError::Timeout) => left -= slice,
+            }
+            if is_over() {
+                return Err(format!("had not answered `{shown}` when it was ended"));
+            }
+            if left.is_zero() {
+                return Err(format!("did not answer `{shown}` within {}", seconds(wait)));
+            }
+        }
     }
 
     fn why_it_reads_no_more(&self) -> String {
@@ -147,6 +169,9 @@ impl Running {
         if ended { "has ended" } else { "has closed its input" }.to_owned()
     }
 }
+
+/// The interval at which a wait checks whether somebody still needs the answer.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// A program that ends closes its input and its output, one just before the other.
 const ENDS_WITHIN: Duration = Duration::from_millis(200);
@@ -160,16 +185,28 @@ fn seconds(wait: Duration) -> String {
     format!("{} s", wait.as_secs_f64())
 }
 
-/// False if the program has not read for that long.
-fn write_within(input: &mut ChildStdin, mut bytes: &[u8], wait: Duration) -> std::io::Result<bool> {
-    let wait = Timespec::try_from(wait).map_err(std::io::Error::other)?;
+/// False if the program has not read for that long, or its end has come.
+fn write_within(
+    input: &mut ChildStdin,
+    mut bytes: &[u8],
+    wait: Duration,
+    is_over: &dyn Fn() -> bool,
+) -> std::io::Result<bool> {
+    let mut left = wait;
     while !bytes.is_empty() {
         match input.write(bytes) {
             Ok(0) => return Err(ErrorKind::WriteZero.into()),
             Ok(written) => bytes = &bytes[written..],
             Err(error) if error.kind() == ErrorKind::Interrupted => {}
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
-                if poll(&mut [PollFd::new(&*input, PollFlags::OUT)], Some(&wait))? == 0 {
+                let slice = left.min(LOOK_EVERY);
+                let time = Timespec::try_from(slice).map_err(std::io::Error::other)?;
+                if poll(&mut [PollFd::new(&*input, PollFlags::OUT)], Some(&time))? > 0 {
+                    left = wait;
+                    continue;
+                }
+                left -= slice;
+                if left.is_zero() || is_over() {
                     return Ok(false);
                 }
             }

@@ -45,6 +45,22 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
 }
 
 #[test]
+fn a_program_that_answers_nothing_does_not_delay_the_end_of_its_edge() {
+    let session = session();
+    // The second one says what it is and does not say what it can do.
+    for silent in ["cat > /dev/null", "read -r hello; echo ok 2; cat > /dev/null"] {
+        session.file("silent.sh", format!("touch begun\n{silent}\n"));
+        let edge = Edge::start(&session, "tank.json", "program:sh silent.sh");
+        await_that("its start", || session.path("begun").exists());
+        std::fs::remove_file(session.path("begun")).unwrap();
+        let asked = std::time::Instant::now();
+        let (code, said) = edge.end();
+        assert_eq!(code, Some(0), "{said}");
+        assert!(asked.elapsed() < Duration::from_secs(5), "{silent}: {:?}", asked.elapsed());
+    }
+}
+
+#[test]
 fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resume_after_it() {
     let session = session();
     session
