@@ -1,18 +1,20 @@
 //! Preparing an act again that was withdrawn before anything moved, because this machine was too slow for it.
 
-use urrcp::{Server, Span, Timestamp};
+use urrcp::{ErrorCode, Server, Span, Timestamp};
 
 use super::act::{Act, Member, Progressed};
 use super::course::may_have_moved;
 use super::failure_kind::FailureKind;
 use super::robot_state::Rest;
 use super::script::Script;
-use super::{Mission, Outcome};
+use super::{Mission, Outcome, Phase};
 
 /// An act is prepared again so many times at most.
 const AGAIN_MAX: u32 = 2;
 /// A machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
+/// An act that is due for longer has missed a round: leases that end then have ended because of this machine.
+const OVERDUE: Span = Span::from_millis(5);
 
 /// An act that is withdrawn and prepared again once all robots have confirmed their stop.
 #[derive(Debug)]
@@ -41,7 +43,16 @@ impl Mission {
         number: u32,
         failing: Vec<(usize, FailureKind)>,
     ) {
+        // While all are stopped, nothing is withdrawn any more.
         let act = self.acts.iter().find(|act| act.number() == number);
+        let act = act.filter(|_| self.phase == Phase::Performing);
+        let overdue = act.filter(|act| !act.is_committed()).and_then(|act| Some(now - act.wakeup()?));
+        if let Some(by) = overdue.filter(|by| *by > OVERDUE && failing.iter().all(|(_, kind)| is_lease(kind)))
+        {
+            let decided = act.is_some_and(|act| act.progress() > Progressed::Preparing);
+            let outcome = if decided { Outcome::CommitmentLate { by } } else { Outcome::DecisionLate { by } };
+            return self.withdraw_act(now, number, outcome);
+        }
         let suspect = act.is_some_and(|act| {
             let silent = failing.iter().all(|(_, kind)| matches!(kind, FailureKind::Silent { .. }));
             let most = failing.len() >= 2 && failing.len() * 2 > act.present().count();
@@ -120,4 +131,9 @@ impl Mission {
         self.line_up_attempt(now, act, attempts);
         self.goes_on(now);
     }
+}
+
+/// Whether a pending lease has ended.
+fn is_lease(kind: &FailureKind) -> bool {
+    matches!(kind, FailureKind::Script { error, .. } if error.code == ErrorCode::LinkLost)
 }

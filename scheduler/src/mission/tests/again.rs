@@ -2,7 +2,7 @@
 
 use super::played::Played;
 use super::*;
-use crate::mission::bench::ms;
+use crate::mission::bench::{ms, response};
 
 const LATE: Outcome = Outcome::DecisionLate { by: Span::from_millis(30) };
 
@@ -145,4 +145,21 @@ fn one_robot_that_does_not_accept_in_time_is_left_out_at_once() {
     let mut played = accepts_late(1, downbeat_scripts::OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
     assert!(played.mission.reports.iter().all(|act| act.prepared_again == 0));
+}
+
+#[test]
+fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
+    for (late, again) in [(ms(50), true), (Span::ZERO, false)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        played.run_until(played.mission.acts[0].timing().unwrap().critical() - ms(40));
+        let due = played.mission.acts[0].wakeup().unwrap();
+        played.now = due + late;
+        let named = played.mission.robots[0].requests.keys().next().cloned();
+        let mut ended = response(&DeviceId::new("a").unwrap(), named.as_ref(), Status::Failed, played.now);
+        ended.error = Some(urrcp::ControlError::new(urrcp::ErrorCode::LinkLost, "the pending lease ended"));
+        played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::Done, again, "{late}: {outcome:?}");
+        assert_eq!(played.mission.robots[0].has_failed(), !again, "{late}");
+    }
 }
