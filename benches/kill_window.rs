@@ -141,7 +141,7 @@ fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<
     let victim = if fault.via() == Via::Proxy { 0 } else { number % ROBOTS };
     let began = epoch_nanos();
     let mut running = stage.start(&["run", "window.yaml", "--lead", LEAD, "--patience", "1s"]);
-    let Some(start) = running.start() else {
+    let Some(start) = running.start_if_prepared() else {
         println!("  trial {number} was never prepared: {}", running.ended().told);
         return None;
     };

@@ -13,7 +13,7 @@ pub(crate) struct LateSteps {
 }
 
 impl LateSteps {
-    /// A step was done so long after its deadline.
+    /// A step was done this long after its deadline.
     pub(crate) fn note(&mut self, by: Span) {
         if by > LATE {
             self.count += 1;

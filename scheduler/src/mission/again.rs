@@ -9,7 +9,7 @@ use super::robot_state::Rest;
 use super::script::Script;
 use super::{Mission, Outcome, Phase};
 
-/// An act is prepared again so many times at most.
+/// How often an act is prepared again, at most.
 const AGAIN_MAX: u32 = 2;
 /// A machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
@@ -64,7 +64,7 @@ impl Mission {
         }
     }
 
-    /// Whether nothing else is under way that a stop would end, and the act need not begin at an instant of its own.
+    /// Whether this act alone is under way, so that a stop ends no other, and it may begin at any time.
     pub(super) fn may_be_prepared_again(&self, number: u32) -> bool {
         let [act] = self.acts.as_slice() else { return false };
         act.number() == number && act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options)

@@ -201,7 +201,7 @@ impl Mission {
         self.line_up_attempt(now, index, 0);
     }
 
-    /// The same, after so many attempts that were withdrawn.
+    /// The same, after this number of attempts that were withdrawn.
     pub(super) fn line_up_attempt(&mut self, now: Timestamp<Server>, index: usize, attempts: u32) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);

@@ -348,7 +348,7 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
 #[test]
 fn a_robot_that_never_comes_is_named_and_the_mission_is_done_without_it() {
     let session = evening("wait: done");
-    let (left, right) = ports(&session);
+    let (left, _) = ports(&session);
     let _left = robot(&session, "left", left);
     let ran = session.run(&["run", "evening.yaml", "--join", "next_act", "--format", "text"]);
     ran.says(5, &["evening: done, without", "right: it never joined: link down"]);

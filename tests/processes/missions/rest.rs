@@ -24,8 +24,7 @@ fn stage() -> Stage {
 }
 
 fn playing(stage: &Stage) -> Running {
-    let running = stage.begin(&["run", "play.yaml"], 0..stage.robots.len(), 5);
-    running
+    stage.begin(&["run", "play.yaml"], 0..stage.robots.len(), 5)
 }
 
 /// Neither goes to its default state, nor on.

@@ -75,7 +75,7 @@ const BOTH: [&str; 2] = ["r0: stop confirmed", "r1: stop confirmed"];
 fn of_two_stops_within_a_moment_the_later_one_counts() {
     for delay in [10, 30, 50, 80] {
         let stage = stage(2);
-        let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+        let mission = stage.begin(&["run", "long.yaml"], [0, 1], 2);
         let first = stage.start(&["stop"]);
         std::thread::sleep(Duration::from_millis(delay));
         let home = stage.start(&["stop", "--home"]).ended();

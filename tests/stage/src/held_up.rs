@@ -3,11 +3,13 @@
 //! A test may play a mission again for these reasons and for no other: a failure that has another reason is a fault.
 
 /// A sentence or word of a report, and the outcome or failure that it stands for.
-const REASONS: [(&str, &str); 6] = [
+const REASONS: [(&str, &str); 8] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
     ("this machine was held up", "outcome `decision_late`"),
     ("this machine or its disk was held up", "outcome `commitment_late`"),
     ("_late\":{\"by_ms\"", "outcome `decision_late` or `commitment_late`"),
+    ("played to its end, but steps were up to", "late steps of a robot on this machine"),
+    ("\"steps_late\":{\"late_ms\"", "late steps of a robot on this machine"),
     ("the link to it is too slow", "failure `too_slow` on a link of this machine"),
     ("\"failure\":\"too_slow\"", "failure `too_slow` on a link of this machine"),
 ];

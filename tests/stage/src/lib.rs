@@ -509,9 +509,12 @@ impl Running {
     /// The start of the act that it prepares next, in nanoseconds since the epoch.
     #[track_caller]
     pub fn start(&mut self) -> i64 {
-        let line = self.line("start at ");
-        let time = line.split("start at ").nth(1).unwrap().split([' ', ',']).next().unwrap();
-        today(time)
+        start_in(&self.line("start at "))
+    }
+
+    /// The same; `None` if it ends before it prepares one.
+    pub fn start_if_prepared(&mut self) -> Option<i64> {
+        self.find("start at ").map(|line| start_in(&line))
     }
 
     fn has_ended(&mut self) -> bool {
@@ -540,6 +543,11 @@ impl Running {
         self.told.extend(self.lines.iter().map(|line| line + "\n"));
         Ok(Ended { code, out: self.out.join().unwrap(), told: self.told })
     }
+}
+
+fn start_in(line: &str) -> i64 {
+    let time = line.split("start at ").nth(1).unwrap();
+    today(time.split([' ', ',']).next().unwrap())
 }
 
 impl Ended {

@@ -109,7 +109,7 @@ fn an_act_that_a_robot_has_begun_is_not_prepared_again() {
     assert_eq!(played.starts(), 1);
 }
 
-/// Three robots of which so many do not accept in time.
+/// Three robots; the first `silent` ones do not accept in time.
 fn accepts_late(silent: usize, on_failure: downbeat_scripts::OnFailure) -> Played {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
     let mut choreography = choreography(&scripts);
