@@ -1,4 +1,4 @@
-//! How many steps of a command were late, and by how much the latest of them.
+//! The number of late steps of a command, and how late the latest of them was.
 
 use urrcp::{Millis, Span};
 
@@ -13,7 +13,7 @@ pub(crate) struct LateSteps {
 }
 
 impl LateSteps {
-    /// A step was done this long after its deadline.
+    /// Records that a step was done this long after its deadline.
     pub(crate) fn note(&mut self, by: Span) {
         if by > LATE {
             self.count += 1;
@@ -21,7 +21,7 @@ impl LateSteps {
         }
     }
 
-    /// `None` if no step was late.
+    /// How late the latest step was; `None` if no step was late.
     pub(crate) fn ms_max(self) -> Option<Millis> {
         (self.count > 0).then(|| Millis::from_span(self.max))
     }

@@ -1,5 +1,5 @@
-//! Local times by the rules of the day in question: the instants at which clocks show a time, and what clocks show at an
-//! instant. Which zone that is, the caller says: virtual time has no zone of its own.
+//! Local times by the rules of the day in question: the instants at which the clocks show a time, and the time that they show
+//! at an instant. The caller specifies the time zone, because virtual time has none of its own.
 
 use chrono::{DateTime, Days, FixedOffset, NaiveDateTime, NaiveTime, Offset, SecondsFormat, TimeDelta, Utc};
 use urrcp::{Server, Span, Timestamp};
@@ -15,7 +15,7 @@ pub struct Zone {
     offset: fn(Timestamp<Server>) -> FixedOffset,
 }
 
-/// A time of day that clocks skip.
+/// A time of day that the clocks skip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{} does not exist on {}: clocks go from {} to {}",
@@ -25,7 +25,7 @@ pub struct SkippedTime {
     wanted: NaiveDateTime,
     before: NaiveDateTime,
     after: NaiveDateTime,
-    /// The instant at which clocks skip it.
+    /// The instant at which the clocks skip it.
     pub at: Timestamp<Server>,
 }
 
@@ -33,18 +33,18 @@ impl Zone {
     /// UTC.
     pub const UTC: Self = Self::new(|_| Utc.fix());
 
-    /// The zone with this offset from UTC at an instant.
+    /// The time zone with this UTC offset at each instant.
     #[must_use]
     pub const fn new(offset: fn(Timestamp<Server>) -> FixedOffset) -> Self {
         Self { offset }
     }
 
-    /// The first instant from `from` on at which clocks show this time of day, given since midnight.
+    /// The first instant, `from` or later, at which the clocks show this time of day, given since midnight.
     ///
     /// # Errors
-    /// Clocks skip this time on the day on which they would show it next.
+    /// The clocks skip this time on the day on which they would next show it.
     pub fn next(self, from: Timestamp<Server>, time: Span) -> Result<Timestamp<Server>, SkippedTime> {
-        // Clocks that are set back at midnight show times of the day before once more.
+        // If the clocks are set back at midnight, they show times of the previous day again.
         let mut date = self.local(from).date_naive() - Days::new(1);
         loop {
             let wanted = date.and_time(NaiveTime::MIN) + TimeDelta::nanoseconds(time.as_nanos());
@@ -60,13 +60,13 @@ impl Zone {
         }
     }
 
-    /// The other instant at which clocks show the same date and time, if they are set back in between.
+    /// The other instant at which the clocks show the same date and time, if they are set back in between.
     #[must_use]
     pub fn repeated(self, at: Timestamp<Server>) -> Option<Timestamp<Server>> {
         self.instants(self.local(at).naive_local()).into_iter().find(|other| *other != at)
     }
 
-    /// The time of day, with its UTC offset where clocks show it twice: `19:30:00.412`, `02:30:00.000 UTC+02:00`.
+    /// The time of day, with its UTC offset if the clocks show it twice: `19:30:00.412`, `02:30:00.000 UTC+02:00`.
     #[must_use]
     pub fn time_of_day(self, at: Timestamp<Server>) -> String {
         let time = self.local(at).format(TIME_OF_DAY);
@@ -82,7 +82,7 @@ impl Zone {
         self.local(at).format("%H:%M:%S").to_string()
     }
 
-    /// The time of day, and the date if that is not the date of `today`: `03:30:00.000 on 28 Mar 2027`.
+    /// The time of day, and the date if it is not the date of `today`: `03:30:00.000 on 28 Mar 2027`.
     #[must_use]
     pub fn time_as_of(self, at: Timestamp<Server>, today: Timestamp<Server>) -> String {
         let date = self.local(at).date_naive();
@@ -93,7 +93,7 @@ impl Zone {
         }
     }
 
-    /// With its date: `22 Nov 2026, 19:30:00.412`.
+    /// The date and the time of day: `22 Nov 2026, 19:30:00.412`.
     #[must_use]
     pub fn date_and_time(self, at: Timestamp<Server>) -> String {
         format!("{}, {}", self.local(at).format(DATE), self.time_of_day(at))
@@ -109,7 +109,7 @@ impl Zone {
         DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&(self.offset)(at))
     }
 
-    /// The instants at which clocks show this: two where they are set back, none where they skip it.
+    /// The instants at which the clocks show this date and time: two if they are set back, none if they skip it.
     fn instants(self, local: NaiveDateTime) -> Vec<Timestamp<Server>> {
         let mut instants = self.candidates(local).to_vec();
         instants.retain(|at| self.local(*at).naive_local() == local);
@@ -117,7 +117,7 @@ impl Zone {
         instants
     }
 
-    /// The instants at which clocks would show this by the offset of the day before, and by that of the day after.
+    /// The instants at which the clocks would show this with the UTC offset of the previous day, and with that of the next day.
     fn candidates(self, local: NaiveDateTime) -> [Timestamp<Server>; 2] {
         let as_utc = Timestamp::from_nanos(local.and_utc().timestamp_nanos_opt().unwrap_or(i64::MAX));
         let ahead = |at| Span::from_millis(i64::from((self.offset)(at).local_minus_utc()) * 1_000);
@@ -146,7 +146,7 @@ impl Zone {
 }
 
 impl SkippedTime {
-    /// The nearest times that clocks show, to the second.
+    /// The nearest times that the clocks show, to the second.
     #[must_use]
     pub fn nearest(&self) -> String {
         format!("{} and {}", (self.before - TimeDelta::seconds(1)).time(), self.after.time())
@@ -168,7 +168,7 @@ mod tests {
         FixedOffset::east_opt(minutes * 60).unwrap()
     }
 
-    /// Clocks go forward in spring from 02:00 to 03:00, and back in autumn from 03:00 to 02:00.
+    /// The clocks go forward in spring from 02:00 to 03:00, and back in autumn from 03:00 to 02:00.
     const BERLIN: Zone = Zone::new(|instant| {
         let summers = [
             ("2026-03-29T01:00:00Z", "2026-10-25T01:00:00Z"),
@@ -178,7 +178,7 @@ mod tests {
         east(if summer { 120 } else { 60 })
     });
 
-    /// Clocks go back one minute after midnight, to 23:01 of the day before.
+    /// The clocks go back one minute after midnight, to 23:01 of the previous day.
     const ST_JOHNS: Zone =
         Zone::new(|instant| east(if instant < at("2006-10-29T02:31:00Z") { -150 } else { -210 }));
 
@@ -192,7 +192,7 @@ mod tests {
         check(BERLIN, "2026-07-01T10:00:00Z", 13, 0, "2026-07-01T11:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 12, 0, "2026-07-01T10:00:00Z");
         check(BERLIN, "2026-07-01T10:00:00Z", 11, 59, "2026-07-02T09:59:00Z");
-        // It is tomorrow already where clocks are ahead of UTC.
+        // Where clocks are ahead of UTC, it is already tomorrow.
         check(BERLIN, "2026-07-01T22:30:00Z", 0, 45, "2026-07-01T22:45:00Z");
         check(Zone::UTC, "2026-07-01T22:30:00Z", 0, 45, "2026-07-02T00:45:00Z");
     }
@@ -221,7 +221,7 @@ mod tests {
     #[test]
     fn a_time_that_clocks_have_just_skipped_is_tomorrow() {
         check(BERLIN, "2027-03-28T01:00:00Z", 2, 30, "2027-03-29T00:30:00Z");
-        // Today's has passed, and clocks skip that of tomorrow.
+        // Today's 02:30 has passed, and the clocks skip tomorrow's.
         assert!(BERLIN.next(at("2027-03-27T01:31:00Z"), HOUR * 2 + MINUTE * 30).is_err());
     }
 

@@ -42,7 +42,7 @@ pub struct ControlResponse {
     /// How many of them more than a millisecond late (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// By how much the latest of them was late (our extension).
+    /// How late the latest of them was (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
     /// Why it failed (our extension).

@@ -93,7 +93,7 @@ pub struct RequestReport {
     /// How many of them more than a millisecond late.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
-    /// By how much the latest of them was late.
+    /// How late the latest of them was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_ms_max: Option<Millis>,
     /// Why one that has ended was refused or ended early. Absent: it completed.

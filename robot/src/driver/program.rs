@@ -156,7 +156,7 @@ impl Program {
         self.answered(answer)
     }
 
-    /// The same of a line with which it starts: nothing has moved yet, so that the end of the edge waits for no answer.
+    /// Like `ask`, for the lines at the start: nothing has moved yet, so an edge that ends does not wait for the answer.
     fn ask_at_start(&mut self, line: &str) -> Result<String, DriverError> {
         let away = || DriverError::Away("the program does not run".to_owned());
         let running = self.running.as_mut().ok_or_else(away)?;

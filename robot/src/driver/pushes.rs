@@ -25,7 +25,7 @@ impl Pushes {
         Self(mailbox)
     }
 
-    /// Whether the driver is to end.
+    /// Whether the driver has to shut down.
     pub(super) fn is_over(&self) -> bool {
         self.0.is_closed()
     }

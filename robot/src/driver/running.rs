@@ -126,7 +126,7 @@ impl Running {
         self.ask_unless(line, wait, &|| false)
     }
 
-    /// The same, but returns early once nobody needs the answer.
+    /// Like `ask`, but returns early once `is_over` returns true.
     pub(super) fn ask_unless(
         &mut self,
         line: &str,
@@ -170,7 +170,7 @@ impl Running {
     }
 }
 
-/// The interval at which a wait checks whether somebody still needs the answer.
+/// The interval at which a wait checks whether the answer is still needed.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// A program that ends closes its input and its output, one just before the other.
@@ -185,7 +185,7 @@ fn seconds(wait: Duration) -> String {
     format!("{} s", wait.as_secs_f64())
 }
 
-/// False if the program has not read for that long, or its end has come.
+/// Returns false if the program has not read for `wait`, or once `is_over` returns true.
 fn write_within(
     input: &mut ChildStdin,
     mut bytes: &[u8],

@@ -135,7 +135,7 @@ struct answer {
     double value;
     int64_t event;
     int steps_done, late_steps;
-    int64_t latest; /* ns by which its latest step was late */
+    int64_t latest; /* how late its latest step was, in ns */
     const char *code, *message;
     const struct command *command; /* that is accepted and has not ended */
     char content_hash[65];         /* of what was accepted */
@@ -156,7 +156,7 @@ struct command {
     double from_value;
     enum kind from_kind;
     int done, late, size;
-    int64_t latest;                /* ns by which its latest step was late */
+    int64_t latest;                /* how late its latest step was, in ns */
     struct step steps[MAX_STEPS];
 };
 

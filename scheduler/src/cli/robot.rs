@@ -277,7 +277,7 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     args.process.run(id, robot.into(), format)
 }
 
-/// A time that may be negative.
+/// Parses a time that may be negative.
 fn parse_offset(text: &str) -> Result<Span, String> {
     match text.strip_prefix('-') {
         Some(behind) => parse_span(behind).map(|behind| Span::ZERO - behind),

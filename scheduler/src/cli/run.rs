@@ -413,7 +413,7 @@ impl Work<'_> {
         })
     }
 
-    /// The instant that `--at` means, by the zone of this machine.
+    /// The instant of `--at`, in the time zone of this machine.
     fn start(&self, now: Timestamp<Server>) -> Result<Option<Timestamp<Server>>, Stopped> {
         let Some(at) = self.at else { return Ok(None) };
         let start = at.instant(now, ZONE).map_err(|skipped| usage(format!("--at: {}", refusal(skipped))))?;
@@ -527,7 +527,7 @@ impl StartAt {
         }
     }
 
-    /// Which of two is meant, where clocks show a time of day twice.
+    /// States which instant `--at` means, if the clocks show its time of day twice.
     fn choice_of_two(self, at: Timestamp<Server>, zone: Zone) -> Option<String> {
         let other = zone.repeated(at).filter(|_| matches!(self, Self::TimeOfDay(_)))?;
         let which = if at < other { "the first" } else { "the second" };
@@ -540,7 +540,7 @@ impl StartAt {
     }
 }
 
-/// Refuses a scenario with an act that would wait for a time that clocks skip.
+/// Refuses a scenario with an act that would wait for a time that the clocks skip.
 fn check_waits(
     choreography: &Choreography,
     options: &MissionOptions,

@@ -234,14 +234,14 @@ async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> 
     }
 }
 
-/// Why a mission did not carry out a stop.
+/// The reason if a mission did not carry out a stop.
 const ENDED_AHEAD: &str = "it ended by an earlier stop before it took this one";
-/// How long the process of a mission may take to end once it has reported.
+/// How long the process of a mission may take to end after its report.
 const ENDS_WITHIN: Duration = Duration::from_secs(2);
-/// The interval at which the command checks whether it has ended.
+/// The interval at which the command checks whether the process has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Whether robots have come to rest in the other way, though this word is the operator's latest.
+/// Whether robots came to rest in the other way, although this stop is the operator's latest one.
 fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     let other = match rest {
         Rest::InPlace => "home",
@@ -252,12 +252,12 @@ fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     !ending.superseded && robots.any(|robot| robot["stop"]["state"] == other)
 }
 
-/// A mission has ended, and has reported how.
+/// Evaluates the report of a mission that has ended. If it did not carry out this stop, stops its robots directly.
 async fn heard(found: &Found, how: How, ending: &Ending) -> Stopped {
     if !leaves_undone(ending, how.rest) {
         return Stopped::by_itself(found.opened.session.clone(), &ending.report);
     }
-    // Hardware that its process drives can be reached once that is gone.
+    // Hardware that the mission's process drives is reachable once that process has ended.
     let gone = async {
         while Found::look_at(&found.folder).ok().flatten().is_some_and(|found| found.life == Life::Running) {
             tokio::time::sleep(LOOK_EVERY).await;

@@ -1,4 +1,4 @@
-//! Preparing an act again that was withdrawn before anything moved, because this machine was too slow for it.
+//! Prepares an act again if it was withdrawn before anything moved, because this machine was too slow to start it.
 
 use urrcp::{ErrorCode, Server, Span, Timestamp};
 
@@ -9,25 +9,25 @@ use super::robot_state::Rest;
 use super::script::Script;
 use super::{Mission, Outcome, Phase};
 
-/// How often an act is prepared again, at most.
+/// The maximum number of times that an act is prepared again.
 const AGAIN_MAX: u32 = 2;
-/// A machine that was late by less may be late by this much the next time.
+/// The shortest delay to allow for: a machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is due for longer has missed a round: leases that end then have ended because of this machine.
+/// An act that is overdue for longer than this has missed a round. If leases end then, this machine is the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
-/// An act that is withdrawn and prepared again once all robots have confirmed their stop.
+/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop.
 #[derive(Debug)]
 pub(super) struct Again {
     act: usize,
     attempts: u32,
-    /// Robots that had not accepted. They have failed if they do not confirm their stop either.
+    /// Robots that had not accepted. If they do not confirm their stop either, they have failed.
     silent: Vec<(usize, FailureKind)>,
     hold_up: Span,
 }
 
 impl Mission {
-    /// This machine was too slow to start an act: withdraws it, and prepares it again if it may.
+    /// Withdraws an act that this machine was too slow to start, and prepares it again if that is permitted.
     pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: u32, outcome: Outcome) {
         match self.may_be_prepared_again(number) {
             true => self.prepare_again(now, outcome, Vec::new()),
@@ -35,15 +35,15 @@ impl Mission {
         }
     }
 
-    /// Robots of an act have failed. If most of them did not accept in time although their links stand, this machine may be
-    /// too slow, rather than each of them: the act is prepared again once before they count as failed.
+    /// Handles the failure of robots in an act. If most of them did not accept in time although their links are up, the
+    /// cause may be this machine: the mission prepares the act again once before the robots count as failed.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
         number: u32,
         failing: Vec<(usize, FailureKind)>,
     ) {
-        // While all are stopped, nothing is withdrawn any more.
+        // While the mission stops all robots, it no longer withdraws an act.
         let act = self.acts.iter().find(|act| act.number() == number);
         let act = act.filter(|_| self.phase == Phase::Performing);
         let overdue = act.filter(|act| !act.is_committed()).and_then(|act| Some(now - act.wakeup()?));
@@ -64,7 +64,7 @@ impl Mission {
         }
     }
 
-    /// Whether this act alone is under way, so that a stop ends no other, and it may begin at any time.
+    /// Whether only this act is under way, so that a stop ends no other act, and whether it may begin at any time.
     pub(super) fn may_be_prepared_again(&self, number: u32) -> bool {
         let [act] = self.acts.as_slice() else { return false };
         act.number() == number && act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options)
@@ -87,7 +87,7 @@ impl Mission {
         self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
     }
 
-    /// The stop of a withdrawn act is over. Returns whether the act is prepared again; if not, the mission ends.
+    /// Ends the stop of a withdrawn act. Returns whether the act is prepared again; if not, the mission ends.
     pub(super) fn goes_again(&mut self, now: Timestamp<Server>, confirmed: bool) -> bool {
         let Some(again) = self.again.take() else { return false };
         let moved = self.acts.iter().any(|act| self.may_have_begun(now, act));
@@ -110,7 +110,8 @@ impl Mission {
         false
     }
 
-    /// Whether a robot may have begun an act that was not committed. One that drops what is not committed has not, unless it says so.
+    /// Whether a robot may have begun an act that was not committed. A robot that drops uncommitted scripts has not begun,
+    /// unless it reports that it has.
     fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
         let unaccounted = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
@@ -118,7 +119,7 @@ impl Mission {
         act.has_begun() || !safe && may_have_moved(now, act)
     }
 
-    /// Forgets the attempt that was withdrawn, and lines the act up once more. What it waited for has come.
+    /// Discards the withdrawn attempt and lines the act up again. The condition of the act has been met.
     pub(super) fn line_up_again(&mut self, now: Timestamp<Server>) {
         let Some(Again { act, attempts, .. }) = self.again.take() else { return };
         while !self.acts.is_empty() {
@@ -126,14 +127,14 @@ impl Mission {
         }
         self.outcome = None;
         self.because = None;
-        // The same act does not count twice.
+        // The same act is not counted twice.
         self.options.acts_max = self.options.acts_max.map(|acts| acts.saturating_add(1));
         self.line_up_attempt(now, act, attempts);
         self.goes_on(now);
     }
 }
 
-/// Whether a pending lease has ended.
+/// Whether the failure is a pending lease that has ended.
 fn is_lease(kind: &FailureKind) -> bool {
     matches!(kind, FailureKind::Script { error, .. } if error.code == ErrorCode::LinkLost)
 }

@@ -201,7 +201,7 @@ impl Mission {
         self.line_up_attempt(now, index, 0);
     }
 
-    /// The same, after this number of attempts that were withdrawn.
+    /// Like `line_up_act`, after this number of withdrawn attempts.
     pub(super) fn line_up_attempt(&mut self, now: Timestamp<Server>, index: usize, attempts: u32) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
@@ -289,7 +289,7 @@ impl Mission {
         }
     }
 
-    /// An attempt to start an act was withdrawn, and is repeated: it counts in no report.
+    /// Discards an attempt to start an act that was withdrawn and is repeated. The report does not list the attempt.
     pub(super) fn forget_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
         for member in act.members() {
@@ -351,7 +351,7 @@ impl Mission {
         self.fates[act.index()].note(fate);
     }
 
-    /// Whether robots have moved, or may have, in an act that is over, here or before another process died.
+    /// Whether robots have moved, or may have moved, in an act that is over, in this process or in one that died.
     pub(super) fn has_moved(&self) -> bool {
         self.fates.iter().any(|act| act.moved)
     }

@@ -44,7 +44,7 @@ pub struct ActReport {
     /// A robot that went silent without a word so shortly before the start may not have been noticed in time.
     #[serde(rename = "doubt_ms")]
     pub doubt: Span,
-    /// How often it was withdrawn before anything moved, and prepared again, because this machine was too slow.
+    /// How often the act was withdrawn before anything moved, and prepared again, because this machine was too slow.
     #[serde(skip_serializing_if = "is_zero")]
     pub prepared_again: u32,
     /// Readings that the scenario asked for.
@@ -120,7 +120,7 @@ pub struct DeviceReport {
     pub steps_planned: usize,
     /// Steps that came more than a millisecond late.
     pub late_steps: u32,
-    /// By how much the latest of them was late, if the robot says so.
+    /// How late the latest of them was, if the robot reports it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
 }
@@ -164,7 +164,7 @@ impl ActReport {
         scripts.filter_map(|script| script.start_error).map(Span::abs).max()
     }
 
-    /// How late a step was, at most, of the robots that were not left out.
+    /// How late the latest step was, among the robots that were not left out.
     pub(super) fn late_max(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.late_max).max()

@@ -184,10 +184,10 @@ pub enum FailureKind {
         /// The robot's reason.
         error: ControlError,
     },
-    /// It was not there when the mission began, and had no part in it until its end.
+    /// The robot was not there when the mission began, and took no part in it until its end.
     #[error("it never joined: {reason}")]
     NeverJoined {
-        /// Why, for people.
+        /// The reason, for people.
         reason: String,
     },
 }

@@ -48,7 +48,7 @@ pub struct ActCourse {
     /// What became of it.
     #[serde(flatten)]
     pub fate: ActFate,
-    /// Whether robots have moved in it, or may have, one of the times that it came.
+    /// Whether robots have moved, or may have moved, in any of its occurrences.
     #[serde(skip)]
     pub(super) moved: bool,
 }

@@ -122,9 +122,9 @@ pub struct Mission {
     detour: Option<usize>,
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
-    /// An act that is withdrawn to be prepared again.
+    /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
-    /// How late this machine was for an act, doubled: later acts allow for it as for a slower link.
+    /// The delay of this machine that acts allow for, as for a slower link: at least twice the delay of the last withdrawn act.
     hold_up: Span,
     next_round: Option<Timestamp<Server>>,
     /// Rounds that this machine was too late for.
@@ -155,7 +155,7 @@ pub struct Mission {
     said_stop: Option<String>,
     /// Something failed on the way, whatever follows.
     flawed: Option<Outcome>,
-    /// The first act whose starts were too far apart, or whose steps were too late.
+    /// Set by the first act whose starts were too far apart or whose steps were too late.
     flaw_of_times: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,

@@ -84,7 +84,7 @@ pub struct MissionOptions {
     pub verify_motion: bool,
     /// Ends once the fleet is checked.
     pub preflight_only: bool,
-    /// The zone of times of day for which acts wait.
+    /// The time zone of the times of day for which acts wait.
     pub zone: Zone,
 }
 

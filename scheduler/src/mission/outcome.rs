@@ -31,9 +31,9 @@ pub enum Outcome {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
-    /// It was played to its end, and steps were later than the scenario tolerates.
+    /// It was played to its end, but steps were later than the scenario tolerates.
     StepsLate {
-        /// By how much the latest step was late, by its robot's own clock.
+        /// How late the latest step was, by its robot's own clock.
         #[serde(rename = "late_ms")]
         late: Span,
         /// The scenario's start_tolerance.
@@ -100,7 +100,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Whether it says that nothing was sent, or that none started.
+    /// Whether it states that nothing was sent or that no robot started.
     pub(super) const fn denies_any_start(&self) -> bool {
         matches!(
             self,

@@ -71,7 +71,7 @@ pub enum Record {
         /// For the course of the mission.
         #[serde(flatten)]
         over: ActOver,
-        /// It was withdrawn before anything moved, to be prepared again.
+        /// Whether it was withdrawn before anything moved, to be prepared again.
         #[serde(skip_serializing_if = "std::ops::Not::not")]
         again: bool,
     },
@@ -144,10 +144,10 @@ pub struct OutOfTolerance {
 /// Steps that were later than allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StepsLate {
-    /// By how much the latest of them was late.
+    /// How late the latest of them was.
     #[serde(rename = "late_ms")]
     pub late: Span,
-    /// What is allowed.
+    /// The lateness that the scenario allows.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
 }

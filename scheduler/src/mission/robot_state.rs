@@ -226,7 +226,7 @@ pub(crate) struct RobotState {
     /// Attempts to reach it since it was last heard.
     attempts: u32,
     pub(crate) standing: Standing,
-    /// It was not there when the mission began.
+    /// Whether it joined after the mission had begun.
     pub(crate) joined_late: bool,
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
@@ -318,7 +318,7 @@ impl RobotState {
         }
     }
 
-    /// Why a robot that was not there at first has had no part in the mission, which is at its end.
+    /// At the end of the mission: why a robot that was not there at first took no part. `None` for all other robots.
     pub(crate) fn why_it_never_joined(&self) -> Option<String> {
         match self.standing {
             Standing::Absent if self.has_failed() => None,

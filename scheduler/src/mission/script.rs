@@ -169,7 +169,7 @@ impl Script {
         self.late_steps
     }
 
-    /// By how much its latest step was late, if the robot says so.
+    /// How late its latest step was, if the robot reports it.
     pub(crate) fn late_max(&self) -> Option<Span> {
         self.late_max.filter(|_| self.late_steps > 0)
     }

@@ -57,7 +57,7 @@ impl Mission {
         Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval(), by }
     }
 
-    /// An outcome that denies that anything was sent or started gives way to one that does not.
+    /// If the outcome states that nothing was sent or started, replaces it with `Failed` and keeps its reason.
     pub(super) fn admit_that_it_moved(&mut self) {
         if let Some(denial) = self.outcome.take_if(|outcome| outcome.denies_any_start()) {
             let reason = (denial != Outcome::NotStarted).then(|| denial.to_string());

@@ -5,7 +5,7 @@ use urrcp::{Server, Timestamp};
 
 use crate::zone::Zone;
 
-/// The zone of this machine, or that of the environment variable `TZ`.
+/// The time zone of this machine, or the one that the environment variable `TZ` names.
 pub(crate) const ZONE: Zone =
     Zone::new(|at| *DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&Local).offset());
 
@@ -15,7 +15,7 @@ pub fn time_of_day(at: Timestamp<Server>) -> String {
     ZONE.time_of_day(at)
 }
 
-/// The same, and the date if that is not the date of `today`: `03:30:00.000 on 28 Mar 2027`.
+/// The time of day, and the date if it is not the date of `today`: `03:30:00.000 on 28 Mar 2027`.
 #[must_use]
 pub fn time_as_of(at: Timestamp<Server>, today: Timestamp<Server>) -> String {
     ZONE.time_as_of(at, today)

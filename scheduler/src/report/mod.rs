@@ -119,7 +119,7 @@ pub struct RobotReport {
     pub steps_planned: u64,
     /// Steps that came more than a millisecond late, by its own account.
     pub late_steps: u64,
-    /// By how much the latest of them was late, if the robot says so.
+    /// How late the latest of them was, if the robot reports it.
     #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
     pub late_max: Option<Span>,
     /// Scripts that it was sent and of which it has not said what became of them.

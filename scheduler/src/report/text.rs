@@ -445,10 +445,10 @@ fn motions(act: &ActReport, named: bool) -> Vec<String> {
     sentences
 }
 
-/// More devices with late steps are counted.
+/// The maximum number of devices to list. Further devices with late steps are only counted.
 const LATE_LISTED_MAX: usize = 10;
 
-/// The devices whose steps were late, those with the latest steps first.
+/// The devices with late steps, those with the latest steps first.
 fn late_steps(report: &Report) -> Vec<String> {
     let mut devices: BTreeMap<_, (u32, Option<Span>)> = BTreeMap::new();
     for robot in report.acts.iter().flat_map(|act| &act.robots) {

@@ -2,7 +2,8 @@
 //!
 //! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
 //! or `home`, which sends robots to their default state, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
-//! by its report, a line of JSON, after `superseded` if a later word brought robots to rest in the other way. So a client knows within a second whether the mission listens.
+//! by its report, a line of JSON, preceded by `superseded` if a later stop brought robots to rest in the other way. So a client
+//! knows within a second whether the mission listens.
 //!
 //! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
 //! word, `as CERTIFICATE SIGNATURE`, and may do what its roles permit ([`super::desk`]); what they do not is answered by `refused: REASON`.
@@ -42,7 +43,7 @@ const STANDS_STILL: Duration = Duration::from_secs(2);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
-/// A later word of the operator brings robots to rest in the other way.
+/// Sent ahead of the report if a later stop of the operator brings robots to rest in the other way.
 const SUPERSEDED: &str = "superseded";
 
 /// The socket in a mission's folder.
@@ -263,16 +264,16 @@ pub async fn go(
     }
 }
 
-/// How a mission ended that was told to stop.
+/// How a mission ended after a stop was requested.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// Its report, a line of JSON.
     pub report: String,
-    /// A later word of the operator counts in place of this one.
+    /// Whether a later stop of the operator replaced this one.
     pub superseded: bool,
 }
 
-/// Stops a mission. Returns how it has ended, once it has.
+/// Stops a mission. Waits for its end, and returns how it ended.
 ///
 /// # Errors
 /// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.

@@ -74,7 +74,7 @@ impl Voice {
         }
     }
 
-    /// Whether the operator's latest stop brings robots to rest like this.
+    /// Whether the operator's latest stop brings robots to rest in this way.
     #[must_use]
     pub fn latest_is(&self, rest: Rest) -> bool {
         *self.alarm.borrow() == Alarm::Ringing(rest)

@@ -47,7 +47,7 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
 #[test]
 fn a_program_that_answers_nothing_does_not_delay_the_end_of_its_edge() {
     let session = session();
-    // The second one says what it is and does not say what it can do.
+    // The second program answers `hello`, but not `init`.
     for silent in ["cat > /dev/null", "read -r hello; echo ok 2; cat > /dev/null"] {
         session.file("silent.sh", format!("touch begun\n{silent}\n"));
         let edge = Edge::start(&session, "tank.json", "program:sh silent.sh");

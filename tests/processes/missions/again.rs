@@ -1,4 +1,4 @@
-//! An act that this machine was too slow to start is prepared again.
+//! The mission prepares an act again if this machine was too slow to start it.
 
 use rustix::process::Signal;
 

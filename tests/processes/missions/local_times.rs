@@ -1,4 +1,4 @@
-//! Times of day across a change of the clocks. Each zone changes its clocks near the present.
+//! Times of day across a change of the clocks. Each time zone changes its clocks near the present.
 
 use chrono::{DateTime, Datelike, SubsecRound, TimeDelta, Timelike, Utc};
 use stage::held_up;
@@ -12,7 +12,7 @@ enum Clocks {
     GoBack,
 }
 
-/// A zone whose clocks show UTC or one hour more, and change at this instant, in the form of POSIX.
+/// A time zone, in POSIX form, whose clocks show UTC or one hour more, and change at this instant.
 fn zone(clocks: Clocks, at: DateTime<Utc>) -> String {
     let rule = |local: DateTime<Utc>| format!("{}/{}", local.ordinal0(), local.format("%H:%M:%S"));
     let months = TimeDelta::days(120);
@@ -89,7 +89,7 @@ fn a_start_that_clocks_show_twice_names_the_first_one() {
 
 #[test]
 fn a_start_tomorrow_is_told_with_its_date() {
-    // Where it is noon, a minute ago is today.
+    // In a time zone where it is noon, a minute ago is today.
     let passed = ahead(-60);
     let west = i64::from(passed.hour()) - 12;
     let local = passed - TimeDelta::hours(west);

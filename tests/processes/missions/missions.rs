@@ -39,7 +39,7 @@ fn start(session: &Session, args: &[&str], says: &str) -> Process {
     start_command(session.command(args), says).0
 }
 
-/// Starts a command and waits until it says this. Returns all that it said until then.
+/// Starts a command and waits until it prints this text. Returns everything that it has printed until then.
 pub fn start_command(mut command: Command, says: &str) -> (Process, String) {
     let mut child = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(child.0.stderr.take().unwrap());

@@ -51,7 +51,7 @@ fn an_act_whose_scheduler_dies_while_its_requests_are_under_way_moves_no_robot()
 fn an_act_whose_scheduler_stalls_while_its_requests_are_under_way_moves_no_robot() {
     let (_stage, running) = played_late(|running| running.process.signal(Signal::STOP));
     running.process.signal(Signal::CONT);
-    // The act is prepared again, and its slow link does not allow it.
+    // The mission prepares the act again, but the slow link does not permit it.
     let ended = running.ended();
     let report = ended.report();
     assert_eq!(

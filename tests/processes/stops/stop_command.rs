@@ -80,7 +80,7 @@ fn of_two_stops_within_a_moment_the_later_one_counts() {
         std::thread::sleep(Duration::from_millis(delay));
         let home = stage.start(&["stop", "--home"]).ended();
         match home.code {
-            // The mission had ended.
+            // The mission had already ended.
             Some(2) => says(&home, 2, &["no mission runs or was cut off"]),
             _ => says(&home, 0, &["r0: default state confirmed", "r1: default state confirmed"]),
         }

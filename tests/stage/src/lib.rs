@@ -233,7 +233,7 @@ impl Stage {
         Running::new(self.command(args))
     }
 
-    /// Starts a mission, and returns once each of these robots has set this many further values.
+    /// Starts a mission, and returns once each of these robots has set this many more values.
     #[track_caller]
     pub fn begin(&self, args: &[&str], robots: impl IntoIterator<Item = usize>, sets: usize) -> Running {
         let robots: Vec<usize> = robots.into_iter().collect();
@@ -252,13 +252,13 @@ impl Stage {
         })
     }
 
-    /// Starts a mission, and returns once it has printed a line with this text.
+    /// Starts a mission, and returns once it has printed a line that contains this text.
     #[track_caller]
     pub fn start_until(&self, args: &[&str], text: &str) -> Running {
         self.start_in_time(args, |running| running.find(text).is_some())
     }
 
-    /// Starts a mission again if it ended before it had begun, and its report says that this machine was too slow.
+    /// Starts a mission. Starts it again if it ended before it had begun and its report states that this machine was too slow.
     #[track_caller]
     fn start_in_time(&self, args: &[&str], has_begun: impl Fn(&mut Running) -> bool) -> Running {
         for _ in 0..held_up::ATTEMPTS {
@@ -486,7 +486,7 @@ impl Running {
         Self { process: Process(child), lines, told: String::new(), out }
     }
 
-    /// The next line with this text. Fails with the report if the program ends without it.
+    /// The next line that contains this text. Fails with the report if the program ends without printing one.
     #[track_caller]
     pub fn line(&mut self, text: &str) -> String {
         self.find(text).unwrap_or_else(|| {
@@ -512,7 +512,7 @@ impl Running {
         start_in(&self.line("start at "))
     }
 
-    /// The same; `None` if it ends before it prepares one.
+    /// Like `start`, but `None` if the mission ends before it prepares an act.
     pub fn start_if_prepared(&mut self) -> Option<i64> {
         self.find("start at ").map(|line| start_in(&line))
     }

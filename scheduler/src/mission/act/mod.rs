@@ -124,7 +124,7 @@ pub(crate) struct Act {
     choreography: Arc<Choreography>,
     stage: Stage,
     follow: Way,
-    /// How often it was withdrawn and prepared again.
+    /// How often the act was withdrawn and prepared again.
     attempts: u32,
     since: Timestamp<Server>,
     /// The planned end of the act before it, if that still played when this one began to wait.
@@ -201,12 +201,12 @@ impl Act {
         self.since
     }
 
-    /// How often it was withdrawn and prepared again.
+    /// How often the act was withdrawn and prepared again.
     pub(crate) const fn attempts(&self) -> u32 {
         self.attempts
     }
 
-    /// It was withdrawn so often, and what it waited for has come.
+    /// Sets the number of withdrawn attempts. The act no longer waits, because its condition has been met.
     pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
         self.attempts = attempts;
         self.stage = Stage::Ready { target: None, look: None };

@@ -65,7 +65,7 @@ impl Act {
         }
     }
 
-    /// The instant that the operator or the scenario wants, unless clocks skip it.
+    /// The instant that the operator or the scenario specifies, or an error if the clocks skip it.
     fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
         if let Some(at) = options.start_at.filter(|_| self.number == 0) {
             return Some(Ok(at));
@@ -77,7 +77,7 @@ impl Act {
         }
     }
 
-    /// Whether it is to start at an instant of its own.
+    /// Whether the operator or the scenario fixes its start.
     pub(crate) fn has_fixed_start(&self, options: &MissionOptions) -> bool {
         self.fixed_target(options).is_some()
     }
@@ -143,7 +143,7 @@ impl Act {
     }
 }
 
-/// A mission that plays cannot be refused any more: an act whose time is skipped starts as clocks skip it.
+/// A mission that plays can no longer be refused: if the clocks skip the time of an act, the act starts at that instant.
 fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
     target.unwrap_or_else(|skipped| skipped.at)
 }

@@ -1,4 +1,4 @@
-//! Acts that this machine was too slow to start are prepared again.
+//! The mission prepares acts again if this machine was too slow to start them.
 
 use super::played::Played;
 use super::*;
@@ -7,7 +7,7 @@ use crate::mission::bench::{ms, response};
 const LATE: Outcome = Outcome::DecisionLate { by: Span::from_millis(30) };
 
 impl Played {
-    /// The act under way is withdrawn.
+    /// Withdraws the act under way.
     fn is_withdrawn(&mut self) {
         let (now, number) = (self.now, self.mission.acts[0].number());
         self.mission.withdraw_act(now, number, LATE);

@@ -37,7 +37,7 @@ pub(super) struct SentAct<'a> {
     pub(super) ahead: Span,
     /// Another act was promised under its number by a process that took the mission up: it is forgotten.
     pub(super) superseded: bool,
-    /// It was withdrawn and prepared again under another number.
+    /// Whether it was withdrawn and prepared again under another number.
     pub(super) repeated: bool,
     /// How far apart its robots may start, as the operator was told before anything was sent.
     pub(super) skew: Option<&'a SkewBudget>,

@@ -94,14 +94,14 @@ fn an_act_that_follows_another_aims_at_its_end_and_one_with_a_time_at_the_later_
 }
 
 const HOUR: i64 = 3_600_000;
-/// Until then clocks are ahead of UTC by an hour, from `at(0)` on.
+/// From `at(0)` until `at(BACK)`, the clocks are one hour ahead of UTC.
 const BACK: i64 = 240 * HOUR;
 const CHANGES: Zone = Zone::new(|instant| {
     if instant >= at(0) && instant < at(BACK) { FixedOffset::east_opt(3_600).unwrap() } else { Utc.fix() }
 });
 
-/// The announcement and the target of an act that becomes the next one at `at(since)` and waits until clocks show what they show
-/// in UTC at `at(shown)`.
+/// The announcement and the target of an act that becomes the next one at `at(since)`. The act waits until the clocks show the
+/// time of day of `at(shown)` in UTC.
 fn waits_across_a_change(since: i64, shown: i64) -> (String, Option<Timestamp<Server>>) {
     let time = Span::from_nanos(at(shown).as_nanos().rem_euclid(ms(24 * HOUR).as_nanos()));
     let mut bench = waits_for(Wait::TimeOfDay(time));
