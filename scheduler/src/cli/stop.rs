@@ -249,7 +249,7 @@ fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     };
     let report: Value = serde_json::from_str(&ending.report).unwrap_or_default();
     let mut robots = report["robots"].as_array().into_iter().flatten();
-    !ending.superseded && robots.any(|robot| robot["stop"]["state"] == other)
+    !ending.superseded && robots.any(|robot| robot["standing"] != "out" && robot["stop"]["state"] == other)
 }
 
 /// Evaluates the report of a mission that has ended. If it did not carry out this stop, stops its robots directly.

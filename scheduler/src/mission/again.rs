@@ -21,8 +21,8 @@ const OVERDUE: Span = Span::from_millis(5);
 pub(super) struct Again {
     act: usize,
     attempts: u32,
-    /// Robots that had not accepted. If they do not confirm their stop either, they have failed.
-    silent: Vec<(usize, FailureKind)>,
+    /// Robots that would have failed if this machine were not suspected. They have failed if they do not confirm their stop.
+    suspended: Vec<(usize, FailureKind)>,
     hold_up: Span,
 }
 
@@ -46,19 +46,20 @@ impl Mission {
         // While the mission stops all robots, it no longer withdraws an act.
         let act = self.acts.iter().find(|act| act.number() == number);
         let act = act.filter(|_| self.phase == Phase::Performing);
+        let act = act.filter(|_| self.may_be_prepared_again(number));
         let overdue = act.filter(|act| !act.is_committed()).and_then(|act| Some(now - act.wakeup()?));
         if let Some(by) = overdue.filter(|by| *by > OVERDUE && failing.iter().all(|(_, kind)| is_lease(kind)))
         {
             let decided = act.is_some_and(|act| act.progress() > Progressed::Preparing);
             let outcome = if decided { Outcome::CommitmentLate { by } } else { Outcome::DecisionLate { by } };
-            return self.withdraw_act(now, number, outcome);
+            return self.prepare_again(now, outcome, failing);
         }
         let suspect = act.is_some_and(|act| {
             let silent = failing.iter().all(|(_, kind)| matches!(kind, FailureKind::Silent { .. }));
             let most = failing.len() >= 2 && failing.len() * 2 > act.present().count();
             silent && most && act.progress() == Progressed::Preparing && act.attempts() == 0
         });
-        match suspect && self.may_be_prepared_again(number) {
+        match suspect {
             true => self.prepare_again(now, Outcome::DecisionLate { by: Span::ZERO }, failing),
             false => self.fail_all(now, failing),
         }
@@ -70,7 +71,12 @@ impl Mission {
         act.number() == number && act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options)
     }
 
-    fn prepare_again(&mut self, now: Timestamp<Server>, outcome: Outcome, silent: Vec<(usize, FailureKind)>) {
+    fn prepare_again(
+        &mut self,
+        now: Timestamp<Server>,
+        outcome: Outcome,
+        suspended: Vec<(usize, FailureKind)>,
+    ) {
         let Some(act) = self.acts.first() else { return };
         let (name, index) = (act.name(), act.index());
         let late = match &outcome {
@@ -78,12 +84,15 @@ impl Mission {
             _ => Span::ZERO,
         };
         let hold_up = (late * 2).max(HOLD_UP_MIN).max(self.hold_up * 2);
-        let reason = match silent.len() {
-            0 => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
-            count => format!("{count} of {} robots have not accepted in time", act.present().count()),
+        let reason = match suspended.as_slice() {
+            [(_, FailureKind::Silent { .. }), ..] => {
+                let (count, all) = (suspended.len(), act.present().count());
+                format!("{count} of {all} robots have not accepted in time")
+            }
+            _ => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
         };
         let reason = format!("{reason}; `{name}` is prepared again");
-        self.again = Some(Again { act: index, attempts: act.attempts() + 1, silent, hold_up });
+        self.again = Some(Again { act: index, attempts: act.attempts() + 1, suspended, hold_up });
         self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
     }
 
@@ -97,14 +106,11 @@ impl Mission {
             return true;
         }
         self.then = None;
-        if self.outcome.as_ref().is_none_or(|outcome| outcome.hold_up().is_none()) {
-            return false;
-        }
-        let unconfirmed = again.silent.into_iter().filter(|(robot, _)| self.robots[*robot].awaits_stop());
+        let unconfirmed = again.suspended.into_iter().filter(|(robot, _)| self.robots[*robot].awaits_stop());
         let unconfirmed: Vec<_> = unconfirmed.collect();
-        if !unconfirmed.is_empty() {
-            let before = if self.reports.is_empty() { Outcome::NotStarted } else { Outcome::Failed };
-            self.outcome = Some(before);
+        if !unconfirmed.is_empty() && self.outcome != Some(Outcome::Stopped) {
+            self.because = None;
+            self.outcome = Some(if self.has_moved() { Outcome::Failed } else { Outcome::NotStarted });
         }
         unconfirmed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
         false
@@ -127,8 +133,7 @@ impl Mission {
         }
         self.outcome = None;
         self.because = None;
-        // The same act is not counted twice.
-        self.options.acts_max = self.options.acts_max.map(|acts| acts.saturating_add(1));
+        self.acts_repeated += 1;
         self.line_up_attempt(now, act, attempts);
         self.goes_on(now);
     }

@@ -159,7 +159,7 @@ impl Mission {
     }
 
     fn may_begin_another(&self) -> bool {
-        self.options.acts_max.is_none_or(|acts_max| self.acts_begun < acts_max)
+        self.options.acts_max.is_none_or(|acts_max| self.acts_begun - self.acts_repeated < acts_max)
     }
 
     fn come_to_the_end(&mut self) {
@@ -292,6 +292,7 @@ impl Mission {
     /// Discards an attempt to start an act that was withdrawn and is repeated. The report does not list the attempt.
     pub(super) fn forget_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
+        self.tell(Progress::ActWithdrawn { act: act.name() });
         for member in act.members() {
             let robot = &mut self.robots[member.robot];
             robot.left.clear();
@@ -314,6 +315,7 @@ impl Mission {
         let act = self.acts.remove(index);
         if act.was_sent() {
             self.account(now, &act);
+            self.note_missed(&act);
         }
         let fate = self.fate_of(now, &act);
         match fate {
@@ -405,6 +407,18 @@ impl Mission {
             self.reports_omitted += 1;
         }
         self.tell(Progress::ActEnded { act: act.name() });
+    }
+
+    /// Robots that join later have missed their part in an act that was sent without them.
+    fn note_missed(&mut self, act: &Act) {
+        for index in 0..self.robots.len() {
+            let robot = &self.robots[index];
+            let late = robot.joined_late || robot.standing == Standing::Absent;
+            let plays = || act.written().plan.robots.iter().any(|plan| plan.robot == robot.id);
+            if late && act.member(index).is_none() && plays() {
+                self.robots[index].has_missed_an_act = true;
+            }
+        }
     }
 
     fn account(&mut self, now: Timestamp<Server>, act: &Act) {

@@ -287,6 +287,11 @@ pub enum Progress {
         /// Why it cannot be written, for people.
         reason: String,
     },
+    /// An act was withdrawn before anything moved, and is prepared again.
+    ActWithdrawn {
+        /// The name of the act.
+        act: String,
+    },
     /// Stop requests are on their way.
     Stopping {
         /// Why all are stopped, for people.

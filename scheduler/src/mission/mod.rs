@@ -116,6 +116,8 @@ pub struct Mission {
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
     acts_begun: u32,
+    /// How many of them repeat an act that was withdrawn.
+    acts_repeated: u32,
     /// Another act would have followed if `acts_max` had let it.
     bounded: bool,
     /// The act that a failure policy wants next.
@@ -206,6 +208,7 @@ impl Mission {
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
             acts_begun: 0,
+            acts_repeated: 0,
             bounded: false,
             detour: None,
             then: None,

@@ -228,6 +228,8 @@ pub(crate) struct RobotState {
     pub(crate) standing: Standing,
     /// Whether it joined after the mission had begun.
     pub(crate) joined_late: bool,
+    /// It was not there when an act was sent in which it has a part.
+    pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
     pub(crate) introduced: bool,
@@ -290,6 +292,7 @@ impl RobotState {
             attempts: 0,
             standing: Standing::In,
             joined_late: false,
+            has_missed_an_act: false,
             block: participant.block,
             introduced: false,
             latency_differs: None,
@@ -326,7 +329,7 @@ impl RobotState {
                 Some(lost) => format!("link down: {}", lost.reason),
                 None => "it has not answered".to_owned(),
             }),
-            Standing::In if self.joined_late && self.totals.sent == 0 => {
+            Standing::In if self.has_missed_an_act && self.totals.sent == 0 => {
                 Some("its acts had begun when it came".to_owned())
             }
             Standing::In | Standing::Out => None,

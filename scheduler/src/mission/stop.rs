@@ -8,8 +8,8 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Serve
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
-use super::robot_state::{Link, Rest, RobotState, SentStop, Stop};
-use super::{Mission, Outcome, Phase, Progress, StoppedBy};
+use super::robot_state::{Link, Rest, RobotState, SentStop, Standing, Stop};
+use super::{Greeting, Mission, Outcome, Phase, Progress, StoppedBy};
 
 /// Stops that are not confirmed are sent again after this or after three round trips.
 const STOP_AGAIN: Span = Span::from_millis(200);
@@ -275,6 +275,18 @@ impl Mission {
             robot.left.clear();
         }
         self.phase = Phase::Performing;
+        // While the mission stops, it does not reconnect to a robot that has confirmed its stop.
+        for robot in 0..self.robots.len() {
+            let state = &self.robots[robot];
+            match state.standing {
+                Standing::Out => {}
+                _ if state.lost().is_some() => self.reconnect(robot),
+                Standing::Absent if state.is_up() && self.options.greeting == Greeting::Skip => {
+                    self.joins(robot)
+                }
+                Standing::Absent | Standing::In => {}
+            }
+        }
     }
 
     /// Why robots could not be reached that have not confirmed their stop, where that has not been told.

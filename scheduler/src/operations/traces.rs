@@ -331,7 +331,7 @@ impl Watch for MissionTrace {
                 let act = self.acts.iter_mut().find(|act| act.robots.contains_key(robot));
                 end(act.and_then(|act| act.robots.remove(robot)), at);
             }
-            Progress::ActEnded { act } => {
+            Progress::ActEnded { act } | Progress::ActWithdrawn { act } => {
                 if let Some(place) = self.acts.iter().position(|other| other.name == *act) {
                     self.acts.remove(place).into_iter().for_each(|act| act.end(at));
                 }

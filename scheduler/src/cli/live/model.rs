@@ -199,7 +199,11 @@ impl Model {
                     decided.committed = true;
                 }
             }
-            Progress::ActEnded { act } | Progress::ActSkipped { act, .. } => self.ended(at, act),
+            Progress::ActEnded { act }
+            | Progress::ActSkipped { act, .. }
+            | Progress::ActWithdrawn { act } => {
+                self.ended(at, act);
+            }
             Progress::Stopping { reason, rest } => {
                 self.acts.retain(|act| !act.is_waiting());
                 let again = matches!(self.phase, Phase::Stopping(..));

@@ -156,10 +156,56 @@ fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
         played.now = due + late;
         let named = played.mission.robots[0].requests.keys().next().cloned();
         let mut ended = response(&DeviceId::new("a").unwrap(), named.as_ref(), Status::Failed, played.now);
-        ended.error = Some(urrcp::ControlError::new(urrcp::ErrorCode::LinkLost, "the pending lease ended"));
+        ended.error = Some(ran_out());
         played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
         let outcome = played.run_to_the_end();
         assert_eq!(outcome == Outcome::Done, again, "{late}: {outcome:?}");
         assert_eq!(played.mission.robots[0].has_failed(), !again, "{late}");
     }
+}
+
+#[test]
+fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
+    let mut played = accepts_late(0, downbeat_scripts::OnFailure::Without);
+    played.mutes(2);
+    played.is_withdrawn();
+    played.run_until(played.now + ms(20));
+    assert!(played.mission.robots[0].is_settled() && !played.mission.robots[2].is_settled());
+    let reason = "closed".to_owned();
+    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+    assert!(!played.mission.robots[0].lost().unwrap().connecting, "it has confirmed its stop");
+    played.mute.clear();
+    // The mission waits for its patience to learn what became of the script of this robot.
+    for _ in 0..8_000 {
+        if played.mission.acts.first().is_some_and(|act| act.attempts() == 1) {
+            break;
+        }
+        played.run_until(played.now + ms(1));
+    }
+    assert!(played.mission.robots[0].lost().unwrap().connecting);
+}
+
+#[test]
+fn a_repetition_does_not_count_as_another_act() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.acts_max = Some(1);
+    let mut played = Played::begun(mission);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert_eq!(played.mission.options.acts_max, Some(1));
+}
+
+#[test]
+fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
+    let mut played = Played::begun(waits_in(1));
+    played.run_to_the_start();
+    let failing = || vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
+    assert!(!played.mission.may_be_prepared_again(1));
+    let now = played.now + ms(100);
+    played.mission.fail_of_act(now, 1, failing());
+    assert!(played.mission.again.is_none() && played.mission.robots[0].has_failed());
+}
+
+fn ran_out() -> urrcp::ControlError {
+    urrcp::ControlError::new(urrcp::ErrorCode::LinkLost, "the pending lease ended")
 }
