@@ -45,6 +45,10 @@ pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
         match record["record"].as_str() {
             Some("prepared") => {
                 let ended = ended(history, &record["number"]);
+                // An attempt that was withdrawn, and repeated.
+                if ended.is_some_and(|ended| ended["again"] == true) {
+                    continue;
+                }
                 let name = ended.and_then(|ended| ended["report"]["act"].as_str()).map(str::to_owned);
                 let name = name.or_else(|| told_name(history, record));
                 let name = name.unwrap_or_else(|| unnamed(index, &names));

@@ -188,6 +188,8 @@ struct Head {
     unaccounted: Vec<RobotId>,
     out_of_tolerance: Option<OutOfTolerance>,
     steps_late: Option<StepsLate>,
+    #[serde(default)]
+    again: bool,
 }
 
 #[derive(Deserialize)]
@@ -345,6 +347,11 @@ impl Kept {
             "act_ended" => {
                 let ended = head.report.map(|report| report.number);
                 under_way.retain(|(number, ..)| Some(*number) != ended);
+                if head.again {
+                    // All robots have confirmed the stop of this attempt, and the mission goes on.
+                    (self.stopping, self.stopping_since) = (None, None);
+                    return;
+                }
                 self.ended_acts += 1;
                 self.course.extend(serde_json::from_slice::<ActOver>(json));
                 let Head { unaccounted, out_of_tolerance, steps_late, .. } = head;

@@ -510,3 +510,39 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
 }
+
+#[test]
+fn a_mission_whose_act_was_withdrawn_and_prepared_again_can_be_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let stopping =
+        Record::Stopping { outcome: Outcome::DecisionLate { by: Span::ZERO }, rest: Rest::InPlace, by: None };
+    for record in [prepared(0), decided(0), stopping] {
+        journal.append(at(2), &record).unwrap();
+    }
+    assert!(journal.sync().is_ok());
+    let path = folder.path().join("journal");
+    let mut bytes = std::fs::read(&path).unwrap();
+    let mut append = |record: serde_json::Value| {
+        bytes.extend(line(&record).unwrap());
+        std::fs::write(&path, &bytes).unwrap();
+        read(&path).unwrap()
+    };
+    let withdrawn = append(serde_json::json!({
+        "at": at(3), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "withdrawn", "again": true,
+    }));
+    assert_eq!(withdrawn.fate(), Fate::Withdraw("no act was under way"));
+    append(serde_json::to_value(Dated { at: at(4), record: prepared(1) }).unwrap());
+    let again = append(serde_json::to_value(Dated { at: at(5), record: decided(1) }).unwrap());
+    assert_eq!(again.fate(), Fate::Resume);
+    assert_eq!((again.ended_acts, again.course.len()), (0, 0), "the attempt is no act that has ended");
+}
+
+#[derive(serde::Serialize)]
+struct Dated {
+    at: Timestamp<Server>,
+    #[serde(flatten)]
+    record: Record,
+}

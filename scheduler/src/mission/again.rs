@@ -106,13 +106,16 @@ impl Mission {
             return true;
         }
         self.then = None;
-        let unconfirmed = again.suspended.into_iter().filter(|(robot, _)| self.robots[*robot].awaits_stop());
-        let unconfirmed: Vec<_> = unconfirmed.collect();
-        if !unconfirmed.is_empty() && self.outcome != Some(Outcome::Stopped) {
+        // Robots that confirm nothing are the cause, and not this machine.
+        let failed =
+            again.suspended.into_iter().filter(|(robot, _)| moved || self.robots[*robot].awaits_stop());
+        let failed: Vec<_> = failed.collect();
+        if !failed.is_empty() && self.outcome != Some(Outcome::Stopped) {
             self.because = None;
-            self.outcome = Some(if self.has_moved() { Outcome::Failed } else { Outcome::NotStarted });
+            let moved = moved || self.has_moved();
+            self.outcome = Some(if moved { Outcome::Failed } else { Outcome::NotStarted });
         }
-        unconfirmed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
+        failed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
         false
     }
 

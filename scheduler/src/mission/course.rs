@@ -369,6 +369,7 @@ impl Mission {
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,
+            (false, false) if act.attempts() > 0 => ActFate::Withdrawn,
             (false, false) => ActFate::StillWaiting,
         }
     }

@@ -51,10 +51,14 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "finished" => "has ended all its scripts".to_owned(),
         "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),
         "act_skipped" => format!("{} is not played: {}", act(), text("fate").replace('_', " ")),
-        "act_ended" => match value["report"]["act"].as_str() {
-            Some(name) => format!("{name} has ended"),
-            None => format!("{} has ended", act()),
-        },
+        "act_ended" => {
+            let name = value["report"]["act"].as_str().map_or_else(act, str::to_owned);
+            match value["again"] == true {
+                true => withdrawn(&name),
+                false => format!("{name} has ended"),
+            }
+        }
+        "act_withdrawn" => withdrawn(&act()),
         "failed" => text("text").to_owned(),
         "link_lost" => format!("its link is lost: {}", text("reason")),
         "reattached" => "is back on its link".to_owned(),
@@ -69,6 +73,10 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "ended" => "the mission has ended".to_owned(),
         _ => return None,
     })
+}
+
+fn withdrawn(act: &str) -> String {
+    format!("{act} was withdrawn before anything moved, and is prepared again")
 }
 
 #[cfg(test)]

@@ -22,6 +22,8 @@ impl History {
     #[must_use]
     pub fn report(&self) -> Value {
         let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
+        // Attempts that were withdrawn and repeated are no acts of a report.
+        let ended = ended.filter(|(_, record)| record["again"] != true);
         let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
         let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
         let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");

@@ -83,6 +83,16 @@ fn an_act_with_an_instant_of_its_own_or_behind_another_one_is_not_prepared_again
 }
 
 #[test]
+fn a_mission_that_ends_before_the_next_attempt_has_withdrawn_its_act() {
+    let mut played = Played::begun(waits_in(0));
+    played.mission.acts[0].is_attempted_again(1);
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.starts(), 0);
+    assert_eq!(played.mission.fates[0].fate, ActFate::Withdrawn);
+}
+
+#[test]
 fn a_stop_of_the_operator_ends_the_preparation_for_good() {
     let mut played = Played::begun(begins_at_once(Everything));
     played.is_withdrawn();

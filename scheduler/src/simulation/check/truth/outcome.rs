@@ -97,6 +97,9 @@ impl Said<'_> {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
                 self.facts.acts.iter().filter(|act| act.promise.act == index && !act.repeated).collect();
+            // The mission ended before it had sent the next attempt.
+            let before_attempt = self.facts.acts.iter().rfind(|act| act.promise.act == index);
+            let before_attempt = before_attempt.is_some_and(|act| act.repeated);
             // If an act was played several times, the last time counts.
             let last = sent.last();
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
@@ -126,7 +129,7 @@ impl Said<'_> {
                     all && skipped.is_some_and(|at| self.nobody_left(index, at))
                 }
                 ActFate::TimedOut { .. } => sent.len() == ended && skipped.is_some(),
-                ActFate::Withdrawn => last.is_some() && !began,
+                ActFate::Withdrawn => before_attempt || last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
                 ActFate::Unknown => ended > 0 && last.is_some_and(|act| self.has_one_unknown(act)),
                 ActFate::Played => ended > 0 && last.is_some_and(|act| was_played(act)),
