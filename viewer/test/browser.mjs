@@ -22,15 +22,19 @@ export const SIZES = {
   narrow: { width: 390, height: 844 },
 };
 
+// Other work may leave little CPU time for the tests. A healthy browser may then need half a minute for a page.
+const PATIENCE_MS = 300_000;
+
 export async function launch() {
   const folder = await mkdtemp(join(tmpdir(), "viewer-"));
-  const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ARGUMENTS });
+  const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ARGUMENTS, timeout: PATIENCE_MS });
   let pages = 0;
   return {
     async open(html, { size = SIZES.wide, theme = "light", bypassCSP = false, script = "" } = {}) {
       const file = join(folder, `${pages++}.html`);
       await writeFile(file, html);
       const context = await browser.newContext({ viewport: size, colorScheme: theme, bypassCSP });
+      context.setDefaultTimeout(PATIENCE_MS);
       const page = await context.newPage();
       if (script !== "") await page.addInitScript(script);
       const complaints = [];
@@ -49,3 +53,7 @@ export async function launch() {
 }
 
 export const shown = (page) => page.waitForSelector(".timeline-canvas");
+
+/** Resolves once the page has drawn all earlier changes. */
+export const settled = (page) =>
+  page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));

@@ -1,7 +1,7 @@
 // What the page says is what the document says.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { launch, shown } from "./browser.mjs";
+import { launch, settled, shown } from "./browser.mjs";
 import { choreography } from "./choreography.mjs";
 import { encode, pageWith } from "./encode.mjs";
 
@@ -31,7 +31,7 @@ test("numbers have the digits of the document", async () => {
     const cells = await page.locator("#values tbody tr").first().locator("td").allInnerTexts();
     assert.deepEqual(cells.slice(0, 2), [`${value} m`, `${step} of 18`]);
     await page.keyboard.press(".");
-    await page.waitForTimeout(50);
+    await settled(page);
   }
   await close();
 });
@@ -54,7 +54,7 @@ test("names of others are text, and what would turn the text around is an escape
   assert.equal(await page.locator(".row-robot bdi").first().textContent(), shownAs);
   for (const key of ["2", "3", "4", "5", "6", "7"]) {
     await page.keyboard.press(key);
-    await page.waitForTimeout(50);
+    await settled(page);
     assert.ok((await page.locator("#tab-body").textContent()).includes(shownAs), `panel ${key}`);
   }
   assert.equal(await page.locator("#page script").count(), 0);
@@ -81,7 +81,7 @@ test("a journal that knows no plans, and a mission of nothing, are shown as far 
     await shown(page);
     for (const key of ["l", "k", "+", "f", "z", "n", ".", "c", "ArrowDown", "Enter", "u", "v", "2", "3", "4", "5", "6", "7", "1"])
       await page.keyboard.press(key);
-    await page.waitForTimeout(100);
+    await settled(page);
     assert.deepEqual(complaints, []);
     assert.equal(await page.locator("h1").innerText(), "swap, with an arm");
     await close();

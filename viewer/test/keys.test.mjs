@@ -1,7 +1,7 @@
 // Keys and mouse do what the help says.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, afterEach, test } from "node:test";
-import { launch, shown } from "./browser.mjs";
+import { launch, settled, shown } from "./browser.mjs";
 import { choreography } from "./choreography.mjs";
 import { pageWith } from "./encode.mjs";
 
@@ -30,10 +30,16 @@ const playhead = async () => {
   const [, sign, minutes, seconds] = /(-?)(\d+):([\d.]+)/.exec(await text("#playhead"));
   return (sign === "-" ? -1 : 1) * Math.round((Number(minutes) * 60 + Number(seconds)) * 1000);
 };
-const settle = () => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
+const settle = () => settled(page);
 const press = async (...keys) => {
   for (const key of keys) await page.keyboard.press(key);
   await settle();
+};
+/** Stops the page's clock. The page draws and plays only while the returned function advances the clock. */
+const stopClock = async () => {
+  await page.clock.install();
+  await page.clock.pauseAt(Date.now() + 1000);
+  return (ms) => page.clock.runFor(ms);
 };
 /** Where a time is on the timeline's canvas, from the tip that the page itself shows. */
 const box = () => page.locator(".timeline-canvas").boundingBox();
@@ -47,27 +53,34 @@ test("Home and End move the playhead to both ends", async () => {
 });
 
 test("J, K, L and Space play, pause and double the speed", async () => {
-  await press("l");
+  const pass = await stopClock();
+  const keys = async (...keys) => {
+    for (const key of keys) await page.keyboard.press(key);
+    await pass(0);
+  };
+  await keys("l");
   assert.equal(await text("#speed"), "1×");
-  await press("l", "l");
+  await keys("l", "l");
   assert.equal(await text("#speed"), "4×");
-  await page.waitForTimeout(200);
-  await press("k");
+  await pass(200);
+  await keys("k");
   const paused = await playhead();
-  assert.ok(paused > 300, `${paused}`);
-  await page.waitForTimeout(100);
+  assert.ok(paused > 300 && paused <= 800, `${paused}`);
+  await pass(100);
   assert.equal(await playhead(), paused);
-  await press("j", "j");
+  await keys("j", "j");
   assert.equal(await text("#speed"), "-2×");
-  await page.waitForTimeout(150);
-  await press(" ");
+  await pass(150);
+  await keys(" ");
   const back = await playhead();
-  assert.ok(back < paused, `${back} < ${paused}`);
+  assert.ok(back < paused - 150 && back >= paused - 400, `${back} < ${paused}`);
 });
 
 test("playing stops at the end", async () => {
-  await press("End", "ArrowLeft", "l", "l", "l", "l", "l");
-  await page.waitForTimeout(400);
+  await press("End", "ArrowLeft");
+  const pass = await stopClock();
+  for (const key of "lllll") await page.keyboard.press(key);
+  await pass(400);
   assert.equal(await playhead(), 12500);
   assert.equal(await page.getByRole("button", { name: "Play (Space)" }).count(), 1);
 });
@@ -92,7 +105,7 @@ test("the buttons of the player do what the keys do", async () => {
   await settle();
   assert.equal(await playhead(), 12500);
   await page.getByRole("button", { name: "Play backwards (J)" }).click();
-  await page.waitForTimeout(150);
+  await page.waitForFunction(() => !document.querySelector("#playhead").textContent.endsWith("0:12.500"));
   await page.getByRole("button", { name: "Pause (Space)" }).click();
   await settle();
   assert.ok((await playhead()) < 12500);

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { launch, shown, SIZES } from "./browser.mjs";
+import { launch, settled, shown, SIZES } from "./browser.mjs";
 import { choreography } from "./choreography.mjs";
 import { pageWith } from "./encode.mjs";
 
@@ -27,7 +27,7 @@ for (const theme of ["light", "dark"]) {
       for (const tab of TABS) await page.getByRole("tab", { name: tab }).click();
       await page.keyboard.press("v");
       await page.keyboard.press("End");
-      await page.waitForTimeout(100);
+      await settled(page);
       assert.deepEqual(complaints, []);
       const overflow = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
       assert.ok(overflow <= 0, `the page is ${overflow} px wider than the window`);

@@ -1,7 +1,7 @@
 // One step that is far away is seen at every zoom: its lane has a column that reaches the top.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { launch, shown } from "./browser.mjs";
+import { launch, settled, shown } from "./browser.mjs";
 import { pageWith } from "./encode.mjs";
 import { large } from "./large.mjs";
 
@@ -14,7 +14,7 @@ test("a spike of one step in 25,000 is visible from the whole mission down to si
   const { page, close } = await browser.open(await pageWith(large({ robots: 2, steps: 100_000, spike: SPIKE }).base64));
   await shown(page);
   for (let zoom = 0; zoom < 24; zoom++) {
-    await page.waitForTimeout(40);
+    await settled(page);
     assert.ok((await highest(page)) < 8, `at zoom ${zoom} the lane's highest pixel is ${await highest(page)} px below its top`);
     // The page zooms at the playhead: the first key finds the spike's time.
     if (zoom === 0) await seekToSpike(page);
@@ -50,7 +50,7 @@ async function seekToSpike(page) {
     const ms = Math.round((minutes * 60 + seconds) * 1000);
     if (ms === target) return;
     await page.keyboard.press(ms < target ? "." : ",");
-    await page.waitForTimeout(5);
+    await settled(page);
   }
   assert.fail(`the playhead is at ${await at()}`);
 }
