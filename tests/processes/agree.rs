@@ -137,12 +137,13 @@ fn only(rows: &Value, keys: &[&str]) -> Value {
     rows.as_array().into_iter().flatten().map(row).map(Value::Object).collect()
 }
 
-/// What of a report is the same in any run of the same plan: everything but times, names of sessions and repetitions.
+/// The part of a report that is the same in every run of a plan: everything except times, names of sessions and repetitions. The
+/// numbers of acts count repetitions, so they are omitted too.
 fn decided(report: &Value) -> Value {
     let robot = |robot: &Value| json!([robot["robot"], robot["left_out"], only(&robot["devices"], &DEVICE)]);
     let act = |act: &Value| {
         let robots: Vec<_> = act["robots"].as_array().unwrap().iter().map(robot).collect();
-        json!([act["act"], act["number"], robots, only(&act["readings"], &["robot", "sensor", "value"])])
+        json!([act["act"], robots, only(&act["readings"], &["robot", "sensor", "value"])])
     };
     let acts: Vec<_> = report["acts"].as_array().unwrap().iter().map(act).collect();
     json!({
@@ -161,7 +162,7 @@ const ROBOT: [&str; 8] =
 /// A value that a device was set to.
 #[derive(Debug)]
 struct Set {
-    /// Motion, act and script, step, value.
+    /// Motion, robot and script, step, value.
     what: (String, String, Option<u64>, f64),
     /// Number of the act; `None`: it is of none.
     act: Option<u64>,
@@ -174,7 +175,7 @@ impl Set {
         // Ids end with act, robot and script; sessions and times precede them.
         let mut parts = request.rsplitn(4, '/');
         let (script, robot, act) = (parts.next(), parts.next(), parts.next());
-        let of = [act, robot, script].map(Option::unwrap_or_default).join("/");
+        let of = [robot, script].map(Option::unwrap_or_default).join("/");
         let act = act.and_then(|act| act.parse().ok());
         Self { what: (motion.to_owned(), of, step, value), act, at }
     }
@@ -216,10 +217,19 @@ fn largest(value: &Value, key: &str) -> f64 {
     }
 }
 
+/// The act of a value in a report, if the value is of an act.
+fn act_of<'a>(set: &Set, report: &'a Value) -> Option<&'a Value> {
+    let number = set.act?;
+    report["acts"].as_array().unwrap().iter().find(|act| act["number"] == number)
+}
+
+fn name_of_act(set: &Set, report: &Value) -> Option<String> {
+    act_of(set, report).map(|act| act["act"].to_string())
+}
+
 /// After the planned start of its act, in milliseconds.
 fn after_start(set: &Set, report: &Value) -> f64 {
-    let acts = report["acts"].as_array().unwrap();
-    let act = acts.iter().find(|act| act["number"].as_u64() == set.act).unwrap();
+    let act = act_of(set, report).unwrap();
     (set.at - nanos(act["start"].as_str().unwrap())) as f64 / 1e6
 }
 
@@ -253,10 +263,12 @@ fn agree(show: &Show, stage: &Stage, real: &Value, (dry, world): &(Played, World
     for (robot, process) in show.robots.iter().zip(&stage.robots) {
         let (really, dry) = (really_set(process.log()), set_in_dry_run(dry, robot));
         assert!(really.keys().eq(dry.keys()) && !really.is_empty(), "{name}: devices of {robot}");
-        for ((device, really), dry) in really.iter().zip(dry.values()) {
-            let what = |sets: &[Set]| sets.iter().map(|set| set.what.clone()).collect::<Vec<_>>();
-            assert_eq!(what(really), what(dry), "{name}: {robot}/{device}");
-            for (really, dry) in really.iter().zip(dry).filter(|(really, _)| really.act.is_some()) {
+        for ((device, really_set), dry_set) in really.iter().zip(dry.values()) {
+            let what = |sets: &[Set], report: &Value| {
+                sets.iter().map(|set| (name_of_act(set, report), set.what.clone())).collect::<Vec<_>>()
+            };
+            assert_eq!(what(really_set, real), what(dry_set, &report), "{name}: {robot}/{device}");
+            for (really, dry) in really_set.iter().zip(dry_set).filter(|(really, _)| really.act.is_some()) {
                 let by = (after_start(really, real) - after_start(dry, &report)).abs();
                 apart.steps += 1;
                 if really.what.2 == Some(0) {

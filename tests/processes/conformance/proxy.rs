@@ -187,8 +187,9 @@ impl Carrier {
         if cut_anywhere {
             from.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
         }
-        let (mut buffer, mut bytes) = (Vec::new(), vec![0; 64 * 1024]);
+        let (mut buffer, mut bytes): (Vec<u8>, _) = (Vec::new(), vec![0; 64 * 1024]);
         'reading: loop {
+            let searched = buffer.len();
             match from.read(&mut bytes) {
                 Ok(0) => break,
                 Ok(read) => buffer.extend_from_slice(&bytes[..read]),
@@ -198,6 +199,9 @@ impl Carrier {
                     }
                 }
                 Err(_) => break,
+            }
+            if !buffer[searched..].contains(&b'\n') {
+                continue;
             }
             let mut rest = buffer.as_slice();
             while let Some(newline) = rest.iter().position(|byte| *byte == b'\n') {

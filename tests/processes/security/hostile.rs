@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 
-use stage::session::Session;
+use stage::session::{Session, arm_at};
 use stage::terminal::{Terminal, Watched};
 
 const BOTH: &str = "scenario: both
@@ -33,7 +33,7 @@ fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
         }
     });
     let session = Session::new();
-    session.file("both.yaml", BOTH).file(
+    session.file("arm.yaml", arm_at(45)).file("both.yaml", BOTH).file(
         "fleet.yaml",
         format!(
             "robots:\n  left: {{init: arm.yaml, address: sim}}\n  right: {{init: arm.yaml, address: 'tcp://127.0.0.1:{port}'}}\ngroups:\n  arms: [left, right]\n"

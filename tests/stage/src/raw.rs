@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -90,13 +90,16 @@ impl Raw {
 impl Own {
     fn serve(&self, stream: TcpStream) {
         let mut out = stream.try_clone().unwrap();
+        let pours = Arc::new(AtomicBool::new(false));
         for line in BufReader::new(stream).lines() {
             let Ok(line) = line else { return };
             let Ok(message) = serde_json::from_str::<Value>(&line) else { return };
             self.heard.lock().unwrap().push(line);
+            // An answer would end the endless line.
+            let silent = self.flood == Flood::Line && pours.load(Ordering::Relaxed);
             let answered = match message.as_object().and_then(|message| message.iter().next()) {
-                Some((kind, asked)) => self.answer(kind, asked, &mut out),
-                None => Ok(()),
+                Some((kind, asked)) if !silent => self.answer(kind, asked, &mut out, &pours),
+                _ => Ok(()),
             };
             if answered.is_err() {
                 return;
@@ -104,7 +107,13 @@ impl Own {
         }
     }
 
-    fn answer(&self, kind: &str, asked: &Value, out: &mut TcpStream) -> std::io::Result<()> {
+    fn answer(
+        &self,
+        kind: &str,
+        asked: &Value,
+        out: &mut TcpStream,
+        pours: &Arc<AtomicBool>,
+    ) -> std::io::Result<()> {
         // Of the connection that the stop lane keeps it knows nothing: there it is asked without a session.
         let of_mission = kind == "initialization_request" || asked.get("session").is_some();
         if self.floods == Floods::AtOnce && of_mission {
@@ -137,8 +146,10 @@ impl Own {
                 writeln!(out, "{}", json!({"control_response": answer}))?;
                 if let (Floods::AfterStarting(pause), false) = (self.floods, stop) {
                     let (own, mut out, ahead) = (self.clone(), out.try_clone()?, until_start(asked));
+                    let pours = Arc::clone(pours);
                     std::thread::spawn(move || {
                         std::thread::sleep(ahead + pause);
+                        pours.store(true, Ordering::Relaxed);
                         own.pour(&mut out)
                     });
                 }
