@@ -72,7 +72,7 @@ pub use limits::{
 };
 pub use message::{
     API_VERSION, AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest,
-    ControlResponse, ControlTypes, Device, DeviceRoom, Devices, InitializationBlock, InitializationRequest,
+    ControlResponse, ControlTypes, Device, DeviceReport, Devices, InitializationBlock, InitializationRequest,
     Inquiry, InquiryResponse, Interpolation, Latency, Limits, Message, RequestReport, RequestState,
     RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
     StopCondition,

@@ -55,6 +55,16 @@ pub enum Motion {
     Default(Setpoint),
 }
 
+/// Limits of the movements to rest and home, if an operator wants them slower than the device declares.
+/// `None`: the limit that the device declares.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MotionLimits {
+    /// Of a position, in its unit per second.
+    pub speed: Option<f64>,
+    /// Of a position, in its unit per second squared; of a speed, in the unit of the speed per second.
+    pub acceleration: Option<f64>,
+}
+
 /// Where a device goes when what it does ends early.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
@@ -102,11 +112,7 @@ pub(crate) enum Effect {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct CommandId(u64);
 
-/// The messages of `link_lost`, by the reason for which a lease ended.
-const SILENT_RUNNING: &str =
-    "the running lease ended: the server was silent for longer than `stop_condition`";
-const SILENT_PENDING: &str =
-    "the pending lease ended: the server was silent for longer than `stop_condition`";
+/// The message of `link_lost` for a command whose `pending_until` has passed.
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
 /// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
@@ -142,10 +148,16 @@ pub(crate) struct DeviceMachine {
     taken_back: Option<Timestamp<Server>>,
     /// The same for what the party of the last stop has sent, whose clock may be ahead.
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
+    /// Whether the position of the device is the one in its signal. It is unknown of hardware before its first position and after
+    /// it was away, after a driver that times scripts by itself has interrupted one, and once a speed or an acceleration drives
+    /// the device. A device without hardware begins in its default state, if it has one.
+    is_placed: bool,
     /// If the driver times scripts by itself, this far ahead: what this machine is late with is late only here.
     pub(crate) lookahead: Option<Lookahead>,
     /// A command that would start later than this is dropped.
     pub(crate) start_late_max: Span,
+    /// Limits of the movements to rest and home, in addition to those that the device declares.
+    pub(crate) limits: MotionLimits,
     accepted: CommandId,
 }
 
@@ -158,6 +170,7 @@ impl DeviceMachine {
             .filter(|(control_type, _)| !matches!(control_type, ControlType::Script | ControlType::Sensor))
             .map(|(control_type, _)| (control_type, Signal::resting(first_value(&spec, control_type), begin)))
             .collect();
+        let is_placed = default_of(&spec, ControlType::Position).is_some();
         let (driven, queue, guards) = (BTreeMap::new(), VecDeque::new(), Vec::new());
         let (taken_back, taken_back_by, lookahead) = (None, None, None);
         Self {
@@ -168,14 +181,34 @@ impl DeviceMachine {
             guards,
             taken_back,
             taken_back_by,
+            is_placed,
             lookahead,
             start_late_max: START_LATE_MAX,
+            limits: MotionLimits::default(),
             accepted: CommandId::default(),
         }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
         self.signals.get(&control_type).map(|signal| signal.value(now))
+    }
+
+    /// The commanded position; `None` if it is unknown.
+    pub(crate) fn position(&self, now: Timestamp<Robot>) -> Option<f64> {
+        self.value(ControlType::Position, now).filter(|_| self.is_placed)
+    }
+
+    /// Nobody knows any longer where the device is.
+    pub(crate) const fn displace(&mut self) {
+        self.is_placed = false;
+    }
+
+    /// Sets the position of the device without a command.
+    pub(crate) fn place(&mut self, position: f64) {
+        if let Some(signal) = self.signals.get_mut(&ControlType::Position) {
+            *signal = Signal::resting(position, Timestamp::from_nanos(0));
+            self.is_placed = true;
+        }
     }
 
     pub(crate) fn is_idle(&self) -> bool {
@@ -232,14 +265,14 @@ impl DeviceMachine {
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
-                self.lease_ended(end, heard, effects);
+                self.lease_ended(end, now, heard, effects);
                 continue;
             }
             let pending_end = self.pending_lease_end(heard).filter(|end| *end <= now);
             let event = self.queue.front().and_then(Held::next_event).filter(|at| *at <= now);
             match (pending_end, event) {
                 (Some(end), event) if event.is_none_or(|event| end <= event) => {
-                    self.lease_ended(end, heard, effects);
+                    self.lease_ended(end, now, heard, effects);
                 }
                 (_, Some(at)) => self.step(at, now, effects),
                 (_, None) => return,
@@ -254,21 +287,16 @@ impl DeviceMachine {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
-        if !held.began {
-            held.began = true;
-            let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
-            if held.time_of(0) > Some(at) {
-                self.ramp_to(&held, 0, at, effects);
-                effects.push(started(&held, value));
-                self.queue.push_front(held);
-                return;
-            }
+        held.began = true;
+        if held.time_of(held.next_step) == Some(at) {
             held.late.note(now - at);
             self.set_step(&mut held, at, effects);
-            effects.push(started(&held, value));
         } else {
-            held.late.note(now - at);
-            self.set_step(&mut held, at, effects);
+            self.ramp_to(&held, 0, at, effects);
+        }
+        // A second step that is due at the same instant does not report the start again.
+        if held.next_step <= 1 && at == held.starts(self.spec.interpolation) {
+            effects.push(started(&held));
         }
         match held.time_of(held.next_step) {
             Some(_) => self.queue.push_front(held),
@@ -281,6 +309,7 @@ impl DeviceMachine {
         let Some(setpoint) = held.setpoint(index).cloned() else { return };
         held.next_step += 1;
         self.take_over(&setpoint);
+        self.is_placed |= setpoint.control_type == ControlType::Position;
         self.signals.insert(setpoint.control_type, Signal::resting(setpoint.value, at));
         effects.push(Effect::Move {
             motion: Motion::Set(setpoint),
@@ -294,6 +323,7 @@ impl DeviceMachine {
     /// A rate that is driven again is no longer under the lease of the command that drove it before.
     fn take_over(&mut self, setpoint: &Setpoint) {
         let driven = setpoint.control_type;
+        self.is_placed &= !matches!(driven, ControlType::Speed | ControlType::Acceleration);
         self.driven.insert(driven, setpoint.clone());
         for guard in &mut self.guards {
             guard.rates.retain(|guarded| *guarded != driven);
@@ -344,13 +374,24 @@ impl DeviceMachine {
     }
 
     /// A lease of the device ends at `at`: that of what runs ends everything, one that is pending only what is pending.
-    fn lease_ended(&mut self, at: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
+    fn lease_ended(
+        &mut self,
+        at: Timestamp<Robot>,
+        now: Timestamp<Robot>,
+        heard: &LastHeard,
+        effects: &mut Vec<Effect>,
+    ) {
         let lost = |held: &&Held| !held.began && held.lease_end(heard) == Some(at);
-        let passed =
-            |held: &Held| if held.pending_until == Some(at) { NOT_CONFIRMED } else { SILENT_PENDING };
+        let passed = |held: &Held| match held.pending_until == Some(at) {
+            true => NOT_CONFIRMED.to_owned(),
+            false => lease_message("pending", now - at),
+        };
         let waiting = self.queue.iter().find(lost).map(|held| (held.start, passed(held)));
         match waiting.filter(|_| self.running_lease_end(heard) != Some(at)) {
-            None => self.link_lost(at, &ControlError::new(ErrorCode::LinkLost, SILENT_RUNNING), effects),
+            None => {
+                let why = lease_message("running", now - at);
+                self.link_lost(at, &ControlError::new(ErrorCode::LinkLost, why), effects);
+            }
             // What has not begun has moved nothing, and its end moves nothing.
             Some((from, why)) => {
                 self.cancel_from(from, &ControlError::new(ErrorCode::LinkLost, why), effects)
@@ -383,6 +424,7 @@ impl DeviceMachine {
     pub(crate) fn fail(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         self.drop_all(error, effects);
         self.guards.clear();
+        self.is_placed = false;
         for signal in self.signals.values_mut() {
             *signal = Signal::resting(signal.value(now), now);
         }
@@ -454,9 +496,13 @@ impl DeviceMachine {
     /// Brings the device to rest, where it is or in its default state, as fast as it can.
     fn come_to_rest(&mut self, now: Timestamp<Robot>, rest: Rest, effects: &mut Vec<Effect>) {
         self.guards.clear();
+        let moves = self.signals.get(&ControlType::Position).is_some_and(|signal| signal.moves(now));
+        self.is_placed &= self.lookahead.is_none() || !moves;
         effects.push(Effect::Stopped);
         for control_type in self.signals.keys().copied().collect::<Vec<_>>() {
             if let Some(motion) = self.motion_to_rest(control_type, now, rest) {
+                self.is_placed |=
+                    control_type == ControlType::Position && matches!(motion, Motion::Default(_));
                 effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
             }
         }
@@ -483,11 +529,12 @@ impl DeviceMachine {
             (ControlType::Position, None) if !signal.moves(now) => return None,
             (ControlType::Position, _) => {
                 let limits = self.spec.available_control_types.limits(control_type);
-                let rates = rates(&self.spec).filter(|_| home.is_some() || signal.moves(now));
+                let rates = self.rates().filter(|_| home.is_some() || signal.moves(now));
                 rates.and_then(|rates| signal.brought_to_rest(now, home, rates, limits))
             }
-            (ControlType::Speed, Some(target)) => acceleration(&self.spec)
-                .and_then(|acceleration| signal.slowed_to(now, target.value, acceleration)),
+            (ControlType::Speed, Some(target)) => {
+                self.acceleration().and_then(|acceleration| signal.slowed_to(now, target.value, acceleration))
+            }
             (_, _) => None,
         };
         if let Some(slowed) = slowed {
@@ -504,6 +551,17 @@ impl DeviceMachine {
             driven.clone_from(&target);
         }
         Some(if home.is_some() { Motion::Default(target) } else { Motion::Rest(target) })
+    }
+
+    /// Limits of the movements to rest and home. `None` if neither the speed nor the acceleration has a limit.
+    fn rates(&self) -> Option<Rates> {
+        let speed = tighter(largest(&self.spec, ControlType::Speed), self.limits.speed);
+        let rates = Rates { speed, acceleration: self.acceleration() };
+        (rates.speed.is_some() || rates.acceleration.is_some()).then_some(rates)
+    }
+
+    fn acceleration(&self) -> Option<f64> {
+        tighter(largest(&self.spec, ControlType::Acceleration), self.limits.acceleration)
     }
 
     /// A stop of this party that was sent then has arrived: what was sent before it and comes behind it must not begin. A
@@ -645,17 +703,21 @@ fn largest(spec: &Device, rate: ControlType) -> Option<f64> {
     Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
 }
 
-fn acceleration(spec: &Device) -> Option<f64> {
-    largest(spec, ControlType::Acceleration)
+/// The smaller of two limits, either of which may be missing. A `limit` that is not above zero is ignored.
+fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
+    declared.into_iter().chain(limit.filter(|limit| *limit > 0.0)).reduce(f64::min)
 }
 
-/// How fast a device changes its position, if it declares a speed or an acceleration.
-fn rates(spec: &Device) -> Option<Rates> {
-    let rates = Rates { speed: largest(spec, ControlType::Speed), acceleration: acceleration(spec) };
-    (rates.speed.is_some() || rates.acceleration.is_some()).then_some(rates)
+/// The reason for which a lease ended. A robot that was itself delayed may not have read messages that arrived in time.
+fn lease_message(lease: &str, late: Span) -> String {
+    match late > START_LATE_MAX {
+        true => format!("the {lease} lease ended while the robot was delayed: it woke up {late} after that"),
+        false => format!("the {lease} lease ended: the server was silent for longer than `stop_condition`"),
+    }
 }
 
-fn started(held: &Held, value: f64) -> Effect {
+fn started(held: &Held) -> Effect {
+    let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
     let (command, link, request_id) = (held.command, held.link, held.request_id.clone());
     Effect::Started { command, link, request_id, value }
 }

@@ -1,6 +1,8 @@
 //! A command that a device has accepted and that has not ended: its steps, their absolute times, its lease.
 
-use urrcp::{ControlType, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp};
+use urrcp::{
+    ControlType, Interpolation, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp,
+};
 
 use crate::device::CommandId;
 use crate::late_steps::LateSteps;
@@ -55,6 +57,14 @@ impl Held {
         match &self.steps {
             Steps::One(_) => (index == 0).then_some(self.start),
             Steps::Script(script) => script.steps().get(index).map(|step| self.start + step.offset.span()),
+        }
+    }
+
+    /// The instant at which it is to have started. A device that holds does not move before the first value.
+    pub(crate) fn starts(&self, interpolation: Interpolation) -> Timestamp<Robot> {
+        match &self.steps {
+            Steps::One(_) => self.start,
+            Steps::Script(script) => self.start + script.until_started(interpolation),
         }
     }
 

@@ -196,11 +196,12 @@ impl Host {
         Ok(Self { handle, scheduling, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
-    /// Waits until every driver has tried to connect once, so that the next question is answered with how it went.
+    /// Waits until every driver has tried to connect once, so that the next answer states the result. Returns whether all of
+    /// them have.
     #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
-    pub fn await_hardware(&self, patience: Duration) {
+    pub fn await_hardware(&self, patience: Duration) -> bool {
         let until = std::time::Instant::now() + patience;
-        self.mailboxes.iter().for_each(|mailbox| mailbox.await_tried(until));
+        self.mailboxes.iter().all(|mailbox| mailbox.await_tried(until))
     }
 
     /// What the precise thread was granted.

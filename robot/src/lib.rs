@@ -128,7 +128,7 @@ pub mod zenoh;
 
 pub use confirmation::Ticket;
 pub use counts::Counts;
-pub use device::Motion;
+pub use device::{Motion, MotionLimits};
 pub use hardware::ReadingId;
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};

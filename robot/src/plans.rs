@@ -100,7 +100,7 @@ impl Then {
 /// What a driver says of a script that it times by itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PlanEvent {
-    /// The first value is set, or the device has begun to move.
+    /// The first value is set, or the device has begun to move to it linearly.
     Began,
     /// The step of this index is done, and with it all before.
     Step(u32),
@@ -221,7 +221,7 @@ impl Plan {
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
-            (_, None, None) => self.held.start + self.tolerance.report,
+            (_, None, None) => self.held.starts(self.interpolation) + self.tolerance.report,
             (_, Some(_), None) => self.held.end + self.tolerance.report,
         };
         Some(self.extended.map_or(due, |extended| due.max(extended)))

@@ -7,7 +7,7 @@ mod permission;
 mod planned;
 mod seize;
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use urrcp::{
     AvailabilityResponse, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
@@ -18,7 +18,7 @@ use urrcp::{
 use crate::answers::Answers;
 use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::counts::Counts;
-use crate::device::{DeviceMachine, Effect, Motion, Rest};
+use crate::device::{DeviceMachine, Effect, Motion, MotionLimits, Rest};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 #[cfg(feature = "host")]
@@ -177,6 +177,16 @@ impl Robot {
         }
     }
 
+    /// The same robot with these limits of the movements to rest and home, if they are tighter than those that its devices
+    /// declare.
+    #[must_use]
+    pub fn with_limits(mut self, limits: &BTreeMap<DeviceId, MotionLimits>) -> Self {
+        for device in &mut self.devices {
+            device.limits = limits.get(&device.spec.id).copied().unwrap_or_default();
+        }
+        self
+    }
+
     /// How it describes itself.
     #[must_use]
     pub const fn block(&self) -> &InitializationBlock {
@@ -209,6 +219,13 @@ impl Robot {
     #[must_use]
     pub fn value(&self, device: &str, control_type: ControlType, now: Now) -> Option<f64> {
         self.devices[*self.index_of.get(device)?].value(control_type, now)
+    }
+
+    /// Sets the position of a device of a simulated robot, without a command.
+    pub(crate) fn place(&mut self, device: &DeviceId, position: f64) {
+        if let Some(index) = self.index_of.get(device) {
+            self.devices[*index].place(position);
+        }
     }
 
     /// What its sensors read by themselves.

@@ -13,13 +13,13 @@ pub enum Kept {
     /// Everything.
     #[default]
     All,
-    /// The values of the first steps of scripts.
+    /// The first values of scripts, and the linear movements to them.
     FirstSteps,
 }
 
 impl Kept {
     pub(crate) fn keeps(self, set: &SetValue) -> bool {
-        self == Self::All || (set.step == Some(0) && matches!(set.motion, Motion::Set(_)))
+        self == Self::All || set.step == Some(0)
     }
 }
 

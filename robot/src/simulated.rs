@@ -1,13 +1,14 @@
 //! A simulated robot: the real machine behind a clock, a link and faults of its own. Pure like the machine itself.
 
 use std::cell::Cell;
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use urrcp::{
     Command, ControlError, ControlResponse, ControlType, DEVICES_MAX, DeviceId, Encoding, ErrorCode,
     InitializationBlock, Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
+use crate::device::MotionLimits;
 use crate::hardware::{ReadingId, SILENCE_MAX};
 use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::{Kept, LogEntry};
@@ -42,6 +43,8 @@ pub struct Settings {
     pub fault: Option<Fault>,
     /// How its body follows its devices, as far as it does not at once.
     pub moves: Vec<Moves>,
+    /// Limits of the movements to rest and home, if they are tighter than those that its devices declare.
+    pub limits: BTreeMap<DeviceId, MotionLimits>,
     /// Seed of its random draws.
     pub seed: u64,
 }
@@ -56,6 +59,7 @@ impl Default for Settings {
             delay: None,
             fault: None,
             moves: Vec::new(),
+            limits: BTreeMap::new(),
             seed: 0,
         }
     }
@@ -145,8 +149,9 @@ impl SimulatedRobot {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
         let ntp_residue = draw_symmetric(&mut rng, settings.ntp_error.unwrap_or_default());
         let bodies = bodies(&block, &settings);
+        let block = block.and_understands(Encoding::MessagePack).and_answers_inquiries();
         Self {
-            robot: Robot::new(block.and_understands(Encoding::MessagePack).and_answers_inquiries()),
+            robot: Robot::new(block).with_limits(&settings.limits),
             settings,
             ntp_residue,
             rng,
@@ -175,7 +180,7 @@ impl SimulatedRobot {
     #[must_use]
     pub fn with_hardware(block: InitializationBlock, settings: Settings, now: Timestamp<True>) -> Self {
         let mut robot = Self::new(block, settings);
-        robot.robot = Robot::driven(robot.robot.block().clone());
+        robot.robot = Robot::driven(robot.robot.block().clone()).with_limits(&robot.settings.limits);
         robot.hands = Some(Hands::default());
         robot.hardware_found(now);
         robot
@@ -210,6 +215,14 @@ impl SimulatedRobot {
     #[must_use]
     pub const fn robot(&self) -> &Robot {
         &self.robot
+    }
+
+    /// Sets the position of a device, before the first command.
+    pub fn place(&mut self, device: &DeviceId, position: f64) {
+        self.robot.place(device, position);
+        for body in self.bodies.iter_mut().filter(|body| body.moves.device == *device) {
+            body.place(position);
+        }
     }
 
     /// What a sensor reads from now on.

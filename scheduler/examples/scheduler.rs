@@ -40,7 +40,7 @@ pub async fn play(
     // Simulated robots and drivers run in this process, on the host.
     let (site, options_of_host) = (Site::of(&fleet, None)?, HostOptions::default());
     let (host, endpoints) =
-        fleet::endpoints(&robots, fleet.handshake, &site, options_of_host, StartPrograms::Yes)?;
+        fleet::endpoints(&robots, fleet.handshake, &site, options_of_host, StartPrograms::Yes.into())?;
     let mission = Mission::new(choreography, fleet::participants(&robots), options, clock.now())?;
     let report = run(mission, endpoints, clock, operator, |_, _| {}).await;
     drop(host);

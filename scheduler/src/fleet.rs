@@ -1,10 +1,14 @@
 //! From the fleet file to robots that can be talked to.
 
-use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec};
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec, Timeouts};
 use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostError, HostOptions, Hosted};
+use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
 use downbeat_scripts::{
-    Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, SimulatedMoves, Wait,
+    Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, RateLimits, SimulatedMoves,
+    Wait,
 };
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
@@ -73,6 +77,7 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
         id: robot.id.clone(),
         block: robot.init.clone(),
         settings: settings_of(robot),
+        in_process: !robot.address.is_served(),
     };
     robots.iter().map(participant).collect()
 }
@@ -154,8 +159,18 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
             downbeat_scripts::Fault::Disconnect => Fault::Disconnect,
         }),
         moves: from.moves.iter().map(moves).collect(),
+        limits: limits(robot),
         seed,
     }
+}
+
+/// The limits of the fleet file for the movements of its devices to rest and home.
+fn limits(robot: &FleetRobot) -> BTreeMap<DeviceId, MotionLimits> {
+    let limit = |(device, limits): (&String, &RateLimits)| {
+        let RateLimits { speed, acceleration } = *limits;
+        Some((DeviceId::new(device).ok()?, MotionLimits { speed, acceleration }))
+    };
+    robot.limits.iter().filter_map(limit).collect()
 }
 
 fn moves(of: &SimulatedMoves) -> Moves {
@@ -163,8 +178,10 @@ fn moves(of: &SimulatedMoves) -> Moves {
     Moves { device, latency, spread, time_constant, sensor, noise, delay }
 }
 
-/// How long the hardware of all robots in this process may take to be found before the mission begins without it.
-const HARDWARE_WAIT: std::time::Duration = std::time::Duration::from_secs(10);
+/// Minimum time to wait for the hardware of all robots in this process before the mission begins without it.
+const HARDWARE_WAIT: Duration = Duration::from_secs(10);
+/// Interval between checks of the hardware in [`await_hardware`].
+const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 /// Whether the programs are started that the fleet file names as drivers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -173,6 +190,29 @@ pub enum StartPrograms {
     Yes,
     /// Their robots are not available. A command that only looks executes nothing that a file names.
     No,
+}
+
+/// How the drivers of robots in this process are run.
+#[derive(Clone, Copy, Debug)]
+pub struct Drivers {
+    /// Whether programs are started.
+    pub programs: StartPrograms,
+    /// How long a program may take to answer.
+    pub timeouts: Timeouts,
+}
+
+impl From<StartPrograms> for Drivers {
+    fn from(programs: StartPrograms) -> Self {
+        Self { programs, timeouts: Timeouts::default() }
+    }
+}
+
+impl Drivers {
+    /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One second more lets the
+    /// driver report the reason if the program misses it.
+    fn wait(self) -> Duration {
+        (self.timeouts.start * 2 + Duration::from_secs(1)).max(HARDWARE_WAIT)
+    }
 }
 
 /// In place of a program that is not started.
@@ -204,7 +244,7 @@ impl Driver for NotStarted {
 }
 
 /// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
-fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Option<Hosted>, EndpointError> {
+fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
         Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
         Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
@@ -213,11 +253,11 @@ fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Opti
     };
     let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
     let refused = |error| EndpointError::Driver { robot: robot.id.clone(), error };
-    let driver = match (&spec, programs) {
+    let driver = match (&spec, drivers.programs) {
         (DriverSpec::Program { .. }, StartPrograms::No) => Box::new(NotStarted),
-        _ => spec.driver(&block).map_err(refused)?,
+        _ => spec.driver_within(&block, drivers.timeouts).map_err(refused)?,
     };
-    Ok(Some(Hosted::driven(block, driver, DriverOptions::default())))
+    Ok(Some(Hosted::driven(block, driver, DriverOptions::default().with_limits(limits(robot)))))
 }
 
 /// Where each robot is reached; all but those with `address: tcp://`, `tls://`, `hmac://` or `zenoh:` are started in this process.
@@ -229,16 +269,25 @@ pub fn endpoints(
     handshake: Handshake,
     site: &Site,
     options: HostOptions,
-    programs: StartPrograms,
+    drivers: Drivers,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
-    let (host, endpoints) = endpoints_at_once(robots, handshake, site, options, programs)?;
+    let (host, endpoints) = endpoints_at_once(robots, handshake, site, options, drivers)?;
     if let Some(host) = &host {
-        host.await_hardware(HARDWARE_WAIT);
+        host.await_hardware(drivers.wait());
     }
     Ok((host, endpoints))
 }
 
-/// The same, without waiting for hardware.
+/// Waits like [`endpoints`], without blocking the thread.
+#[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
+pub async fn await_hardware(host: &Host, drivers: Drivers) {
+    let until = Instant::now() + drivers.wait();
+    while !host.await_hardware(Duration::ZERO) && Instant::now() < until {
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}
+
+/// The same as [`endpoints`], without waiting for hardware.
 ///
 /// # Errors
 /// As [`endpoints`].
@@ -247,7 +296,7 @@ pub fn endpoints_at_once(
     handshake: Handshake,
     site: &Site,
     options: HostOptions,
-    programs: StartPrograms,
+    drivers: Drivers,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
     let network = robots.iter().any(|robot| matches!(robot.address, Address::Zenoh { .. }));
     let network = network.then(|| site.network()).transpose().map_err(EndpointError::Network)?;
@@ -255,7 +304,7 @@ pub fn endpoints_at_once(
     // The index in the host of those that run there.
     let mut places = Vec::new();
     for robot in robots {
-        let hosted = hosted(robot, machines.len() as u64, programs)?;
+        let hosted = hosted(robot, machines.len() as u64, drivers)?;
         places.push(hosted.is_some().then_some(machines.len()));
         machines.extend(hosted);
     }

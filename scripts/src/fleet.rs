@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::address::{ADDRESS, Address, Reached, address_fault};
@@ -127,7 +128,7 @@ impl FleetRobot {
 }
 
 /// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RateLimits {
     /// Limit of the first derivative: speed for positions.
     pub speed: Option<f64>,

@@ -16,6 +16,7 @@
 
 mod address;
 mod aliases;
+mod approach;
 mod budget;
 mod chance;
 mod compile;
@@ -66,6 +67,7 @@ mod transit;
 mod world;
 
 pub use address::{Address, NoAddress, Protection};
+pub use approach::Approach;
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
@@ -87,7 +89,7 @@ pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
     Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure,
-    Plan, PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
+    Plan, PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way, is_rate,
 };
 pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};

@@ -1,6 +1,6 @@
 //! What a scenario compiles to: acts, and for each the scripts of every robot.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use serde::Serialize;
@@ -124,6 +124,21 @@ pub struct DeviceUse {
     pub worst_error: f64,
     /// When that is, from the act's start.
     pub worst_at: Span,
+    /// The largest speed that its block and the fleet file allow, driven by position, in its unit per second.
+    #[serde(skip)]
+    pub speed_max: Option<f64>,
+}
+
+impl RobotPlan {
+    /// The first value of each device that is driven by position.
+    pub fn first_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
+        let mut known = HashSet::new();
+        let firsts = self.scripts.iter().filter(move |script| known.insert(&script.device));
+        firsts.filter_map(|script| {
+            let first = &script.script.steps().first()?.setpoint;
+            (first.control_type == ControlType::Position).then_some((&script.device, first.value))
+        })
+    }
 }
 
 /// A sensor is read at a time.
@@ -294,7 +309,8 @@ impl Choreography {
 }
 
 /// Whether a control type drives a rate, which continues until something changes it.
-pub(crate) const fn is_rate(control_type: ControlType) -> bool {
+#[must_use]
+pub const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
 }
 

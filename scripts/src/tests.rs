@@ -258,6 +258,7 @@ proptest! {
 
 mod carried;
 mod composed;
+mod entries;
 mod expressions;
 mod groups;
 mod hints;

@@ -47,7 +47,7 @@ const TABLES: [(&str, &str, &str, &[&str]); 11] = [
     ("## Inquiry", "`inquiry`", "Inquiry", &[]),
     ("## Inquiry", "`inquiry_response`", "InquiryResponse", &[]),
     ("## Inquiry", "entry of `requests`", "RequestReport", &[]),
-    ("## Inquiry", "entry of `devices`", "DeviceRoom", &[]),
+    ("## Inquiry", "entry of `devices`", "DeviceReport", &[]),
 ];
 
 /// The keys that a table lists, each with what stands in its column `required`.

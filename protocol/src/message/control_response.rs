@@ -153,7 +153,7 @@ pub enum Status {
     Ok,
     /// Taken for execution.
     Accepted,
-    /// Execution has begun (ours).
+    /// The first value is set, or the device begins to move to it linearly (ours).
     Started,
     /// A sensor's reading.
     Provide,

@@ -1,4 +1,4 @@
-//! A question that cannot act: what became of these requests, and how much room have these devices?
+//! A question that cannot act. It asks for the state of requests, and for the room and the commanded position of devices.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -10,6 +10,7 @@ use super::Status;
 use crate::content_hash::ContentHash;
 use crate::error::ControlError;
 use crate::limits::{INQUIRY_NAMES_MAX, LimitError};
+use crate::number;
 use crate::object::{self, Object};
 use crate::text::{DeviceId, RequestId, SessionId};
 use crate::time::{Millis, Robot, Server, Timestamp};
@@ -66,8 +67,8 @@ pub struct InquiryResponse {
     pub requests: Vec<RequestReport>,
     /// One for each device asked for that the robot has, in the same order.
     #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceRoom>>", length(max = INQUIRY_NAMES_MAX)))]
-    pub devices: Vec<DeviceRoom>,
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceReport>>", length(max = INQUIRY_NAMES_MAX)))]
+    pub devices: Vec<DeviceReport>,
 }
 
 /// What became of one request.
@@ -116,14 +117,19 @@ pub enum RequestState {
     Ended,
 }
 
-/// How many scripts a device would still take.
+/// The room and the commanded position of a device.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DeviceRoom {
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DeviceReport {
     /// Which device.
     pub device_id: DeviceId,
     /// As many as its script queue has places free.
     pub room: u32,
+    /// The commanded position at the instant of the answer, in the device's unit. Absent if the device has no position or the
+    /// robot does not know it.
+    #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
+    pub position: Option<f64>,
 }
 
 impl InquiryResponse {

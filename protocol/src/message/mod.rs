@@ -27,7 +27,7 @@ pub use control_types::{ControlParameters, ControlTypes, Limits, ScriptParameter
 pub use device::{Device, Interpolation};
 pub use devices::Devices;
 pub use initialization_block::{API_VERSION, InitializationBlock, InitializationRequest, RobotType};
-pub use inquiry::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState};
+pub use inquiry::{DeviceReport, Inquiry, InquiryResponse, RequestReport, RequestState};
 pub use latency::Latency;
 pub(crate) use on_line::OnLine;
 pub use script::{Script, Setpoint};

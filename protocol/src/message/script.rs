@@ -8,7 +8,7 @@ use serde::de::{self, SeqAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::Step;
+use super::{Interpolation, Step};
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, LimitError, SCRIPT_STEPS_MAX};
@@ -136,6 +136,16 @@ impl Script {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.steps().is_empty()
+    }
+
+    /// Time from the start of the script until it has started: until its first value or, on a device that moves linearly, zero,
+    /// because the device begins to move to the first value at once.
+    #[must_use]
+    pub fn until_started(&self, interpolation: Interpolation) -> Span {
+        match interpolation {
+            Interpolation::Hold => self.steps().first().map_or(Span::ZERO, |step| step.offset.span()),
+            Interpolation::Linear => Span::ZERO,
+        }
     }
 
     /// From its start to its last step.

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
-    ControlType, DeviceId, DeviceRoom, ErrorCode, InitializationBlock, InitializationRequest, Inquiry,
+    ControlType, DeviceId, DeviceReport, ErrorCode, InitializationBlock, InitializationRequest, Inquiry,
     InquiryResponse, Label, Message, Millis, RequestId, RequestReport, RequestState, Script, SessionId,
     Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
 };
@@ -207,9 +207,12 @@ fn request_report() -> impl Strategy<Value = RequestReport> {
 }
 
 fn inquiry_response() -> impl Strategy<Value = InquiryResponse> {
-    let room = (text(), any::<u32>())
-        .prop_map(|(id, room)| DeviceRoom { device_id: DeviceId::new(id).unwrap(), room });
-    let lists = (vec(request_report(), 0..4), vec(room, 0..4));
+    let device = (text(), any::<u32>(), option::of(number())).prop_map(|(id, room, position)| DeviceReport {
+        device_id: DeviceId::new(id).unwrap(),
+        room,
+        position,
+    });
+    let lists = (vec(request_report(), 0..4), vec(device, 0..4));
     (availability_response(), lists).prop_map(|(said, (requests, devices))| InquiryResponse {
         originate_timestamp: said.originate_timestamp,
         receive_timestamp: said.receive_timestamp,

@@ -287,13 +287,14 @@ impl Mailbox {
         self.changed.notify_all();
     }
 
-    /// Waits until a first try to connect has ended, well or not.
-    pub(crate) fn await_tried(&self, until: Instant) {
+    /// Waits until the first attempt to connect has ended, with or without success. Returns whether it has.
+    pub(crate) fn await_tried(&self, until: Instant) -> bool {
         let mut state = self.lock();
         while !state.tried && !state.closed {
-            let Some(left) = until.checked_duration_since(Instant::now()) else { return };
+            let Some(left) = until.checked_duration_since(Instant::now()) else { return false };
             state = self.wait(state, left);
         }
+        true
     }
 
     /// Waits, unless it is closed.

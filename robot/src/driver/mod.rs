@@ -46,6 +46,7 @@ pub(crate) use self::worker::{News, Worker};
 
 use crate::clock::{HostClock, SystemClock};
 use crate::confirmation::Ticket;
+use crate::device::MotionLimits;
 use crate::hardware::ReadingId;
 use crate::plans::{Lookahead, PlanCancel, PlanPart};
 use crate::signal::Signal;
@@ -233,9 +234,18 @@ pub struct DriverOptions {
     /// So often a second each sensor is read at most; requests in between are answered with the last reading. `None`: as the driver
     /// declares, or as often as it is asked for.
     pub readings_per_second: Option<f64>,
+    /// Limits of the movements to rest and home, if they are tighter than those that the robot declares.
+    pub limits: BTreeMap<DeviceId, MotionLimits>,
 }
 
 impl DriverOptions {
+    /// The same with these limits of the movements to rest and home.
+    #[must_use]
+    pub fn with_limits(mut self, limits: BTreeMap<DeviceId, MotionLimits>) -> Self {
+        self.limits = limits;
+        self
+    }
+
     /// The same with so many samples a second.
     #[must_use]
     pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {

@@ -93,6 +93,7 @@ impl Hosted {
                 (block, driver, options, watch, tolerance)
             }
         };
+        let limits = options.limits.clone();
         let mailbox = Arc::new(Mailbox::tolerating(tolerance));
         let orders = orders.clone();
         // At most the open readings and a word a connection are on the way; a host that has stopped hears nothing.
@@ -103,7 +104,7 @@ impl Hosted {
         let worker =
             Worker::new(driver, block.clone(), Arc::clone(&mailbox), options.clone(), Box::new(tell));
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
-        let robot = Robot::driven(block).tolerating(tolerance);
+        let robot = Robot::driven(block).with_limits(&limits).tolerating(tolerance);
         let edge = Edge::new(robot, mailbox);
         Ok((Body::Edge(Box::new(edge)), Some(thread)))
     }

@@ -90,7 +90,7 @@ pub(super) fn weight(message: &Message) -> usize {
             StatusValue::Script(script) => script.steps().len() * 80,
             _ => 0,
         },
-        Message::InquiryResponse(response) => response.requests.len() * 256 + response.devices.len() * 64,
+        Message::InquiryResponse(response) => response.requests.len() * 256 + response.devices.len() * 96,
         _ => 0,
     };
     BASE + lists
@@ -155,7 +155,7 @@ mod tests {
         let step = Step::new(Millis::ZERO, Setpoint::new(ControlType::Position, 1.0));
         let script = StatusValue::Script(Script::new(vec![step; 3]).unwrap());
         let report = RequestReport::new(RequestId::new("a").unwrap(), RequestState::Unknown);
-        let room = urrcp::DeviceRoom { device_id: arm.clone(), room: 1 };
+        let room = urrcp::DeviceReport { device_id: arm.clone(), room: 1, position: Some(1.0) };
         let inquiry = InquiryResponse {
             requests: vec![report; 2],
             devices: vec![room; 3],
@@ -164,7 +164,7 @@ mod tests {
         for (message, expected) in [
             (Message::ControlResponse(response(StatusValue::Null)), 256),
             (Message::ControlResponse(response(script)), 256 + 3 * 80),
-            (Message::InquiryResponse(inquiry), 256 + 2 * 256 + 3 * 64),
+            (Message::InquiryResponse(inquiry), 256 + 2 * 256 + 3 * 96),
             (block(2), 256 + 2 * 256),
             (Message::AvailabilityRequest(AvailabilityRequest::default()), 256),
         ] {

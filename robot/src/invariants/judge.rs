@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use urrcp::{
     ContentHash, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
-    Message, RequestId, SessionId, Status, StatusValue, Timestamp,
+    Interpolation, Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
 use super::model::{DeviceModel, Heard, Order, Party, Way, cancels_from};
@@ -107,6 +107,7 @@ impl Judge {
 
     /// Without a request: what may come is that all devices are stopped.
     fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
+        self.begin_untold(now);
         self.forget_the_last();
         self.cancels_from = None;
         self.sends_home = false;
@@ -124,6 +125,11 @@ impl Judge {
         self.check_lost(true)?;
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
+    }
+
+    /// Begins orders whose start has come and whose first value is due later. Robots do not report this.
+    fn begin_untold(&mut self, now: Now) {
+        self.devices.values_mut().for_each(|device| device.begin_untold(now, &self.heard));
     }
 
     fn forget_the_last(&mut self) {
@@ -155,6 +161,7 @@ impl Judge {
     }
 
     fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
+        self.begin_untold(now);
         self.forget_the_last();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
         self.sends_home = asked.is_some_and(|asked| asked.request.home) || out.iter().any(is_unsupported);
@@ -181,6 +188,7 @@ impl Judge {
             format!("{answers} answers to one request: {out:?}")
         })?;
         self.check_lost(asked.is_some())?;
+        self.begin_untold(now);
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
     }
@@ -405,19 +413,24 @@ fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Resu
     hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
 }
 
-/// Begins an order, if the report is of its start.
+/// Marks an order as started if the report is about its start. A device that holds reports its start with the first value.
 fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlResponse) -> bool {
-    let of = |order: &&mut Order| order.id == report.request_id && !order.began && order.start <= now;
-    let Some(order) = device.queue.iter_mut().find(of) else { return false };
-    let in_force = order.pending_ends(heard).is_none_or(|end| end > order.start);
+    let starts = |order: &Order| match device.spec.interpolation {
+        Interpolation::Linear => order.start,
+        Interpolation::Hold => order.time_of(0).unwrap_or(order.start),
+    };
+    let of = |order: &Order| order.id == report.request_id && !order.started && starts(order) <= now;
+    let Some(at) = device.queue.iter().position(of) else { return false };
+    let order = &mut device.queue[at];
+    let begun = order.began || order.begins_by(now, heard);
     let value = order.steps.first().map(|step| StatusValue::Number(step.setpoint.value));
-    order.began = true;
-    in_force && now - order.start <= START_LATE_MAX && value.as_ref() == Some(&report.status_value)
+    (order.began, order.started) = (true, true);
+    begun && value.as_ref() == Some(&report.status_value)
 }
 
 /// Ends an order, if the report is of its end.
 fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
-    let Some(order) = take(device, |order| order.id == report.request_id && order.began && order.is_done())
+    let Some(order) = take(device, |order| order.id == report.request_id && order.started && order.is_done())
     else {
         return false;
     };

@@ -4,10 +4,11 @@
 use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
-    Command, ControlParameters, ControlRequest, ControlType, Device, Millis, RequestId, Robot, Server,
-    SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
+    Command, ControlParameters, ControlRequest, ControlType, Device, Interpolation, Millis, RequestId, Robot,
+    Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
+use crate::device::START_LATE_MAX;
 use crate::robot::LinkId;
 
 type Now = Timestamp<Robot>;
@@ -76,7 +77,10 @@ pub(super) struct Order {
     pending_until: Option<Now>,
     /// Steps that were set.
     pub(super) done: usize,
+    /// Whether its start has come.
     pub(super) began: bool,
+    /// Whether the robot has reported that it started.
+    pub(super) started: bool,
 }
 
 impl Order {
@@ -101,6 +105,7 @@ impl Order {
             pending_until: request.pending_until,
             done: 0,
             began: false,
+            started: false,
         }
     }
 
@@ -144,6 +149,12 @@ impl Order {
         let condition = self.condition.unwrap_or_default();
         let shortest = condition.pending.filter(|own| own.get() <= pending.get()).unwrap_or(pending);
         self.condition = Some(StopCondition { pending: Some(shortest), ..condition });
+    }
+
+    /// Whether it may have begun: its start was at most `START_LATE_MAX` ago, and its lease was in force at the start.
+    pub(super) fn begins_by(&self, now: Now, heard: &Heard) -> bool {
+        let in_force = self.pending_ends(heard).is_none_or(|end| end > self.start);
+        self.start <= now && now - self.start <= START_LATE_MAX && in_force
     }
 
     /// Whether its lease has ended while it still waited for its start.
@@ -310,6 +321,17 @@ impl DeviceModel {
     pub(super) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
         let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
         over.map(|order| order.start).min()
+    }
+
+    /// Begins orders of a device that holds if their start has come and their first value is due later.
+    pub(super) fn begin_untold(&mut self, now: Now, heard: &Heard) {
+        let falls = self.falls_from(now, heard);
+        let untold = self.spec.interpolation == Interpolation::Hold;
+        for order in self.queue.iter_mut().filter(|order| untold && !order.began) {
+            let is_later = order.time_of(0) > Some(order.start);
+            order.began =
+                is_later && order.begins_by(now, heard) && falls.is_none_or(|from| order.start < from);
+        }
     }
 
     /// Whether its end is seen: a speed is set to zero.

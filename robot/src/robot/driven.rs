@@ -13,7 +13,7 @@ use urrcp::{
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot, tell};
 use crate::confirmation::{Said, Ticket, Unconfirmed};
-use crate::device::{Effect, Rest};
+use crate::device::{DeviceMachine, Effect, Rest};
 use crate::hardware::{Asker, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
 #[cfg(feature = "host")]
 use crate::signal::Signal;
@@ -28,7 +28,9 @@ impl Robot {
     /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
-        Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) }
+        let mut robot = Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) };
+        robot.devices.iter_mut().for_each(DeviceMachine::displace);
+        robot
     }
 
     /// Takes over what its driver declares: its initialization block says so from now on. A spread that the block has stays; of
@@ -195,6 +197,7 @@ impl Robot {
             let why = format!("a value reached the hardware {late} late and was not set");
             self.fail_unconfirmed(now, index, &ControlError::new(ErrorCode::Late, why.clone()), out);
             self.fail_late(now, index, &why, out);
+            self.devices[index].displace();
         }
     }
 

@@ -1,14 +1,14 @@
 //! What a robot answers to an inquiry: a question that neither starts, stops nor moves anything, and claims nothing.
 
 use urrcp::{
-    ControlError, DeviceId, DeviceRoom, Inquiry, InquiryResponse, Message, RequestId, RequestReport,
+    ControlError, DeviceId, DeviceReport, Inquiry, InquiryResponse, Message, RequestId, RequestReport,
     RequestState, Status,
 };
 
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot};
 use crate::answers::Known;
-use crate::held::Limit;
+use crate::held::{Held, Limit};
 
 impl Robot {
     pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {
@@ -40,7 +40,7 @@ impl Robot {
                 false => Vec::new(),
             },
             devices: match belongs {
-                true => inquiry.devices.iter().filter_map(|id| self.room_of(id)).collect(),
+                true => inquiry.devices.iter().filter_map(|id| self.device_report(now, id)).collect(),
                 false => Vec::new(),
             },
             ..InquiryResponse::new(inquiry, now, now, status)
@@ -53,10 +53,13 @@ impl Robot {
         let known_of =
             RequestReport { content_hash: known.content_hash, event_timestamp: known.began, ..unknown };
         match known.answer.status {
-            Status::Accepted => {
+            // A device that holds reports `Started` only with the first value: until then, the last answer is `Accepted`.
+            Status::Accepted
+                if self.running(known).is_none_or(|held| held.request_id.as_ref() != Some(id)) =>
+            {
                 RequestReport { state: RequestState::Held, start_timestamp: known.start, ..known_of }
             }
-            Status::Started => self.running_report(known, known_of),
+            Status::Accepted | Status::Started => self.running_report(known, known_of),
             _ => RequestReport {
                 state: RequestState::Ended,
                 steps_done: known.answer.steps_done,
@@ -68,9 +71,13 @@ impl Robot {
         }
     }
 
+    /// The command that runs on the device of a request, if any.
+    fn running(&self, known: &Known) -> Option<&Held> {
+        self.devices[*self.index_of.get(&known.answer.device_id)?].running()
+    }
+
     fn running_report(&self, known: &Known, report: RequestReport) -> RequestReport {
-        let device = self.index_of.get(&known.answer.device_id).map(|index| &self.devices[*index]);
-        let running = device.and_then(|device| device.running());
+        let running = self.running(known);
         if let Some(plan) = known.answer.request_id.as_ref().and_then(|id| self.plans.of_request(id)) {
             return RequestReport {
                 state: RequestState::Running,
@@ -92,10 +99,14 @@ impl Robot {
     }
 
     /// Hardware that is away takes nothing.
-    fn room_of(&self, id: &DeviceId) -> Option<DeviceRoom> {
-        let room = self.devices[*self.index_of.get(id)?].room();
-        let room = if self.hardware.missing().is_some() { 0 } else { room };
-        Some(DeviceRoom { device_id: id.clone(), room })
+    fn device_report(&self, now: Now, id: &DeviceId) -> Option<DeviceReport> {
+        let device = &self.devices[*self.index_of.get(id)?];
+        let is_missing = self.hardware.missing().is_some();
+        Some(DeviceReport {
+            device_id: id.clone(),
+            room: if is_missing { 0 } else { device.room() },
+            position: device.position(now).filter(|_| !is_missing),
+        })
     }
 
     /// Only what this party has sent itself: its message has just renewed those leases.

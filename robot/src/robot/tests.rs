@@ -16,7 +16,7 @@ use urrcp::{
 };
 
 use super::{Input, LinkId, Output, Robot, SetValue};
-use crate::device::Motion;
+use crate::device::{Motion, MotionLimits};
 
 const LINK: LinkId = LinkId(1);
 /// Begin of all tests, in nanoseconds.

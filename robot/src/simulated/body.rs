@@ -85,6 +85,11 @@ impl MovedBody {
         Self { moves, range, at_first, rng, current: None, coming: VecDeque::new(), at: None, movement: None }
     }
 
+    /// Sets the initial position of its device.
+    pub(super) const fn place(&mut self, position: f64) {
+        self.at_first = position;
+    }
+
     /// Its device was told something.
     pub(super) fn told(&mut self, now: Timestamp<True>, set: &SetValue) {
         let (control_type, from, to, lasts) = match &set.motion {

@@ -166,6 +166,7 @@ struct device {
     bool sensor, linear, has_default;
     bool usable[KINDS];            /* in its scripts */
     double default_value, where[KINDS];
+    bool placed;                   /* whether the hardware has taken a position, the one in `where` */
     enum kind primary;             /* what default_value is of */
     int queue, max_steps;
     int64_t taken_back;
@@ -517,8 +518,11 @@ static void drop(struct device *device, int64_t from, bool pending, const char *
 
 static bool set(struct device *device, enum kind kind, double value)
 {
+    bool taken = arm_set((int)(device - devices), kind, value);
     device->where[kind] = value;
-    return arm_set((int)(device - devices), kind, value);
+    if (kind == POSITION || value != 0)
+        device->placed = kind == POSITION && taken;
+    return taken;
 }
 
 static bool moves(const struct device *device, const struct command *c)
@@ -560,7 +564,7 @@ static void rest(struct device *device, bool home, const char *code, const char 
     drop(device, -NEVER, false, code, message, now);
 }
 
-static const char SILENT[] = "the server was silent for longer than stop_condition", BROKEN[] = "the hardware failed";
+static const char RUNNING_ENDED[] = "the running lease ended", PENDING_ENDED[] = "the pending lease ended", BROKEN[] = "the hardware failed";
 
 /* The lease of what runs, or of a speed that goes on, has ended: everything ends. */
 static void run_out(struct device *device, int64_t now)
@@ -571,15 +575,17 @@ static void run_out(struct device *device, int64_t now)
         for (j = 0; j < i && !(device->tails[j].there && device->tails[j].command == tail->command); j++)
             ;
         if (tail->there && j == i)
-            report_tail(device, tail, "link_lost", SILENT, now);
+            report_tail(device, tail, "link_lost", RUNNING_ENDED, now);
     }
-    rest(device, false, "link_lost", SILENT, now);
+    rest(device, false, "link_lost", RUNNING_ENDED, now);
 }
 
 static void tell_started(struct device *device, struct command *c, int64_t now)
 {
     if (!c->started) {
         c->started = true;
+        c->answer->began = true;
+        c->answer->began_at = now;
         device->tails[c->steps[0].kind].there = false;
         report(c, STARTED, &c->steps[0].value, NULL, NULL, now);
     }
@@ -637,8 +643,6 @@ static void go_on(struct device *device, struct command *c, int64_t now)
         report(c, FAILED, NULL, "late", "the robot was held up over the start", now);
     } else if (!c->begun) {
         c->begun = true;
-        c->answer->began = true;
-        c->answer->began_at = now;
         c->sampled = now;
         c->from_offset = 0;
         c->from_kind = step->kind;
@@ -701,7 +705,7 @@ static int64_t run(void)
         if (what == LEASE)
             run_out(of, now);
         else if (what == PENDING) /* what starts then or later has not moved anything */
-            drop(of, with->start, true, "link_lost", SILENT, now);
+            drop(of, with->start, true, "link_lost", PENDING_ENDED, now);
         else if (what == STEP)
             go_on(of, with, now);
         else if (!sample(of, with, now))
@@ -1339,7 +1343,12 @@ static void put_room(struct link *link, const struct device *device)
         room -= device->commands[i].held;
     put(link, "{\"device_id\":");
     put_text(link, device->id.bytes, device->id.length);
-    put(link, ",\"room\":%d}", room);
+    put(link, ",\"room\":%d", room);
+    if (device->placed) {
+        put(link, ",\"position\":");
+        put_number(link, device->where[POSITION]);
+    }
+    put(link, "}");
 }
 
 /* Whether one of the lists of an inquiry is a list of names, or left out. */

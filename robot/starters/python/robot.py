@@ -119,6 +119,7 @@ class Device:
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
         self.still = None if self.drive in (None, "position") else 0
+        self.position = {}                      # the last one, once the hardware has taken it
         self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
         self.left_on = []                       # the ended command whose lease covers a speed that continues
 
@@ -177,14 +178,17 @@ class Robot:
         if c.passed == 1 and late > LATE_START:
             return self.drop(device, [c], "late", "the robot was held up over the start", now)
         if c.passed == 1:
-            return self.facts.get(c.request_id, {}).update(event_timestamp=stamp(now))
+            return None                         # it starts with its first value, which may come later
         value = c.steps[c.done].control_value
         try:
             self.arm.set(device.id, value)
+            device.position = {"position": value} if device.drive == "position" else {}
         except Exception as fault:
+            device.position = {}
             return self.rest(device, "internal", str(fault), now)
         c.done, c.late, c.latest, device.left_on = c.done + 1, c.late + (late > LATE_STEP), max(c.latest, late), []
         if c.done == 1:
+            self.facts.get(c.request_id, {}).update(event_timestamp=stamp(now))
             self.respond(c, "Started", value, now)
         if c.done == len(c.steps):
             device.held.remove(c)
@@ -193,7 +197,7 @@ class Robot:
             self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late, **latest)
     def lose(self, device, c, now):
         """A lease has ended: with one of what runs all ends, with one ahead of a start what starts then or later."""
-        why = "link_lost", "silence beyond stop_condition", now
+        why = "link_lost", f"the {'running' if c.passed else 'pending'} lease ended", now
         if c.passed:
             return self.rest(device, *why)
         self.drop(device, [other for other in device.held if not other.passed and other.times[0] >= c.times[0]], *why)
@@ -202,7 +206,9 @@ class Robot:
         ended = device.held + (device.left_on if code == "link_lost" else [])
         device.left_on = []
         with contextlib.suppress(Exception):
-            self.arm.rest(device.id, device.still if device.default is None or not home else device.default)
+            goes_home = home and device.default is not None
+            self.arm.rest(device.id, device.default if goes_home else device.still)
+            device.position = {"position": device.default} if goes_home and device.drive == "position" else device.position
         self.drop(device, ended, code, message, now)
     def drop(self, device, commands, code, message, now):
         device.held = [c for c in device.held if c not in commands]
@@ -301,7 +307,7 @@ class Robot:
         held = {c.request_id: c for device in self.devices.values() for c in device.held}
         found = [self.devices[key] for key in asked.devices or [] if key in self.devices]
         told = {"requests": [self.tell(key, held.get(key)) for key in asked.requests or []],
-                "devices": [{"device_id": device.id, "room": device.queue - len(device.held)} for device in found]}
+                "devices": [{"device_id": device.id, "room": device.queue - len(device.held), **device.position} for device in found]}
         for c in [held[key] for key in asked.requests or [] if key in held]:
             if not c.passed and (c.session == asked.session if c.session else c.link is link):
                 limits = [each for each in (asked.pending_lease, c.leases[0]) if each is not None]

@@ -16,7 +16,7 @@ use serde_json::Value;
 use urrcp::ContentHash;
 
 pub use self::differences::differences;
-pub use self::subject::{CertifiedAct, CertifiedRobot, Options, Subject};
+pub use self::subject::{CertifiedAct, CertifiedRobot, Options, Subject, plan_hash};
 pub use self::trials::{Injected, Trial, faults, play};
 
 /// The version of the document that this program writes and reads.

@@ -81,7 +81,7 @@ impl Subject {
     pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
         // Requirements are judged, not played.
         let Choreography { scenario, acts: played, requirements: _ } = choreography;
-        let acts: Vec<CertifiedAct> = played.iter().map(|act| certified_act(act, choreography)).collect();
+        let acts = certified_acts(played, choreography);
         let robots = fleet::robots_in(fleet, choreography);
         let robots: BTreeMap<RobotId, CertifiedRobot> =
             robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
@@ -97,7 +97,7 @@ impl Subject {
         let options = options_of(asked);
         Self {
             scenario: scenario.clone(),
-            plan_hash: hash_of(&(scenario, &acts, &options)),
+            plan_hash: hash_of_plan(scenario, &acts, &options),
             fleet_hash: hash_of(&(&settings, &robots)),
             options,
             acts,
@@ -107,8 +107,23 @@ impl Subject {
     }
 }
 
+/// SHA-256 over the name, the acts and the options: the `plan_hash` of a certificate.
+#[must_use]
+pub fn plan_hash(choreography: &Choreography, asked: &Asked) -> ContentHash {
+    let acts = certified_acts(&choreography.acts, choreography);
+    hash_of_plan(&choreography.scenario, &acts, &options_of(asked))
+}
+
+fn hash_of_plan(scenario: &str, acts: &[CertifiedAct], options: &Options) -> ContentHash {
+    hash_of(&(scenario, acts, options))
+}
+
+fn certified_acts(acts: &[Act], choreography: &Choreography) -> Vec<CertifiedAct> {
+    acts.iter().map(|act| certified_act(act, choreography)).collect()
+}
+
 fn options_of(asked: &Asked) -> Options {
-    let Asked { act, from, only, speed } = asked.clone();
+    let Asked { act, from, only, speed, approach: _ } = asked.clone();
     Options { act, from, only, speed: speed.unwrap_or(1.0) }
 }
 

@@ -12,6 +12,7 @@ use downbeat_scripts::{
 use serde_json::json;
 use urrcp::{RobotId, SessionId, Span};
 
+use super::drivers::DriverArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::calibrate::{
@@ -65,6 +66,8 @@ pub(super) struct CalibrateArgs {
     /// How long to wait for an answer of a robot.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
     patience: Span,
+    #[command(flatten)]
+    drivers: DriverArgs,
 }
 
 /// What became of one device.
@@ -232,9 +235,16 @@ async fn all(
         Signals::listen(OnHangUp::End).map_err(|error| format!("cannot install signal handlers: {error}"))?;
     let site = identity::site(fleet)?;
     let of: Vec<_> = robots.iter().map(|planned| planned.robot).collect();
+    let drivers = args.drivers.of(StartPrograms::Yes);
     let (host, endpoints) =
-        fleet::endpoints(&of, fleet.handshake, &site, HostOptions::default(), StartPrograms::Yes)
+        fleet::endpoints_at_once(&of, fleet.handshake, &site, HostOptions::default(), drivers)
             .map_err(|error| error.to_string())?;
+    if let Some(host) = &host {
+        tokio::select! {
+            () = fleet::await_hardware(host, drivers) => {}
+            _ = signals.next() => return Ok((Vec::new(), Exit::Stopped)),
+        }
+    }
     let session = session()?;
     let (mut outcomes, mut exit) = (Vec::new(), Exit::Done);
     for (planned, endpoint) in robots.iter().zip(endpoints) {

@@ -1,6 +1,6 @@
 //! What of a scenario is played, and how fast: a rehearsal is a choreography with something left out or slowed down.
 
-use downbeat_scripts::{Choreography, Fleet, did_you_mean};
+use downbeat_scripts::{Approach, Choreography, Fleet, did_you_mean};
 use urrcp::RobotId;
 
 use super::{Exit, console};
@@ -30,7 +30,8 @@ fn speed(text: &str) -> Result<f64, String> {
 
 impl ChoiceArgs {
     pub(super) fn asked(&self) -> Asked {
-        Asked { act: self.act.clone(), from: self.from.clone(), only: self.only.clone(), speed: self.speed }
+        let (act, from, only) = (self.act.clone(), self.from.clone(), self.only.clone());
+        Asked { act, from, only, speed: self.speed, approach: None }
     }
 }
 
@@ -111,5 +112,24 @@ pub(super) fn choose(
             Exit::Failed
         })?;
     }
-    Ok((chosen, first))
+    match &asked.approach {
+        Some(approach) => approached(chosen, first, fleet, approach),
+        None => Ok((chosen, first)),
+    }
+}
+
+/// Adds an act that moves devices to their first positions. Returns the choreography and the index of its first act.
+pub(super) fn approached(
+    chosen: Choreography,
+    first: usize,
+    fleet: &Fleet,
+    approach: &Approach,
+) -> Result<(Choreography, usize), Exit> {
+    chosen.approached(first, fleet, approach).map_err(|findings| {
+        console::error(&format!("the robots cannot get to their first positions in {}:", approach.over));
+        for finding in findings {
+            console::note(&format!("  {}; expected {}", finding.message, finding.expected));
+        }
+        Exit::Failed
+    })
 }

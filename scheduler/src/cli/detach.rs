@@ -1,6 +1,9 @@
 //! `downbeat run --detach`: the mission goes on as a process of its own, away from the terminal, with its own log.
 
-use std::io::{self, Read};
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -11,8 +14,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use urrcp::SessionId;
 
 use super::{Exit, Format, console};
-use crate::journal::has_begun;
 use crate::journal::private::{self, How};
+use crate::journal::{has_begun, state_folder};
 use crate::run::control;
 use crate::signals::{OnHangUp, Signals};
 
@@ -22,16 +25,84 @@ const NAME: &str = "DOWNBEAT_DETACHED_AS";
 const LOG: &str = "log";
 /// How often it is looked whether the mission has begun.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Interval between checks that the log is still found under its name.
+const KEEP_EVERY: Duration = Duration::from_millis(250);
 /// A mission that has begun has its socket within so many looks, or never: it plays without one, too.
 const LOOKS_FOR_SOCKET: u32 = 25;
 
 /// The mission's name, in the process that runs in the background. It leaves the terminal here.
 pub(super) fn detached_as() -> Option<SessionId> {
-    let session = std::env::var(NAME).ok()?.parse().ok()?;
+    let session: SessionId = std::env::var(NAME).ok()?.parse().ok()?;
     if let Err(error) = rustix::process::setsid() {
         console::warn(&format!("the mission still belongs to its terminal: {error}"));
     }
+    if let Ok(state) = state_folder() {
+        let folder = state.join(session.as_str());
+        // Ends with the process.
+        let keeping =
+            std::thread::Builder::new().name("log".to_owned()).spawn(move || keep_log(&state, &folder));
+        if let Err(error) = keeping {
+            console::warn(&format!("if the log is removed, it is not written again: {error}"));
+        }
+    }
     Some(session)
+}
+
+/// Writes the log again if it is removed or replaced: the output of the mission is stored nowhere else.
+#[expect(clippy::disallowed_methods, reason = "a separate thread, only for the log")]
+fn keep_log(state: &Path, folder: &Path) {
+    let mut log = rustix::io::dup(rustix::stdio::stdout()).map(File::from);
+    loop {
+        std::thread::sleep(KEEP_EVERY);
+        let Ok(written) = &log else { return };
+        match log_is_gone(written, folder) {
+            Ok(true) => match write_log_again(written, state, folder) {
+                Ok(again) => log = Ok(again),
+                Err(error) => tracing::debug!("cannot write the log again: {error}"),
+            },
+            Ok(false) => {}
+            Err(error) => tracing::debug!("cannot look for the log: {error}"),
+        }
+    }
+}
+
+fn log_is_gone(written: &File, folder: &Path) -> io::Result<bool> {
+    let own = written.metadata()?;
+    match std::fs::symlink_metadata(folder.join(LOG)) {
+        Ok(found) => Ok((found.dev(), found.ino()) != (own.dev(), own.ino())),
+        Err(error) => match error.kind() {
+            io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Ok(true),
+            _ => Err(error),
+        },
+    }
+}
+
+/// Copies the log to its former place, and redirects further output there. A copy of its beginning may exist there already.
+fn write_log_again(written: &File, state: &Path, folder: &Path) -> io::Result<File> {
+    private::create_folder(state)?;
+    private::create_folder(folder)?;
+    let mut again = private::file(folder, LOG, How::Create)?;
+    let there = again.metadata()?.len();
+    let copied = copy_from(written, there, &mut again)?;
+    rustix::stdio::dup2_stdout(again.as_fd())?;
+    rustix::stdio::dup2_stderr(again.as_fd())?;
+    // The output printed in the meantime.
+    copy_from(written, copied, &mut again)?;
+    Ok(again)
+}
+
+/// Copies what follows `from`; returns where that ends.
+fn copy_from(log: &File, mut from: u64, to: &mut File) -> io::Result<u64> {
+    let mut bytes = [0; 8 * 1024];
+    loop {
+        match log.read_at(&mut bytes, from)? {
+            0 => return Ok(from),
+            n => {
+                to.write_all(&bytes[..n])?;
+                from += n as u64;
+            }
+        }
+    }
 }
 
 /// Starts this very command again in the background, and waits until its fleet is checked and it can be stopped from other

@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 
 use downbeat_robot::Hosted;
 use downbeat_robot::driver::{
-    DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS, Timeouts,
+    DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
 };
 use urrcp::{DeviceId, InitializationBlock};
 
+use super::drivers::DriverArgs;
 use super::robot::{ProcessArgs, failed};
-use super::run::parse_span;
 use super::{Exit, Format, console};
 
 /// Run a real robot behind a driver.
@@ -52,18 +52,8 @@ pub(super) struct EdgeArgs {
     /// 1000. Without it, as the driver declares, or as often as a reading is asked for.
     #[arg(long, value_name = "NUMBER", value_parser = readings)]
     readings_per_second: Option<f64>,
-    /// Time for a program to answer its first line, and for a program of version 2 to start its hardware.
-    #[arg(long, value_parser = timeout, default_value = "10s", value_name = "TIME")]
-    driver_start_timeout: Duration,
-    /// Time for a program to answer any other line; after that the hardware counts as away.
-    #[arg(long, value_parser = timeout, default_value = "1s", value_name = "TIME")]
-    driver_answer_timeout: Duration,
-}
-
-fn timeout(text: &str) -> Result<Duration, String> {
-    let time = parse_span(text)?.to_duration();
-    let fits = time >= Duration::from_millis(10) && time <= Duration::from_secs(600);
-    if fits { Ok(time) } else { Err("expected 10ms to 600s".to_owned()) }
+    #[command(flatten)]
+    patience: DriverArgs,
 }
 
 /// Samples per second of one device, or of all.
@@ -127,8 +117,7 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     if let Some(missing) = missing_program(&args.driver) {
         return failed(&format!("the program `{missing}` of --driver does not exist; correct its path"));
     }
-    let timeouts = Timeouts { start: args.driver_start_timeout, answer: args.driver_answer_timeout };
-    let driver = match args.driver.driver_within(&block, timeouts) {
+    let driver = match args.driver.driver_within(&block, args.patience.timeouts()) {
         Ok(driver) => driver,
         Err(error) => return failed(&error.to_string()),
     };

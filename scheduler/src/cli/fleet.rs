@@ -14,11 +14,12 @@ use urrcp::{
     AvailabilityRequest, InitializationBlock, InitializationRequest, Message, RobotId, Span, Status,
 };
 
+use super::drivers::DriverArgs;
 use super::run::parse_span;
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
-use crate::fleet::{self, StartPrograms};
+use crate::fleet::{self, Drivers, StartPrograms};
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use crate::mission::Event;
 use crate::report::table::Rows;
@@ -71,6 +72,8 @@ pub(super) struct FleetArgs {
     project: ProjectArgs,
     #[command(flatten)]
     programs: ProgramArgs,
+    #[command(flatten)]
+    drivers: DriverArgs,
     /// How long to wait for answers.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
     patience: Span,
@@ -135,7 +138,7 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        let mut answers = match ask_all(&fleet, args.programs.asked(), args.patience).await {
+        let mut answers = match ask_all(&fleet, args.drivers.of(args.programs.asked()), args.patience).await {
             Ok(answers) => answers,
             Err(message) => {
                 console::error(&message);
@@ -253,12 +256,12 @@ fn unnamed() -> RobotId {
     "robot".parse().expect("a constant below every limit")
 }
 
-async fn ask_all(fleet: &Fleet, programs: StartPrograms, patience: Span) -> Result<Vec<Answer>, String> {
+async fn ask_all(fleet: &Fleet, drivers: Drivers, patience: Span) -> Result<Vec<Answer>, String> {
     let clock = ServerClock::anchored(Span::ZERO);
     let robots: Vec<&FleetRobot> = fleet.robots.iter().collect();
     let site = identity::site(fleet)?;
     let (host, endpoints) =
-        fleet::endpoints(&robots, fleet.handshake, &site, HostOptions::default(), programs)
+        fleet::endpoints(&robots, fleet.handshake, &site, HostOptions::default(), drivers)
             .map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
         let (events, happened) = mpsc::channel(64);

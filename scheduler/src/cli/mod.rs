@@ -17,6 +17,7 @@ mod detach;
 mod diff;
 #[cfg(test)]
 mod documented;
+mod drivers;
 mod dry_run;
 mod edge;
 mod explain;

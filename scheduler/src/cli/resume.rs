@@ -5,21 +5,26 @@ use std::sync::Arc;
 
 use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot};
+use urrcp::SessionId;
 
+use super::drivers::DriverArgs;
 use super::live::{Live, Speaker};
 use super::metrics::{Metrics, MetricsArgs};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
-use super::run::{HowArgs, finish, listen, server_clock, stop_lane};
+use super::run::{HowArgs, exit_of, finish, listen, server_clock, stop_lane};
 use super::traces::{Traces, TracesArgs};
-use super::withdraw::{How, Programs, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
+use super::withdraw::{
+    How, Programs, Scheduler, Taken, Unconfirmed, Withdrawn, started_in, withdraw_and_record,
+};
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
-use crate::fleet::{self, EndpointError, StartPrograms};
-use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot};
+use crate::certificate;
+use crate::fleet::{self, Drivers, EndpointError, StartPrograms};
+use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot, ended_acts};
 use crate::link::Endpoint;
-use crate::mission::{Mission, MissionOptions};
-use crate::report::Report;
+use crate::mission::{Changed, Mission, MissionOptions};
 use crate::report::local::ZONE;
+use crate::report::{Report, ending_text};
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
@@ -29,7 +34,8 @@ use crate::signals::OnHangUp;
 #[command(
     after_help = "The command reads the journal, connects to the robots again, learns what they did meanwhile, and plays \
 the mission to its end. If the start of an act was not decided yet, the command takes the act back instead. It refuses if \
-the fleet file has another address for a robot than the one to which its scripts were sent.
+the fleet file has another address for a robot than the one to which its scripts were sent, or if the plan is no longer the one \
+with which the mission began.
 
 It starts the programs again that drive robots (`address: program:COMMAND`), as the fleet file says, never as a journal says: \
 the file that you name with --fleet, or the file of the mission if it is yours and names the same programs as before.
@@ -53,6 +59,8 @@ pub(super) struct ResumeArgs {
     metrics: MetricsArgs,
     #[command(flatten)]
     traces: TracesArgs,
+    #[command(flatten)]
+    drivers: DriverArgs,
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
@@ -67,7 +75,8 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     };
     if let Fate::Withdraw(why) = taken.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
-        let rest = taken.kept.stopping.unwrap_or_default();
+        let rest = taken.kept.stopping.as_ref().map(|stopping| stopping.rest).unwrap_or_default();
+        let ending = taken.kept.ending(why);
         let programs = programs_to_reach(&taken.kept, args, format);
         return super::with_runtime(async {
             let how = How {
@@ -75,13 +84,11 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
                 unconfirmed: Unconfirmed::Kept,
                 rest,
                 patience: args.how.patience,
+                drivers: args.drivers.of(StartPrograms::Yes),
                 told: format,
             };
-            stop::conclude(
-                found.opened.session.clone(),
-                withdraw_and_record(taken, &programs, how).await,
-                format,
-            )
+            let withdrawn = withdraw_and_record(taken, &programs, ending, how).await;
+            conclude(found.opened.session.clone(), withdrawn, format)
         });
     }
     match Resumption::of(found, taken, args, format) {
@@ -90,6 +97,20 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
             console::note("nothing was resumed; `downbeat stop` stops the robots and needs only the journal");
             exit
         }
+    }
+}
+
+/// Prints the result of withdrawing a mission instead of resuming it. If all stops are confirmed, the exit code is that of the
+/// outcome.
+fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
+    if let (Ok(withdrawn), Format::Text) = (&withdrawn, format) {
+        console::print(&ending_text(&withdrawn.report, console::columns()));
+    }
+    let ended = withdrawn.as_ref().map(|withdrawn| exit_of(&withdrawn.report));
+    let ended = ended.unwrap_or(Exit::Unconfirmed);
+    match stop::conclude(mission, withdrawn, format) {
+        Exit::Done => ended,
+        unconfirmed => unconfirmed,
     }
 }
 
@@ -102,6 +123,7 @@ struct Resumption<'a> {
     fleet: Fleet,
     how: &'a HowArgs,
     realtime: RealtimeArgs,
+    drivers: Drivers,
     metrics: Metrics,
     traces: Traces,
     format: Format,
@@ -120,6 +142,12 @@ impl<'a> Resumption<'a> {
         if !moved.is_empty() {
             return Err(failed(&moved.join("; ")));
         }
+        // A journal of an earlier version has no hash. In this case, `Mission::resume` compares only the acts that were promised.
+        let planned = found.opened.plan_hash;
+        if planned.is_some_and(|hash| hash != certificate::plan_hash(&choreography, &found.opened.asked)) {
+            let what = "this is not the plan with which the mission began".to_owned();
+            return Err(failed(&Changed { what }.to_string()));
+        }
         may_start(&found.opened, &fleet::robots_in(&fleet, &choreography), args)
             .map_err(|why| failed(&why))?;
         let metrics = args.metrics.serve(format).map_err(|why| failed(&why))?;
@@ -133,13 +161,14 @@ impl<'a> Resumption<'a> {
             fleet,
             how: &args.how,
             realtime: args.realtime,
+            drivers: args.drivers.of(StartPrograms::Yes),
             metrics,
             traces,
             format,
         })
     }
 
-    async fn play(self) -> Exit {
+    async fn play(mut self) -> Exit {
         let clock = match server_clock(&self.fleet, self.format).await {
             Ok((clock, _)) => clock,
             Err(error) => return failed(&error),
@@ -160,9 +189,14 @@ impl<'a> Resumption<'a> {
             ..MissionOptions::default()
         };
         let participants = fleet::participants(&robots);
-        let mission =
-            Mission::resume(self.choreography.clone(), participants, options, &self.kept, clock.now());
-        let mission = match mission {
+        let bytes = match self.journal.bytes() {
+            Ok(bytes) => bytes,
+            Err(error) => return failed(&error.to_string()),
+        };
+        let (choreography, ended) = (self.choreography.clone(), ended_acts(&bytes));
+        let resumed = Mission::resume(choreography, participants, options, &self.kept, ended, clock.now());
+        drop(bytes);
+        let mission = match resumed {
             Ok(mission) => mission,
             Err(changed) => return failed(&changed.to_string()),
         };
@@ -194,8 +228,7 @@ impl<'a> Resumption<'a> {
     fn endpoints(&self, robots: &[&FleetRobot]) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
         let options = HostOptions::default().with_realtime(self.realtime.realtime());
         let site = identity::site(&self.fleet).map_err(EndpointError::Identity)?;
-        let (host, endpoints) =
-            fleet::endpoints(robots, self.fleet.handshake, &site, options, StartPrograms::Yes)?;
+        let (host, endpoints) = fleet::endpoints(robots, self.fleet.handshake, &site, options, self.drivers)?;
         if let Some(host) = &host {
             self.realtime.tell(host, self.format);
         }

@@ -1,5 +1,7 @@
-//! `downbeat run`: a mission on the fleet. `opening` begins its journal, `others` looks for missions that have its robots.
+//! `downbeat run`: a mission on the fleet. `approach` asks robots where they are, `opening` begins its journal, `others` looks for
+//! missions that have its robots.
 
+mod approach;
 mod opening;
 mod others;
 
@@ -14,6 +16,7 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::certify::CertifiedArgs;
 use super::choice::{self, ChoiceArgs};
+use super::drivers::DriverArgs;
 use super::fleet::ProgramArgs;
 use super::live::{Live, Speaker};
 use super::load;
@@ -22,7 +25,8 @@ use super::missions::unusable;
 use super::realtime::{self, RealtimeArgs};
 use super::traces::{Traces, TracesArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
-use crate::fleet::{self, StartPrograms};
+use crate::certificate;
+use crate::fleet::{self, Drivers, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
 use crate::mission::{Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
@@ -50,7 +54,8 @@ Examples:
   downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
   downbeat run show.yaml --at 19:30 --detach
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2
-  downbeat run show.yaml --from finale --format json
+  downbeat run show.yaml --from finale --approach 5s
+  downbeat run show.yaml --format json
   downbeat run show.yaml --seize
   downbeat run show.yaml --verify-motion
   downbeat run show.yaml --require-certificate show.cert.json"
@@ -70,12 +75,18 @@ pub(super) struct RunArgs {
     metrics: MetricsArgs,
     #[command(flatten)]
     traces: TracesArgs,
+    #[command(flatten)]
+    drivers: DriverArgs,
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
     /// Time from sending the scripts to the start, for example 1500ms or 3s. By default it is computed.
     #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
+    /// First move all robots to their first positions, in this time, for example 5s. Without it, a start at which a device
+    /// would have to jump is refused.
+    #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["at", "seize", "require_certificate"])]
+    approach: Option<Span>,
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
@@ -123,6 +134,8 @@ pub(super) struct PreflightArgs {
     realtime: RealtimeArgs,
     #[command(flatten)]
     programs: ProgramArgs,
+    #[command(flatten)]
+    drivers: DriverArgs,
 }
 
 /// How the fleet is talked to.
@@ -191,10 +204,11 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         },
         seize: args.seize,
         verify_motion: args.verify_motion,
+        approach: args.approach,
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
-        programs: StartPrograms::Yes,
+        drivers: args.drivers.of(StartPrograms::Yes),
         place,
         format,
     };
@@ -215,10 +229,11 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         join: Join::Refuse,
         seize: false,
         verify_motion: false,
+        approach: None,
         record: None,
         journal: false,
         preflight_only: true,
-        programs: args.programs.asked(),
+        drivers: args.drivers.of(args.programs.asked()),
         place: Place::Terminal,
         format,
     };
@@ -226,12 +241,15 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
 }
 
 /// Where a mission runs.
+#[derive(Clone)]
 enum Place {
     Terminal,
     /// In a process that has yet to be started.
     Detaching,
     /// In this process, which belongs to no terminal, under this name.
     Background(SessionId),
+    /// Ahead of a mission in the same process: robots are asked where their devices are.
+    Asking,
 }
 
 /// Why a mission did not begin, and with which code that ends.
@@ -260,6 +278,7 @@ struct Prepared<'a> {
 }
 
 /// One mission as it was asked for.
+#[derive(Clone)]
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
     asked: Asked,
@@ -273,16 +292,18 @@ struct Work<'a> {
     join: Join,
     seize: bool,
     verify_motion: bool,
+    /// Duration of the movement to the first positions. `None` without `--approach`.
+    approach: Option<Span>,
     record: Option<&'a Path>,
     journal: bool,
     preflight_only: bool,
-    programs: StartPrograms,
+    drivers: Drivers,
     place: Place,
     format: Format,
 }
 
 impl Work<'_> {
-    fn run(&self) -> Exit {
+    fn run(mut self) -> Exit {
         let (choreography, fleet, fleet_path) = match load::load_choreography(self.scenario, self.format) {
             Ok(loaded) => loaded,
             Err(exit) => return exit,
@@ -320,6 +341,14 @@ impl Work<'_> {
             };
         }
         super::with_runtime(async {
+            let (choreography, first_act) = match self.approach {
+                None => (choreography, first_act),
+                Some(over) => match self.approached(over, choreography, first_act, &fleet, &fleet_path).await
+                {
+                    Ok(approached) => approached,
+                    Err(exit) => return exit,
+                },
+            };
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
                 Ok(report) => finish(&report, self.format),
                 Err((message, exit)) => {
@@ -344,7 +373,9 @@ impl Work<'_> {
         let robots = fleet::robots_in(fleet, &choreography);
         let session = match &self.place {
             Place::Background(session) => session.clone(),
-            Place::Terminal | Place::Detaching => session_name(&choreography.scenario, &clock),
+            Place::Terminal | Place::Detaching | Place::Asking => {
+                session_name(&choreography.scenario, &clock)
+            }
         };
         let state = if self.preflight_only { None } else { self.state(&robots)? };
         let key = SessionKey::random().map_err(|error| failed(error.to_string()))?;
@@ -354,11 +385,15 @@ impl Work<'_> {
         check_waits(&choreography, &options, clock.now())
             .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
-        let (lane, mut operator) = stop_lane(self.on_hang_up()).map_err(failed)?;
+        let lane = match self.place {
+            // Nothing moves, so a signal may end the process. A second lane would hear the signals of the mission, too.
+            Place::Asking => StopLane::deaf().map_err(|error| failed(error.to_string())),
+            _ => stop_lane(self.on_hang_up()).map_err(failed),
+        };
+        let (lane, mut operator) = lane?;
         let mut control = None;
         if let Some(state) = state.filter(|_| self.journal) {
-            let opened =
-                self.opened((session, key), &choreography.scenario, (fleet, fleet_path), clock, &robots);
+            let opened = self.opened((session, key), &choreography, (fleet, fleet_path), clock, &robots);
             let folder = state.join(opened.session.as_str());
             let desk = identity::desk(&opened.keys);
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
@@ -441,7 +476,7 @@ impl Work<'_> {
     const fn on_hang_up(&self) -> OnHangUp {
         match self.place {
             Place::Background(_) => OnHangUp::Stay,
-            Place::Terminal | Place::Detaching => OnHangUp::End,
+            Place::Terminal | Place::Detaching | Place::Asking => OnHangUp::End,
         }
     }
 
@@ -449,7 +484,7 @@ impl Work<'_> {
     fn opened(
         &self,
         (session, key): (SessionId, SessionKey),
-        scenario: &str,
+        choreography: &Choreography,
         (fleet, fleet_path): (&Fleet, &Path),
         clock: ServerClock,
         robots: &[&FleetRobot],
@@ -459,12 +494,13 @@ impl Work<'_> {
             session,
             key: Some(key),
             pid: std::process::id(),
-            name: Some(scenario.to_owned()),
+            name: Some(choreography.scenario.clone()),
             scenario: absolute(&self.scenario.scenario),
             fleet: absolute(fleet_path),
             folder: std::env::current_dir().ok(),
             project: self.scenario.project.folder(),
             asked: self.asked.clone(),
+            plan_hash: Some(certificate::plan_hash(choreography, &self.asked)),
             greeting: fleet::greeting(fleet),
             clock_offset: clock.offset(),
             keys: identity::keys(fleet),
@@ -477,14 +513,21 @@ impl Work<'_> {
         let Prepared { choreography, fleet, robots, clock, options, mut keep, with, metrics, traces } =
             prepared;
         let (lane, operator, control) = with;
-        let speaker = Speaker::of(&lane);
+        let (speaker, stopped) = (Speaker::of(&lane), lane.is_stopped());
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
         let host_options = HostOptions::default().with_realtime(self.realtime.realtime());
         let site = identity::site(fleet).map_err(|error| (error, Exit::Usage))?;
         let (host, endpoints) =
-            fleet::endpoints(&robots, fleet.handshake, &site, host_options, self.programs)
+            fleet::endpoints_at_once(&robots, fleet.handshake, &site, host_options, self.drivers)
                 .map_err(|error| (error.to_string(), realtime::exit_of(&error)))?;
+        if let Some(host) = &host {
+            tokio::select! {
+                () = fleet::await_hardware(host, self.drivers) => {}
+                // The mission has sent nothing yet, and handles the stop.
+                () = stopped => {}
+            }
+        }
         let tolerance = choreography.acts.get(options.first_act).map(|act| act.plan.start_tolerance);
         if let (Some(host), false) = (&host, self.preflight_only) {
             self.realtime.tell(host, self.format);

@@ -13,10 +13,11 @@ use urrcp::{RobotId, Server, SessionId, Timestamp};
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
 use super::withdraw::{
-    How, Inside, InsideWhat, NotTaken, Programs, Scheduler, Taken, Unconfirmed, Withdrawn, stop_fleet,
-    withdraw, withdraw_and_record,
+    How, Inside, InsideWhat, NotTaken, Programs, Scheduler, Taken, Unconfirmed, Withdrawn, by_operator,
+    stop_fleet, withdraw, withdraw_and_record,
 };
 use super::{Exit, Format, ProjectArgs, console, identity, load};
+use crate::fleet::StartPrograms;
 use crate::journal::{Found, Kept, Life};
 use crate::mission::Rest;
 use crate::report::local::time_of_day;
@@ -106,7 +107,8 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let forgotten = if args.forget { Unconfirmed::Forgotten } else { Unconfirmed::Kept };
     let rest = if args.home { Rest::Home } else { Rest::InPlace };
     let patience = args.how.patience;
-    let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
+    let drivers = StartPrograms::No.into();
+    let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, drivers, told };
     // A stop waits for no key.
     let presented = identity::presented().unwrap_or_else(|error| {
         console::warn(&format!("the stop names nobody: {error}"));
@@ -124,7 +126,8 @@ fn stop_all_of(path: &Path, args: &StopArgs, format: Format) -> Exit {
     };
     let rest = if args.home { Rest::Home } else { Rest::InPlace };
     let (scheduler, unconfirmed) = (Scheduler::Gone, Unconfirmed::Kept);
-    let how = How { scheduler, unconfirmed, rest, patience: args.how.patience, told: format };
+    let (patience, drivers) = (args.how.patience, StartPrograms::No.into());
+    let how = How { scheduler, unconfirmed, rest, patience, drivers, told: format };
     let stopping = async { conclude(fleet_as_mission(), stop_fleet(&fleet, how).await, format) };
     super::with_runtime(stopping)
 }
@@ -297,7 +300,9 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
 async fn cut_off(found: &Found, how: How) -> Stopped {
     let mission = found.opened.session.clone();
     match Taken::of(found) {
-        Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), how).await),
+        Ok(taken) => {
+            Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), by_operator(), how).await)
+        }
         // By another stop, most likely, which is told of by its socket.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
             Ok(ending) => heard(found, how, &ending).await,

@@ -13,10 +13,10 @@ use urrcp::{Device, RobotId, Server, Span, Timestamp};
 use super::live::Live;
 use super::run::{listen, stop_lane};
 use super::{Format, console, identity, robot};
-use crate::fleet::{self, StartPrograms};
+use crate::fleet::{self, Drivers};
 use crate::journal::{FileDisk, Found, Journal, Kept, Left, LeftOn, Opened, OpenedRobot, Torn, read};
 use crate::link::Site;
-use crate::mission::{Mission, MissionOptions, Record, Rest};
+use crate::mission::{Mission, MissionOptions, Outcome, Record, Rest};
 use crate::report::{Report, StopState, Withdrawal};
 use crate::run::{Keep, Operator};
 use crate::server_clock::ServerClock;
@@ -159,6 +159,7 @@ pub(super) struct How {
     /// How robots come to rest.
     pub(super) rest: Rest,
     pub(super) patience: Span,
+    pub(super) drivers: Drivers,
     /// What is told meanwhile: nothing with JSON.
     pub(super) told: Format,
 }
@@ -170,12 +171,13 @@ pub(super) type Programs = BTreeMap<RobotId, Address>;
 pub(super) async fn withdraw_and_record(
     taken: Taken,
     programs: &Programs,
+    ending: (Outcome, String),
     how: How,
 ) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // A stop from another terminal meanwhile is answered with the result of this one.
     let control = listen(&taken.folder, &lane, None);
-    let mut withdrawn = withdraw_as(&taken.kept, programs, how, (lane, operator)).await?;
+    let mut withdrawn = withdraw_as(&taken.kept, programs, ending, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -196,12 +198,18 @@ pub(super) async fn withdraw_and_record(
 
 /// Stops what a mission left behind. Starts no programs.
 pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
-    withdraw_as(kept, &Programs::new(), how, stop_lane(OnHangUp::End)?).await
+    withdraw_as(kept, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
+}
+
+/// The outcome of a mission that the operator stops, and its text for people.
+pub(super) fn by_operator() -> (Outcome, String) {
+    (Outcome::Stopped, Outcome::Stopped.to_string())
 }
 
 async fn withdraw_as(
     kept: &Kept,
     programs: &Programs,
+    ending: (Outcome, String),
     how: How,
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
@@ -217,7 +225,8 @@ async fn withdraw_as(
     };
     let begun = clock.now();
     let scenario = scenario_of(&kept.opened);
-    let mission = Mission::withdraw(scenario, fleet::participants(&robots), options, &left, how.rest, begun);
+    let participants = fleet::participants(&robots);
+    let mission = Mission::withdraw(scenario, participants, options, &left, ending, how.rest, begun);
     let site = identity::site_of(&kept.opened.keys)?;
     let report = carry_out(mission, &robots, &site, clock, how, (lane, operator)).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
@@ -243,11 +252,11 @@ pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String
             .iter()
             .filter_map(|robot| Some((robot.id.clone(), robot.init.as_ref()?.id.clone())))
             .collect(),
-        renewed_until: None,
+        ..Left::default()
     };
     let begun = clock.now();
-    let name = "the fleet".to_owned();
-    let mission = Mission::withdraw(name, fleet::participants(&robots), options, &left, how.rest, begun);
+    let (name, participants) = ("the fleet".to_owned(), fleet::participants(&robots));
+    let mission = Mission::withdraw(name, participants, options, &left, by_operator(), how.rest, begun);
     let site = identity::site(of)?;
     let report = carry_out(mission, &robots, &site, clock, how, stop_lane(OnHangUp::End)?).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
@@ -275,7 +284,7 @@ async fn carry_out(
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Report, String> {
     let (host, endpoints) =
-        fleet::endpoints_at_once(robots, Handshake::Full, site, HostOptions::default(), StartPrograms::Yes)
+        fleet::endpoints_at_once(robots, Handshake::Full, site, HostOptions::default(), how.drivers)
             .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
@@ -333,7 +342,8 @@ pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
 
 /// As much of it as a stop needs. Every robot understands JSON.
 fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
-    FleetRobot::new(opened.robot.clone(), address, opened.init.clone())
+    let robot = FleetRobot::new(opened.robot.clone(), address, opened.init.clone());
+    FleetRobot { limits: opened.limits.clone(), ..robot }
 }
 
 /// A mission of which a robot may still move has not ended: it can be stopped again.

@@ -379,6 +379,7 @@ mod tests {
             budget: 8,
             worst_error,
             worst_at: Span::ZERO,
+            speed_max: None,
         }
     }
 

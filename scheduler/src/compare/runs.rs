@@ -9,7 +9,7 @@ use urrcp::Span;
 use super::played::{PlayedAct, SentScript, acts, movement};
 use super::steps::{StepDifferences, compare};
 use super::{Change, Presence, matched};
-use crate::page::{History, HistorySource};
+use crate::page::History;
 
 /// What differs between two missions that were played.
 #[derive(Clone, Debug, Serialize)]
@@ -24,7 +24,7 @@ pub(crate) struct RunDifferences {
     /// Robots that were left out.
     pub(crate) dropped_added: Vec<String>,
     pub(crate) dropped_removed: Vec<String>,
-    /// Why robots failed. `null` if one of the files is a journal, which does not say that.
+    /// Why robots failed. `null` if one of the files is a journal of an earlier version, which does not record that.
     pub(crate) failures: Option<FailureDifferences>,
 }
 
@@ -135,9 +135,9 @@ fn dropped(history: &History) -> Vec<String> {
 
 fn failures(history: &History) -> Option<Vec<RobotFailure>> {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-    let failed = history.told().iter().map(|(_, told)| told).filter(|told| told["progress"] == "failed");
-    let failures = failed.map(|told| RobotFailure { robot: text(&told["robot"]), text: text(&told["text"]) });
-    (history.source == HistorySource::Recording).then(|| failures.collect())
+    let failure =
+        |failed: &Value| RobotFailure { robot: text(&failed["robot"]), text: text(&failed["text"]) };
+    Some(history.failures()?.into_iter().map(failure).collect())
 }
 
 impl Figure {

@@ -1,16 +1,17 @@
 //! The inquiry: a question that tells the truth and cannot act.
 
 use urrcp::{
-    Command, ControlRequest, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport, RequestState,
-    Script, Server, SessionId, Span, Status, Timestamp,
+    Command, ControlRequest, ControlType, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport,
+    RequestState, Script, Server, SessionId, Span, Status, Timestamp,
 };
 
 use super::heard::Ticket;
 use super::line::{Inquired, Line};
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::starting::{EARLY_MAX, until_started};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 12] = [
+pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "inquiry",
         demands: "An inquiry is answered `OK` with the clock of the exchange and one entry for each request, in their order, `unknown` for those that never came.",
@@ -25,7 +26,7 @@ pub(super) const ALL: [Requirement; 12] = [
     },
     Requirement {
         name: "inquiry-running",
-        demands: "What has begun is told as `running`, with when it really started and how many steps are done.",
+        demands: "A request that has begun is reported as `running`, with the number of steps done and, once it has started, the instant of its start.",
         section: "Inquiry (D)",
         check: running,
     },
@@ -46,6 +47,12 @@ pub(super) const ALL: [Requirement; 12] = [
         demands: "The room of a device is script_queue less the commands that have not ended, and a device that the robot lacks is left out.",
         section: "Inquiry (D)",
         check: room,
+    },
+    Requirement {
+        name: "inquiry-position",
+        demands: "If the answer to an inquiry states the position of a device, this is the last commanded position.",
+        section: "Inquiry (D)",
+        check: position,
     },
     Requirement {
         name: "inquiry-no-effect",
@@ -189,6 +196,7 @@ fn reaches(
 
 fn running(trial: &Trial) -> Checked {
     answering(trial)?;
+    running_ahead_of_its_first_value(trial)?;
     let request = trial.there_and_back(trial.scripted()?, 800.0).starting_in(100.0).leased(LEASE_MS);
     let mut line = trial.connect()?;
     line.held(&request)?;
@@ -207,6 +215,28 @@ fn running(trial: &Trial) -> Checked {
         return Err(inquired.differs("steps_done 1, or 2 after 400 ms, and no error"));
     }
     Ok(late.map(|late| format!("started {late} after its time")).unwrap_or_default())
+}
+
+fn running_ahead_of_its_first_value(trial: &Trial) -> Result<(), Unmet> {
+    let actor = trial.scripted()?;
+    let steps = [(500.0, actor.rest), (800.0, actor.rest)];
+    let request = trial.script(actor, &steps).starting_in(100.0).leased(LEASE_MS);
+    let mut line = trial.connect()?;
+    line.held(&request)?;
+    let (inquired, report) = reaches(trial, &mut line, &request, RequestState::Running)?;
+    let start = request.starts_at().map(|start| start + until_started(actor, &request));
+    let Some(start) = start.map(Timestamp::assume_clock::<urrcp::Robot>) else { return Ok(()) };
+    let tolerance = trial.options().tolerance;
+    let right = match report.event_timestamp {
+        Some(at) => at >= start - EARLY_MAX && at <= start + tolerance,
+        None => inquired.response.timestamp <= start + tolerance,
+    };
+    if !right {
+        return Err(inquired.differs(&format!(
+            "event_timestamp from {start} to {tolerance} later, and none before the script has started"
+        )));
+    }
+    reaches(trial, &mut line, &request, RequestState::Ended).map(|_| ())
 }
 
 fn ended(trial: &Trial) -> Checked {
@@ -278,6 +308,29 @@ fn room(trial: &Trial) -> Checked {
         }
         if held == 0 {
             line.held(&trial.pending(actor))?;
+        }
+    }
+    pass()
+}
+
+fn position(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let actor = trial.actor()?;
+    if actor.control_type != ControlType::Position {
+        return Err(not_applicable("the device is not driven by `position`"));
+    }
+    let mut line = trial.connect()?;
+    for value in [actor.near, actor.rest] {
+        let request = trial.set(actor, value).leased(LEASE_MS);
+        line.held(&request)?;
+        reaches(trial, &mut line, &request, RequestState::Ended)?;
+        let inquired =
+            line.inquire(&Inquiry { devices: vec![actor.device.id.clone()], ..Inquiry::default() })?;
+        let stated = inquired.response.devices.first().and_then(|device| device.position);
+        match stated {
+            None => return Err(not_applicable("the robot does not state the position of the device")),
+            Some(stated) if (stated - value).abs() <= actor.limits.granularity => {}
+            Some(_) => return Err(inquired.differs(&format!("position {value}, which was commanded last"))),
         }
     }
     pass()

@@ -130,6 +130,8 @@ pub fn examine(
     let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
     trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
     trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
+    // The check of the greeting may have left a script held.
+    let _at_rest = trial.settle();
     let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
         let Options { only, security, .. } = trial.options();

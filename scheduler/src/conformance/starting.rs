@@ -1,19 +1,26 @@
 //! When a command starts, and what is told of it.
 
-use urrcp::{ErrorCode, Span, Status, StatusValue};
+use urrcp::{Command, ControlRequest, ErrorCode, Span, Status, StatusValue};
 
+use super::actor::Actor;
 use super::greeting::compare_clocks;
 use super::heard::Ticket;
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 5] = [
+pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "deferred-start",
         demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never before.",
         section: "Time (D)",
         check: deferred_start,
+    },
+    Requirement {
+        name: "script-start",
+        demands: "If the first value of a script is due after its start, the script starts with that value on a device with `hold`, and at its start with `linear`.",
+        section: "Reports (D)",
+        check: script_start,
     },
     Requirement {
         name: "immediate-start",
@@ -51,8 +58,32 @@ fn deferred_start(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let request = trial.set(actor, actor.rest).starting_in(SOON_MS).leased(LEASE_MS);
-    let planned = request.starts_at().map(urrcp::Timestamp::assume_clock::<urrcp::Robot>);
-    let ticket = line.held(&request)?;
+    starts(trial, &mut line, &request, Span::ZERO)
+}
+
+/// Offset of the first value in ms: long enough to distinguish it from the start of the script.
+const FIRST_MS: f64 = 300.0;
+
+fn script_start(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let request = trial.script(actor, &[(FIRST_MS, actor.rest)]).starting_in(SOON_MS).leased(LEASE_MS);
+    starts(trial, &mut line, &request, until_started(actor, &request))
+}
+
+/// Time from the start of a request until it has started.
+pub(super) fn until_started(actor: &Actor, request: &ControlRequest) -> Span {
+    match &request.command {
+        Command::Script(script) => script.until_started(actor.device.interpolation),
+        _ => Span::ZERO,
+    }
+}
+
+/// Checks that the robot reports the start of a request in time. It is due `after` the beginning of the request.
+fn starts(trial: &Trial, line: &mut Line, request: &ControlRequest, after: Span) -> Checked {
+    let planned = request.starts_at().map(|start| (start + after).assume_clock::<urrcp::Robot>());
+    let ticket = line.held(request)?;
     let sent = line.asked(ticket).text.clone();
     let started = line.report(ticket, &Status::Started, trial.patience())?;
     let (Some(planned), Some(at)) = (planned, started.message.event_timestamp) else {

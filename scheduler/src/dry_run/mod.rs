@@ -105,7 +105,8 @@ pub struct Rehearsal {
 }
 
 impl Rehearsal {
-    /// With simulated robots in the order of the participants. Sensors that an act waits for read what it waits for.
+    /// With simulated robots in the order of the participants. Devices begin where the first act expects them, and each sensor
+    /// that an act waits for gives the reading that the act waits for.
     ///
     /// # Errors
     /// A robot of the choreography that has no participant.
@@ -121,6 +122,14 @@ impl Rehearsal {
             let whose = participants.iter().position(|participant| participant.id.as_str() == robot);
             if let (Some(index), Ok(sensor)) = (whose, sensor.parse()) {
                 robots[index].set_reading(sensor, reading_within(*range));
+            }
+        }
+        let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
+        for planned in first {
+            let whose = participants.iter().position(|participant| participant.id == planned.robot);
+            let Some(index) = whose else { continue };
+            for (device, position) in planned.first_positions() {
+                robots[index].place(device, position);
             }
         }
         let mission = Mission::new(choreography, participants, options, begin)?;

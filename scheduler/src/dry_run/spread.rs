@@ -1,4 +1,4 @@
-//! How far apart the first steps of an act came by the one true clock, which only a dry run has.
+//! How far apart the scripts of an act started, by the one true clock, which only a dry run has.
 
 use std::collections::HashMap;
 
@@ -8,17 +8,26 @@ use urrcp::{DeviceId, RobotId, Span};
 use super::act_of;
 use crate::report::ActReport;
 
-/// The first steps of the scripts of acts that have not ended.
+/// The starts of the scripts of acts that have not ended.
 #[derive(Debug)]
 pub(super) struct TrueSpread {
     index_of: HashMap<RobotId, usize>,
-    /// For each robot, by act and device: the true times of its scripts' first steps, in order.
-    firsts: Vec<HashMap<(u32, DeviceId), Vec<i64>>>,
+    /// A map for each robot, by the number of the act and the device.
+    firsts: Vec<HashMap<(u32, DeviceId), Starts>>,
     largest: Option<Span>,
     starts: Vec<ActStarts>,
 }
 
-/// How many scripts of an act really began: the first steps that robots set.
+/// The starts of a device's scripts: the instants at which it set their first values or began to move linearly to them.
+#[derive(Clone, Debug, Default)]
+struct Starts {
+    /// The true times, in order.
+    times: Vec<i64>,
+    /// The request of the latest script.
+    latest: Option<String>,
+}
+
+/// How many scripts of an act really started, counted by the first movements of devices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ActStarts {
     /// Name of the act.
@@ -47,16 +56,19 @@ impl TrueSpread {
     }
 
     pub(super) fn see(&mut self, robot: usize, entry: &LogEntry) {
-        if entry.step != Some(0) || entry.motion != "set" {
+        if entry.step != Some(0) {
             return;
         }
         if let Some(act) = entry.request_id.as_deref().and_then(act_of) {
-            let firsts = self.firsts[robot].entry((act, entry.device.clone())).or_default();
-            firsts.push(entry.true_ns);
+            let starts = self.firsts[robot].entry((act, entry.device.clone())).or_default();
+            if starts.latest != entry.request_id {
+                starts.times.push(entry.true_ns);
+                starts.latest.clone_from(&entry.request_id);
+            }
         }
     }
 
-    /// An act has ended: largest minus smallest error of the first steps of its scripts.
+    /// An act has ended: largest minus smallest error of the starts of its scripts.
     pub(super) fn act_ended(&mut self, act: &ActReport) {
         let spread = self.spread(act);
         self.largest = self.largest.max(spread);
@@ -70,7 +82,7 @@ impl TrueSpread {
             let firsts = self.index_of.get(&robot.robot).map(|index| &self.firsts[*index]);
             planned += robot.devices.len();
             let of_act = firsts.into_iter().flatten().filter(|((number, _), _)| *number == act.number);
-            begun += of_act.map(|(_, starts)| starts.len()).sum::<usize>().min(robot.devices.len());
+            begun += of_act.map(|(_, starts)| starts.times.len()).sum::<usize>().min(robot.devices.len());
         }
         ActStarts { act: act.act.clone(), planned, begun, spread }
     }
@@ -84,8 +96,8 @@ impl TrueSpread {
             let mut begun: HashMap<&DeviceId, usize> = HashMap::new();
             for device in &robot.devices {
                 let nth = begun.entry(&device.device).or_default();
-                let first = firsts.get(&(act.number, device.device.clone()))?.get(*nth)?;
-                let planned = device.planned_start? + device.first_step;
+                let first = firsts.get(&(act.number, device.device.clone()))?.times.get(*nth)?;
+                let planned = device.planned_start?;
                 errors.push(Span::from_nanos(first - planned.as_nanos()));
                 *nth += 1;
             }

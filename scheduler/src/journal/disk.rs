@@ -2,7 +2,9 @@
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+use rustix::io::Errno;
 
 use super::lock;
 use super::private::{self, How};
@@ -32,11 +34,37 @@ pub trait Disk {
     /// # Errors
     /// What was appended may be lost.
     fn sync(&mut self) -> io::Result<()>;
+
+    /// Makes sure that the file can be found under its name. If it was removed or replaced, writes all of it there again, and
+    /// returns once all of it is on the disk.
+    ///
+    /// # Errors
+    /// It was removed or replaced, and cannot be written again.
+    fn keep_name(&mut self) -> io::Result<Name> {
+        Ok(Name::Kept)
+    }
 }
+
+/// The result of [`Disk::keep_name`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Name {
+    /// The file is found under it.
+    Kept,
+    /// The file was not found under it, and has been written again.
+    WrittenAgain,
+}
+
+/// Maximum number of files that were moved away and stay locked.
+const ELSEWHERE_MAX: usize = 8;
 
 /// A file, locked as long as this lives.
 #[derive(Debug)]
-pub struct FileDisk(File);
+pub struct FileDisk {
+    folder: PathBuf,
+    file: File,
+    /// Earlier files of the same journal that were moved away. Their locks show that the scheduler still runs.
+    elsewhere: Vec<File>,
+}
 
 impl FileDisk {
     /// Opens or creates `journal` in a folder, which is created as well, and locks it. Both are for this user alone.
@@ -45,8 +73,8 @@ impl FileDisk {
     /// The file cannot be opened, is not for this user alone, or another process holds the lock.
     pub fn open(folder: &Path) -> io::Result<Self> {
         private::create_folder(folder)?;
-        let new = !folder.join("journal").exists();
-        let file = private::file(folder, "journal", How::Create)?;
+        let new = !folder.join(JOURNAL).exists();
+        let file = private::file(folder, JOURNAL, How::Create)?;
         lock::take(&file)?;
         // The names of a new file and a new folder are on the disk only then.
         for folder in [Some(folder), folder.parent()].into_iter().flatten().filter(|_| new) {
@@ -55,7 +83,7 @@ impl FileDisk {
                 tracing::debug!("cannot sync {}: {error}", folder.display());
             }
         }
-        Ok(Self(file))
+        Ok(Self::of(folder, file))
     }
 
     /// Opens and locks a `journal` that is there, without waiting for the disk.
@@ -63,30 +91,78 @@ impl FileDisk {
     /// # Errors
     /// There is none that can be written, or another process holds the lock.
     pub fn take_up(folder: &Path) -> io::Result<Self> {
-        let file = private::file(folder, "journal", How::Append)?;
+        let file = private::file(folder, JOURNAL, How::Append)?;
         lock::take(&file)?;
-        Ok(Self(file))
+        Ok(Self::of(folder, file))
+    }
+
+    fn of(folder: &Path, file: File) -> Self {
+        Self { folder: folder.to_path_buf(), file, elsewhere: Vec::new() }
+    }
+
+    /// Whether the name leads to this file. If the check fails for any reason other than a missing file, for example because the
+    /// server of a network file system is away, the file counts as present.
+    fn is_named(&self) -> io::Result<bool> {
+        let own = rustix::fs::fstat(&self.file)?;
+        match rustix::fs::lstat(self.folder.join(JOURNAL)) {
+            Ok(found) => Ok((found.st_dev, found.st_ino) == (own.st_dev, own.st_ino)),
+            Err(Errno::NOENT | Errno::NOTDIR) => Ok(false),
+            Err(error) => {
+                tracing::debug!("cannot look for the journal in {}: {error}", self.folder.display());
+                Ok(true)
+            }
+        }
+    }
+
+    /// Writes the whole file under its name. A copy of its beginning may be there already.
+    fn write_again(&mut self) -> io::Result<()> {
+        let bytes = self.read()?;
+        if let Some(state) = self.folder.parent() {
+            private::create_folder(state)?;
+        }
+        let mut again = Self::open(&self.folder)?;
+        let there = again.read()?;
+        let Some(missing) = bytes.strip_prefix(&there[..]) else {
+            return Err(io::Error::other("another file is in its place"));
+        };
+        again.append(missing)?;
+        again.sync()?;
+        let before = std::mem::replace(&mut self.file, again.file);
+        if rustix::fs::fstat(&before).is_ok_and(|before| before.st_nlink > 0) {
+            self.elsewhere.truncate(ELSEWHERE_MAX - 1);
+            self.elsewhere.insert(0, before);
+        }
+        Ok(())
     }
 }
+
+const JOURNAL: &str = "journal";
 
 impl Disk for FileDisk {
     fn read(&mut self) -> io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
-        self.0.seek(SeekFrom::Start(0))?;
-        self.0.read_to_end(&mut bytes)?;
+        self.file.seek(SeekFrom::Start(0))?;
+        self.file.read_to_end(&mut bytes)?;
         Ok(bytes)
     }
 
     fn truncate(&mut self, length: u64) -> io::Result<()> {
-        self.0.set_len(length)?;
-        self.0.sync_all()
+        self.file.set_len(length)?;
+        self.file.sync_all()
     }
 
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.0.write_all(bytes)
+        self.file.write_all(bytes)
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        self.0.sync_data()
+        self.file.sync_data()
+    }
+
+    fn keep_name(&mut self) -> io::Result<Name> {
+        if self.is_named()? {
+            return Ok(Name::Kept);
+        }
+        self.write_again().map(|()| Name::WrittenAgain)
     }
 }

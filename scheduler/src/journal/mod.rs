@@ -4,27 +4,30 @@
 
 mod disk;
 mod found;
+mod kept;
 mod lock;
 pub(crate) mod private;
 mod read;
 pub(crate) mod simulated;
 mod writer;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Attempt, Refusal};
+use downbeat_scripts::{Approach, Attempt, RateLimits, Refusal};
 use serde::{Deserialize, Serialize};
-use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
+use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::mission::{Greeting, Record};
 use crate::session::{Session, SessionKey};
-pub use disk::{Disk, FileDisk};
+pub use disk::{Disk, FileDisk, Name};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
+pub use kept::{Fate, Kept, Left, LeftOn, Progressed, Stopping};
 pub use private::NotPrivate;
-pub use read::{Fate, Kept, Left, LeftOn, Progressed, Records, Torn, Unreadable, read, records};
+pub use read::{Records, Torn, Unreadable, ended_acts, read, records};
+pub use writer::{News, Writer};
 pub(crate) use writer::{WAITING_MAX, append_all};
-pub use writer::{Writer, Written};
 
 /// The first line: the session, the robots and the plan. It has all that a stop needs, because files may change while a
 /// mission plays.
@@ -53,6 +56,9 @@ pub struct Opened {
     pub project: Option<PathBuf>,
     /// The further choices of the operator: acts, robots, speed.
     pub asked: Asked,
+    /// SHA-256 over the plan, as in certificates; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan_hash: Option<ContentHash>,
     /// Whether robots are asked for their identity.
     pub greeting: Greeting,
     /// The server's time minus this machine's, as NTP said when the mission began.
@@ -110,6 +116,9 @@ pub struct OpenedRobot {
     /// What is known of its devices, where a driver of this machine has to know them to reach its hardware.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<InitializationBlock>,
+    /// The `limits` of the fleet file, if a driver on this machine has to keep them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub limits: BTreeMap<String, RateLimits>,
 }
 
 /// What changes a choreography between its file and the mission.
@@ -123,6 +132,9 @@ pub struct Asked {
     pub only: Vec<RobotId>,
     /// Slower or faster than written.
     pub speed: Option<f64>,
+    /// The act ahead that moves devices to their first positions. `None` without `--approach`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub approach: Option<Approach>,
 }
 
 /// One line.
@@ -179,7 +191,7 @@ impl<D: Disk> Journal<D> {
     /// [`JournalError`] when the disk does not take the cut.
     pub fn taken_up(mut disk: D, path: PathBuf, kept: Kept) -> Result<Self, JournalError> {
         if kept.torn.is_some()
-            && let Err(error) = disk.truncate(kept.whole as u64)
+            && let Err(error) = disk.truncate(kept.whole() as u64)
         {
             return Err(JournalError { path, error });
         }
@@ -248,15 +260,43 @@ impl<D: Disk> Journal<D> {
         Ok(self.on_disk)
     }
 
+    /// Makes sure that other commands can find the journal. If it was removed or replaced, writes all of it again.
+    ///
+    /// # Errors
+    /// The reason why it cannot be written again. The journal then takes no further records.
+    pub fn keep_name(&mut self) -> Result<Name, String> {
+        if let Some(broken) = &self.broken {
+            return Err(broken.clone());
+        }
+        self.disk.keep_name().map_err(|error| {
+            let reason = Refusal::of(Attempt::Write(&self.path), &error).reason;
+            self.breaks(format!(
+                "the journal {} was removed or replaced, and cannot be written again: {reason}",
+                self.path.display()
+            ))
+        })
+    }
+
     fn unless_broken(&mut self, write: impl FnOnce(&mut D) -> io::Result<()>) -> Result<(), String> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
         }
         write(&mut self.disk).map_err(|error| {
-            let reason = format!("cannot write the journal {}: {error}", self.path.display());
-            self.broken = Some(reason.clone());
-            reason
+            self.breaks(format!("cannot write the journal {}: {error}", self.path.display()))
         })
+    }
+
+    fn breaks(&mut self, reason: String) -> String {
+        self.broken = Some(reason.clone());
+        reason
+    }
+
+    /// Its bytes, for [`ended_acts`].
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk cannot be read.
+    pub fn bytes(&mut self) -> Result<Vec<u8>, JournalError> {
+        self.disk.read().map_err(|error| JournalError { path: self.path.clone(), error })
     }
 
     /// Gives the disk back, as when the process ends.

@@ -2,7 +2,10 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::{ActFate, ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Rest, StepsLate};
+use crate::mission::{
+    ActFate, ActFlaws, ActOver, Failure, FailureKind, OutOfTolerance, Promise, PromisedScript, Rest,
+    StepsLate,
+};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -16,6 +19,7 @@ fn opened() -> Opened {
         folder: Some("/show".into()),
         project: None,
         asked: Asked { speed: Some(0.5), ..Asked::default() },
+        plan_hash: Some(urrcp::Command::ReadSensor.content_hash()),
         greeting: Greeting::Full,
         clock_offset: Span::from_millis(3),
         keys: OpenedKeys::default(),
@@ -24,6 +28,7 @@ fn opened() -> Opened {
             own_id: Some(RobotId::new("UR5-1").unwrap()),
             address: "tcp://a:1".into(),
             init: None,
+            limits: std::collections::BTreeMap::new(),
         }],
     }
 }
@@ -39,6 +44,7 @@ fn prepared(number: u32) -> Record {
         timestamp: at(10),
         start: at(500),
         lease: Span::from_millis(240),
+        prepared_again: 0,
         scripts: vec![],
     })
 }
@@ -442,11 +448,11 @@ async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
     {
         writer.write(at(2), record).unwrap();
     }
-    let mut written = Written::default();
-    while written.count < 2 {
-        written = writer.next().await;
+    let mut recorded = 0;
+    while recorded < 2 {
+        let news = writer.next().await;
+        recorded = if let News::Recorded(count) = news { count } else { panic!("{news:?}") };
     }
-    assert_eq!(written, Written { count: 2, lost: None });
     let journal = writer.finish().await.unwrap();
     assert_eq!(on(journal.into_disk()).kept().unwrap().promises.len(), 2);
 }
@@ -459,7 +465,94 @@ async fn the_thread_tells_that_the_journal_is_lost() {
     for number in 0..10 {
         writer.write(at(2), prepared(number)).unwrap();
     }
-    while writer.next().await.lost.is_none() {}
+    while !matches!(writer.next().await, News::Lost(_)) {}
+}
+
+/// A journal with a promise in the folder of a mission, and its content.
+fn promised(mission: &Path) -> (Journal, Vec<u8>) {
+    let mut journal = Journal::open(mission).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    journal.append(at(2), &prepared(0)).unwrap();
+    assert_eq!(journal.sync(), Ok(1));
+    let bytes = std::fs::read(mission.join("journal")).unwrap();
+    (journal, bytes)
+}
+
+#[test]
+fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lock() {
+    let mode = |path: &Path| std::os::unix::fs::MetadataExt::mode(&path.metadata().unwrap()) & 0o7777;
+    let removals: [fn(&Path); 4] = [
+        |state| std::fs::remove_dir_all(state).unwrap(),
+        |state| std::fs::remove_file(state.join("m/journal")).unwrap(),
+        |state| std::fs::rename(state, state.with_extension("elsewhere")).unwrap(),
+        // A copy of its beginning takes its place.
+        |state| {
+            let journal = state.join("m/journal");
+            let bytes = std::fs::read(&journal).unwrap();
+            std::fs::remove_file(&journal).unwrap();
+            std::fs::write(&journal, &bytes[..bytes.len() / 2]).unwrap();
+            std::fs::set_permissions(&journal, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+        },
+    ];
+    for remove in removals {
+        let stage = tempfile::tempdir().unwrap();
+        let (state, mission) = (stage.path().join("state"), stage.path().join("state/m"));
+        let (mut journal, bytes) = promised(&mission);
+        assert_eq!(journal.keep_name(), Ok(Name::Kept));
+        remove(&state);
+        assert_eq!(journal.keep_name(), Ok(Name::WrittenAgain));
+        assert_eq!(journal.keep_name(), Ok(Name::Kept));
+        assert_eq!(std::fs::read(mission.join("journal")).unwrap(), bytes);
+        assert_eq!([mode(&state), mode(&mission), mode(&mission.join("journal"))], [0o700, 0o700, 0o600]);
+        for place in [mission, state.with_extension("elsewhere").join("m")] {
+            let found = Found::look_at(&place).ok().flatten();
+            assert!(found.is_none_or(|found| found.life == Life::Running), "{}", place.display());
+        }
+        journal.append(at(3), &prepared(1)).unwrap();
+        assert_eq!(journal.sync(), Ok(2));
+        drop(journal);
+        assert_eq!(read(&state.join("m/journal")).unwrap().promises.len(), 2);
+    }
+}
+
+#[test]
+fn a_journal_that_cannot_be_written_again_takes_nothing_more_and_says_why() {
+    let stage = tempfile::tempdir().unwrap();
+    let (state, mission) = (stage.path().join("state"), stage.path().join("state/m"));
+    let (mut journal, _) = promised(&mission);
+    std::fs::write(mission.join("other"), "another file").unwrap();
+    std::fs::rename(mission.join("other"), mission.join("journal")).unwrap();
+    let reason = journal.keep_name().unwrap_err();
+    assert!(
+        reason.contains("removed or replaced") && reason.contains("another file is in its place"),
+        "{reason}"
+    );
+    assert_eq!(std::fs::read(mission.join("journal")).unwrap(), b"another file");
+    assert_eq!(journal.append(at(3), &prepared(1)), Err(reason));
+    drop(journal);
+    std::fs::remove_dir_all(&state).unwrap();
+    let (mut journal, _) = promised(&mission);
+    std::fs::remove_dir_all(&state).unwrap();
+    std::fs::write(&state, "a file where the folder was").unwrap();
+    assert!(journal.keep_name().unwrap_err().contains("cannot be written again"));
+}
+
+#[tokio::test]
+async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durable() {
+    let stage = tempfile::tempdir().unwrap();
+    let mission = stage.path().join("state/m");
+    let (journal, _) = promised(&mission);
+    let mut writer = Writer::start(journal).unwrap();
+    assert_eq!(writer.next().await, News::Recorded(1));
+    std::fs::remove_dir_all(stage.path().join("state")).unwrap();
+    writer.write(at(3), prepared(1)).unwrap();
+    assert_eq!(writer.next().await, News::WrittenAgain);
+    while writer.next().await != News::Recorded(2) {}
+    assert_eq!(read(&mission.join("journal")).unwrap().promises.len(), 2);
+    // The thread also notices it without a record.
+    std::fs::remove_dir_all(stage.path().join("state")).unwrap();
+    assert_eq!(writer.next().await, News::WrittenAgain);
+    assert_eq!(read(&mission.join("journal")).unwrap().promises.len(), 2);
 }
 
 #[test]
@@ -509,6 +602,65 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     assert_eq!(read(&path).unwrap().fate(), Fate::Resume);
     let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
+}
+
+/// Writes a journal with these records and reads it back.
+fn kept(records: &[Record]) -> Kept {
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    records.iter().for_each(|record| journal.append(at(2), record).unwrap());
+    assert!(journal.sync().is_ok());
+    read(&folder.path().join("journal")).unwrap()
+}
+
+#[test]
+fn a_mission_that_nobody_stopped_is_withdrawn_as_failed_and_one_that_was_being_stopped_as_its_stop_says() {
+    let ending = |records: &[Record]| kept(records).ending("no act was under way");
+    let died = "the process of the mission died: no act was under way".to_owned();
+    assert_eq!(ending(&[]), (Outcome::Failed, died.clone()));
+    let stopping = |outcome| Record::Stopping { outcome, rest: Rest::Home, by: None };
+    assert_eq!(ending(&[stopping(Outcome::Failed)]), (Outcome::Failed, died.clone()));
+    let late = Outcome::DecisionLate { by: Span::from_millis(3) };
+    assert_eq!(ending(&[stopping(late.clone())]), (late.clone(), died));
+    let stopped = (Outcome::Stopped, "stopped by the operator".to_owned());
+    assert_eq!(ending(&[stopping(late), stopping(Outcome::Stopped)]), stopped, "the latest stop counts");
+    let kept = kept(&[stopping(Outcome::Stopped)]);
+    assert_eq!(kept.stopping, Some(Stopping { outcome: Outcome::Stopped, rest: Rest::Home }));
+}
+
+#[test]
+fn robots_may_have_moved_once_an_act_was_committed() {
+    let moved = |records: &[Record]| kept(records).left().moved;
+    let decided = || Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO };
+    assert!(!moved(&[]));
+    assert!(!moved(&[prepared(0), decided()]));
+    assert!(moved(&[prepared(0), decided(), Record::Committed { number: 0 }]));
+    let skipped = |fate| Record::ActSkipped(ActOver { act: 0, fate });
+    for fate in [ActFate::Played, ActFate::Stopped, ActFate::Unknown] {
+        assert!(moved(&[skipped(fate)]));
+    }
+    for fate in [ActFate::NobodyLeft, ActFate::Withdrawn] {
+        assert!(!moved(&[skipped(fate)]));
+    }
+}
+
+#[test]
+fn failures_are_read_back_and_those_of_a_later_version_are_left_out() {
+    let robot = || RobotId::new("arm").unwrap();
+    let kind = FailureKind::Silent { awaited: "an answer".to_owned(), within: Span::from_millis(5) };
+    let failure = Failure { robot: robot(), kind };
+    let records = [Record::Failed(failure.clone()), Record::Dropped { robot: robot() }];
+    let kept = kept(&records);
+    assert_eq!((&kept.failures, &kept.dropped), (&vec![failure.clone()], &vec![robot()]));
+    assert_eq!(kept.left().failures, [failure]);
+    let later = serde_json::json!({"at": at(3), "record": "failed", "robot": "arm", "failure": "bewitched"});
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.extend(line(&later).unwrap());
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().failures, []);
 }
 
 #[test]

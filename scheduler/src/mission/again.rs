@@ -5,6 +5,7 @@ use urrcp::{ErrorCode, Server, Span, Timestamp};
 use super::act::{Act, Member, Progressed};
 use super::course::may_have_moved;
 use super::failure_kind::FailureKind;
+use super::record::Record;
 use super::robot_state::Rest;
 use super::script::Script;
 use super::{Mission, Outcome, Phase};
@@ -16,7 +17,8 @@ const HOLD_UP_MIN: Span = Span::from_millis(40);
 /// An act that is overdue for longer than this has missed a round. If leases end then, this machine is the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
-/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop.
+/// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the
+/// act lapses and is not stopped, because a stop would end both.
 #[derive(Debug)]
 pub(super) struct Again {
     act: usize,
@@ -36,7 +38,8 @@ impl Mission {
     }
 
     /// Handles the failure of robots in an act. If most of them did not accept in time although their links are up, the
-    /// cause may be this machine: the mission prepares the act again once before the robots count as failed.
+    /// cause may be this machine. Before the robots count as failed, the mission prepares the act again: once, or twice if no
+    /// robot has accepted.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
@@ -54,10 +57,12 @@ impl Mission {
             let outcome = if decided { Outcome::CommitmentLate { by } } else { Outcome::DecisionLate { by } };
             return self.prepare_again(now, outcome, failing);
         }
-        let suspect = act.is_some_and(|act| {
+        let suspect = act.filter(|_| self.acts.len() == 1).is_some_and(|act| {
             let silent = failing.iter().all(|(_, kind)| matches!(kind, FailureKind::Silent { .. }));
-            let most = failing.len() >= 2 && failing.len() * 2 > act.present().count();
-            silent && most && act.progress() == Progressed::Preparing && act.attempts() == 0
+            let all = act.present().count();
+            let most = failing.len() >= 2 && failing.len() * 2 > all;
+            let again = act.attempts() == 0 || failing.len() == all;
+            silent && most && again && act.progress() == Progressed::Preparing
         });
         match suspect {
             true => self.prepare_again(now, Outcome::DecisionLate { by: Span::ZERO }, failing),
@@ -65,10 +70,16 @@ impl Mission {
         }
     }
 
-    /// Whether only this act is under way, so that a stop ends no other act, and whether it may begin at any time.
+    /// Whether the act has attempts left, no fixed start and, while another act plays, only robots that drop it by themselves.
     pub(super) fn may_be_prepared_again(&self, number: u32) -> bool {
-        let [act] = self.acts.as_slice() else { return false };
-        act.number() == number && act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options)
+        let drops = |member: &Member| self.robots[member.robot].drops_undecided();
+        let (act, drops) = match self.acts.as_slice() {
+            [act] => (act, true),
+            [_, act] => (act, !act.is_committed() && act.present().all(drops)),
+            _ => return false,
+        };
+        let again = act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options);
+        act.number() == number && drops && again
     }
 
     fn prepare_again(
@@ -77,6 +88,11 @@ impl Mission {
         outcome: Outcome,
         suspended: Vec<(usize, FailureKind)>,
     ) {
+        if let [_, act] = self.acts.as_mut_slice() {
+            act.is_not_started(outcome);
+            let number = act.number();
+            return self.record(Record::Lapsing { number });
+        }
         let Some(act) = self.acts.first() else { return };
         let (name, index) = (act.name(), act.index());
         let late = match &outcome {

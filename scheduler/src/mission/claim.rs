@@ -4,14 +4,14 @@
 //! the script was sent or ahead of now, no end before the script can have ended. Times are compared as far as the robot's
 //! clock is known, and starts within `start_tolerance` are no matter here.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{ControlResponse, RequestReport, RequestState, Robot, Server, Span, Status, Timestamp};
 
 /// What a busy machine and coarse clocks may add to any time.
 const GRAIN: Span = Span::from_millis(20);
 
 /// Something that a robot says of a script and that cannot be true.
-#[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "claim", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Claim {

@@ -355,7 +355,7 @@ impl Mission {
 
     /// Whether robots have moved, or may have moved, in an act that is over, in this process or in one that died.
     pub(super) fn has_moved(&self) -> bool {
-        self.fates.iter().any(|act| act.moved)
+        self.moved_before || self.fates.iter().any(|act| act.moved)
     }
 
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
@@ -363,15 +363,22 @@ impl Mission {
         let deserted = act.present().next().is_none();
         // What a robot that was left out still has of it may move it, as long as it has not said otherwise.
         let moved = may_have_moved(now, act) || deserted && act.is_unaccounted();
+        // A stop does not end an act whose planned end has passed, even if no process watched that end.
+        let ended = if performs { act.is_over() } else { self.has_ended_before_the_stop(act) };
         match (act.was_sent(), moved) {
-            (true, _) if performs && act.is_over() && act.is_known_of_one() => ActFate::Played,
-            (true, _) if performs && act.is_over() && !deserted => ActFate::Unknown,
+            (true, _) if ended && act.is_done_by_one() => ActFate::Played,
+            (true, true) if ended && !deserted && !act.was_cut_short() => ActFate::Unknown,
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,
             (false, false) if act.attempts() > 0 => ActFate::Withdrawn,
             (false, false) => ActFate::StillWaiting,
         }
+    }
+
+    fn has_ended_before_the_stop(&self, act: &Act) -> bool {
+        let end = act.timing().filter(|_| act.is_committed()).map(|timing| timing.end);
+        self.stopped_at.zip(end).is_some_and(|(stopped, end)| stopped >= end)
     }
 
     /// An act has ended so, here or before another process died.
@@ -401,13 +408,18 @@ impl Mission {
         self.is_flawed(&flaws);
         let over = ActOver { act: act.index(), fate: self.fates[act.index()].fate.clone() };
         self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over, again: false });
+        self.list(report);
+        self.tell(Progress::ActEnded { act: act.name() });
+    }
+
+    /// Adds an act to the report of the mission, and drops the oldest acts if there are more than `ROWS_KEPT` rows.
+    pub(super) fn list(&mut self, report: ActReport) {
         self.reports.push_back(report);
         let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
         while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {
             self.reports.pop_front();
             self.reports_omitted += 1;
         }
-        self.tell(Progress::ActEnded { act: act.name() });
     }
 
     /// Robots that join later have missed their part in an act that was sent without them.
@@ -442,10 +454,9 @@ impl Mission {
     }
 }
 
-/// Whether robots have begun an act, by their own words or because its start has passed: one that reports nothing moves, too, as
-/// early as its clock may have it.
+/// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is
+/// unknown. A robot that reports nothing moves as well, as early as its clock permits.
 pub(super) fn may_have_moved(now: Timestamp<Server>, act: &Act) -> bool {
-    let Some(timing) = act.timing() else { return act.has_begun() };
-    let may_be_due = now >= timing.earliest_start() && act.is_unaccounted();
-    act.has_begun() || may_be_due || now >= timing.start && act.is_committed()
+    let is_due = act.timing().is_some_and(|timing| now >= timing.earliest_start());
+    act.has_begun() || is_due && act.is_unaccounted()
 }

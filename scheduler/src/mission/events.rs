@@ -1,6 +1,6 @@
 //! What goes into a mission and what comes out of it.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::Failure;
@@ -70,6 +70,8 @@ pub enum Event {
         /// How many.
         count: u64,
     },
+    /// The journal was removed or replaced, and all of it has been written again.
+    JournalWrittenAgain,
     /// The journal takes no more records.
     JournalLost {
         /// Why, for people.
@@ -282,6 +284,8 @@ pub enum Progress {
         #[serde(rename = "offset_change_ms")]
         offset_change: Span,
     },
+    /// The journal was removed or replaced while the mission ran, and all of it has been written again.
+    JournalWrittenAgain,
     /// The journal cannot be written: everything is stopped.
     JournalLost {
         /// Why it cannot be written, for people.
@@ -302,7 +306,7 @@ pub enum Progress {
 }
 
 /// A reading that the scenario asked for.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TakenReading {
     /// The sensor's robot.
     pub robot: RobotId,

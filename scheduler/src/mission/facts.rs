@@ -1,17 +1,17 @@
 //! What became of an act, as plain facts for the report and the journal.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 
 use super::act::{Act, Member};
 use super::events::TakenReading;
 use super::motion::{MotionReport, MotionSpread};
-use super::robot_state::RobotState;
+use super::robot_state::{RobotState, Totals};
 use super::script::{Ending, Script, ScriptState};
 use super::{LeadTime, SkewBudget};
 
 /// What became of one act.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActReport {
     /// Its name.
     pub act: String,
@@ -45,13 +45,13 @@ pub struct ActReport {
     #[serde(rename = "doubt_ms")]
     pub doubt: Span,
     /// How often the act was withdrawn before anything moved, and prepared again, because this machine was too slow.
-    #[serde(skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub prepared_again: u32,
     /// Readings that the scenario asked for.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
     /// When devices began to move, where that was verified.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub motions: Vec<MotionReport>,
     /// How far apart these motions began.
     #[serde(rename = "motion", skip_serializing_if = "Option::is_none")]
@@ -61,12 +61,12 @@ pub struct ActReport {
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-const fn is_zero(count: &u32) -> bool {
+pub(super) const fn is_zero(count: &u32) -> bool {
     *count == 0
 }
 
 /// What one robot did in one act.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ActRobot {
     /// The robot's id.
     pub robot: RobotId,
@@ -77,7 +77,7 @@ pub struct ActRobot {
 }
 
 /// How far a script came, as far as the scheduler knows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum DeviceState {
@@ -98,17 +98,14 @@ pub enum DeviceState {
 }
 
 /// What one script of a device did.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct DeviceReport {
     /// Which device.
     pub device: DeviceId,
     /// How far it came.
     pub state: DeviceState,
-    /// Planned start of its script.
+    /// When its script was to start: to set the first value or, on a device that moves linearly, to begin to move to it.
     pub planned_start: Option<Timestamp<Server>>,
-    /// From there to its first step.
-    #[serde(skip)]
-    pub first_step: Span,
     /// Actual start by the robot's clock.
     pub started_at: Option<Timestamp<Robot>>,
     /// Actual minus planned.
@@ -158,6 +155,30 @@ impl ActReport {
 }
 
 impl ActReport {
+    /// Adds the scripts of a robot to its totals, for an act that ended before this process resumed the mission.
+    pub(super) fn add_to(&self, totals: &mut Totals, robot: &ActRobot) {
+        use DeviceState::{Accepted, Ended, Failed, Planned, Sent, Started, Unknown};
+        let all_accepted = self.margin_left.is_some();
+        for script in &robot.devices {
+            let state = script.state;
+            let begun =
+                script.started_at.is_some() || script.steps_done > 0 || matches!(state, Started | Ended);
+            let accepted = begun || state == Accepted || all_accepted && matches!(state, Failed | Unknown);
+            totals.scripts += 1;
+            totals.sent += usize::from(state != Planned);
+            totals.accepted += usize::from(accepted);
+            totals.failed += usize::from(state == Failed);
+            totals.started += usize::from(begun);
+            totals.steps_done += u64::from(script.steps_done);
+            totals.steps_planned += script.steps_planned as u64;
+            totals.late_steps += u64::from(script.late_steps);
+            totals.late_max = totals.late_max.max(script.late_max);
+            totals.start_error =
+                totals.start_error.into_iter().chain(script.start_error).max_by_key(|error| error.abs());
+            totals.unaccounted += usize::from(matches!(state, Sent | Accepted | Started | Unknown));
+        }
+    }
+
     /// How far from its plan a script started, at most, by its robot's own clock. Of robots that were left out nothing is promised.
     pub(super) fn off_plan(&self) -> Option<Span> {
         let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
@@ -189,13 +210,13 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
             ScriptState::Planned => DeviceState::Planned,
             ScriptState::Sent => DeviceState::Sent,
             ScriptState::Held => DeviceState::Accepted,
-            ScriptState::Running => DeviceState::Started,
+            ScriptState::Running if script.has_started() => DeviceState::Started,
+            ScriptState::Running => DeviceState::Accepted,
             ScriptState::Ended(Ending::Completed) => DeviceState::Ended,
             ScriptState::Ended(Ending::Failed(_)) => DeviceState::Failed,
             ScriptState::Unknown => DeviceState::Unknown,
         },
-        planned_start: act.timing().map(|timing| timing.start + script.plan.start.span()),
-        first_step: script.plan.script.steps().first().map_or(Span::ZERO, |step| step.offset.span()),
+        planned_start: act.timing().map(|timing| timing.start + script.starts()),
         started_at: script.started_at(),
         start_error: act.start_error(member, script),
         steps_done: script.steps_done(),

@@ -30,7 +30,7 @@ impl Mission {
             Phase::Performing if self.robots[robot].standing == Standing::Absent => self.reconnect(robot),
             Phase::Performing => self.link_lost(now, robot, reason),
             Phase::Stopping { .. } => {
-                if self.robots[robot].awaits_stop() {
+                if !self.robots[robot].is_settled() && !self.robots[robot].is_left_to_others() {
                     self.reconnect(robot);
                 }
                 self.stop_progress(now);
@@ -160,8 +160,10 @@ impl Mission {
             };
         }
         self.robots[robot].totals.reconnects += 1;
+        self.robots[robot].unplaced = true;
         if self.robots[robot].stop_was_sent() {
-            return self.repeat_stop(now, robot);
+            self.stop_on_new_link(now, robot);
+            return self.ask_how_far_it_came(now, robot);
         }
         match self.robots[robot].takes_inquiries() {
             true => self.inquire(now, robot),
@@ -238,6 +240,7 @@ impl Mission {
         let failure = Failure { robot: self.robots[robot].id.clone(), kind };
         if self.robots[robot].failures.note(failure.clone()) == Noted::Kept {
             tracing::warn!(robot = %failure.robot, "{}", failure.kind);
+            self.record(Record::Failed(failure.clone()));
             self.tell(Progress::Failed(failure));
         }
     }
@@ -250,7 +253,10 @@ impl Mission {
         };
         let policies = robots.iter().map(|robot| {
             // That of the newest act that it takes part in.
-            let act = self.acts.iter().rfind(|act| act.was_sent() && act.member(*robot).is_some());
+            let act = self
+                .acts
+                .iter()
+                .rfind(|act| act.was_sent() && !act.is_lapsing() && act.member(*robot).is_some());
             let policy = &act.unwrap_or(current).written().on_failure;
             let id = &self.robots[*robot].id;
             let own = policy.robots.iter().find(|(robot, _)| robot == id).map(|(_, what)| *what);
@@ -301,7 +307,7 @@ impl Mission {
     }
 
     /// The others go on; it comes to rest, if it can be reached.
-    fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
         if let Some(lost) = self.robots[robot].lost_mut() {
             lost.give_up = None;

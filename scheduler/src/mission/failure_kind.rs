@@ -1,18 +1,19 @@
 //! The ways in which a robot fails a mission.
 
 use downbeat_scripts::SensorRange;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use urrcp::{ControlError, DeviceId, ErrorCode, RobotId, Span};
 
 use super::claim::Claim;
 use crate::clock::ClockDoubt;
 
 /// A robot failed the mission.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Failure {
     /// Which robot.
     pub robot: RobotId,
     /// What happened.
+    #[serde(flatten)]
     pub kind: FailureKind,
 }
 
@@ -31,7 +32,7 @@ impl Serialize for Failure {
 }
 
 /// Ways for a robot to fail the mission.
-#[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "failure", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[non_exhaustive]
@@ -157,7 +158,7 @@ pub enum FailureKind {
     },
     /// A device stands where its first keyframe does not expect it.
     #[error(
-        "device `{device}` stands at {reading}, its first keyframe expects {expected}: bring it there, or give the first keyframe a time"
+        "device `{device}` is at {reading}, its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"
     )]
     Position {
         /// Which device.
@@ -193,7 +194,7 @@ pub enum FailureKind {
 }
 
 /// What makes a link too slow.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(tag = "slow", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[non_exhaustive]
@@ -307,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_of_every_kind_keeps_to_the_schema_of_reports() {
+    fn a_failure_of_every_kind_keeps_to_the_schema_of_reports_and_is_read_back() {
         let kinds: Vec<_> = std::iter::successors(after(None), |kind| after(Some(kind))).collect();
         let mut schema: serde_json::Value = serde_json::from_str(crate::report::SCHEMA).unwrap();
         schema["properties"] = serde_json::json!({"failure": {"$ref": "#/$defs/failure"}});
@@ -320,6 +321,7 @@ mod tests {
             names.push(written["failure"].as_str().unwrap().to_owned());
             let document = serde_json::json!({"failure": written});
             assert!(validator.is_valid(&document), "{document}");
+            assert_eq!(Failure::deserialize(&document["failure"]).unwrap(), failure);
         }
         assert_eq!(
             names,

@@ -42,7 +42,7 @@ impl Mission {
             clock: state.clock.reading(),
             round_trip: state.round_trip(),
             totals,
-            awaits_stop: state.awaits_stop(),
+            awaits_stop: state.stop_was_sent() && !state.is_settled(),
         }
     }
 

@@ -2,8 +2,8 @@
 //! the fleet file requires of sensors, and where devices stand.
 
 use urrcp::{
-    AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
-    InitializationBlock, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
+    AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceId, InitializationBlock, Message,
+    RequestId, Server, Span, Status, StatusValue, Timestamp,
 };
 
 use super::exchanges::Times;
@@ -37,6 +37,9 @@ impl Mission {
         for index in 0..self.robots[robot].settings.require.len() {
             let sensor = self.robots[robot].settings.require[index].sensor.clone();
             self.read(now, robot, sensor, Reading::Requirement(index));
+        }
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            self.ask_positions(now, robot);
         }
     }
 
@@ -129,31 +132,6 @@ impl Mission {
         reasons
     }
 
-    /// Asks the devices that can tell where they stand before the first act.
-    pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
-        let state = &self.robots[robot];
-        let Some(block) = &state.block else { return };
-        let plan = &self.choreography.acts[self.options.first_act].plan;
-        let scripts = plan.robots.iter().filter(|plan| plan.robot == state.id).flat_map(|plan| &plan.scripts);
-        let mut devices: Vec<DeviceId> = scripts
-            .map(|script| &script.device)
-            .filter(|id| {
-                let device = block.device(id.as_str());
-                device.is_some_and(|device| device.available_control_types.sensor().is_some())
-            })
-            .cloned()
-            .collect();
-        devices.dedup();
-        let shown =
-            if self.options.preflight_only { others_that_read(state, block, &devices) } else { Vec::new() };
-        for device in devices {
-            self.read(now, robot, device.clone(), Reading::Position(device));
-        }
-        for device in shown {
-            self.read(now, robot, device.clone(), Reading::Shown(device));
-        }
-    }
-
     pub(super) fn read(&mut self, now: Timestamp<Server>, robot: usize, sensor: DeviceId, what: Reading) {
         let session = self.options.session_name().map_or("", |session| session.as_str());
         if self.robots[robot].reads.len() >= READS_MAX {
@@ -219,7 +197,7 @@ impl Mission {
         let full = self.options.greeting == Greeting::Full;
         let heard = |robot: &RobotState| {
             let sampled = robot.clock.samples() >= CLOCK_SAMPLES || robot.is_of_another();
-            let greeted = robot.introduced && sampled && robot.reads.is_empty();
+            let greeted = robot.introduced && sampled && robot.has_shown_its_pose();
             let absent = robot.standing != Standing::In;
             robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
         };
@@ -394,38 +372,6 @@ impl Mission {
         }
     }
 
-    /// Devices that would have to jump at the first keyframe.
-    pub(super) fn misplaced(&self, index: usize) -> Vec<FailureKind> {
-        let expected = |device: &DeviceId| self.expected_position(index, device);
-        let robot = &self.robots[index];
-        let mut kinds = Vec::new();
-        for (device, reading) in &robot.positions {
-            let Some((expected, tolerance)) = expected(device) else { continue };
-            if (reading - expected).abs() > tolerance {
-                let (device, reading) = (device.clone(), *reading);
-                kinds.push(FailureKind::Position { device, reading, expected });
-            }
-        }
-        kinds
-    }
-
-    /// The position at which the first keyframe expects a device, and how far off it may be: what the device itself
-    /// declares as its error, at least one step of its granularity, doubled. `None` where the first keyframe leaves time to
-    /// get there.
-    pub(super) fn expected_position(&self, index: usize, device: &DeviceId) -> Option<(f64, f64)> {
-        let robot = &self.robots[index];
-        let plan = &self.choreography.acts[self.options.first_act].plan;
-        let planned = plan.robots.iter().find(|plan| plan.robot == robot.id)?;
-        let script = planned.scripts.iter().find(|script| script.device == *device)?;
-        let step = script.script.steps().first()?;
-        let at_once = step.offset.span() == Span::ZERO && step.setpoint.control_type == ControlType::Position;
-        let block = robot.block.as_ref()?.device(device.as_str())?;
-        let limits = block.available_control_types.limits(ControlType::Position)?;
-        let linear = block.interpolation == urrcp::Interpolation::Linear;
-        let tolerance = 2.0 * limits.granularity.max(limits.max_error.unwrap_or(0.0));
-        (at_once && linear).then_some((step.setpoint.value, tolerance))
-    }
-
     pub(super) fn greeting_overdue(&mut self, now: Timestamp<Server>) {
         let within = self.options.patience;
         self.leave_to_others();
@@ -442,6 +388,7 @@ impl Mission {
                     "further availability responses"
                 }
                 Link::Up { .. } if full && !robot.reads.is_empty() => "readings of its sensors",
+                Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",
                 Link::Up { .. } => continue,
             };
             if self.options.join == Join::NextAct && !robot.is_up() {
@@ -478,6 +425,7 @@ impl Mission {
     pub(super) fn joins(&mut self, robot: usize) {
         self.robots[robot].standing = Standing::In;
         self.robots[robot].joined_late = true;
+        self.robots[robot].unplaced = true;
         self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 
@@ -489,18 +437,6 @@ impl Mission {
         }
         self.end();
     }
-}
-
-/// Sensors of a robot that are read only to be shown, at most.
-const SHOWN_MAX: usize = 64;
-
-/// Devices that give readings which nothing depends on.
-fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
-    let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
-    let others = sensors.map(|device| &device.id).filter(|id| {
-        !read.contains(id) && !robot.settings.require.iter().any(|required| required.sensor == **id)
-    });
-    others.take(SHOWN_MAX).cloned().collect()
 }
 
 /// Of a robot in a scenario that requires `all_or_none: strict`.

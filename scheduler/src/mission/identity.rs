@@ -103,7 +103,7 @@ impl Mission {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),
-            Phase::Stopping { .. } => return self.repeat_stop(now, robot),
+            Phase::Stopping { .. } => return self.stop_on_new_link(now, robot),
             Phase::Ended => return,
         }
         if self.robots.iter().all(RobotState::is_up) {

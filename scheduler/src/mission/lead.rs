@@ -1,6 +1,6 @@
 //! How far ahead the start lies, and why.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::Span;
 
 use super::act::timing::Pace;
@@ -25,7 +25,7 @@ const EACH_REQUEST: Span = Span::from_micros(500);
 
 /// The parts of the lead time: requests travel and are answered (`prepare`), then the decision is due; from then on the
 /// pending leases can run out (`lease`) before the start, and `margin` is left.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LeadTime {
     /// From the sending timestamp to the decision.
     #[serde(rename = "prepare_ms")]

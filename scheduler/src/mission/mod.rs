@@ -33,6 +33,7 @@ mod ledger;
 mod motion;
 mod options;
 mod outcome;
+mod poses;
 pub(crate) mod preflight;
 mod prepare;
 pub(crate) mod record;
@@ -49,8 +50,8 @@ mod stop;
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, Plan};
-use urrcp::{ControlError, ErrorCode, Message, RobotId, Server, Span, Timestamp};
+use downbeat_scripts::{Choreography, DeviceUse, Plan};
+use urrcp::{ControlError, DeviceId, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub use claim::Claim;
 pub use downbeat_scripts::{ClockMode, MissionSettings, Requirement};
@@ -112,6 +113,8 @@ pub struct Mission {
     robots: Vec<RobotState>,
     /// The index of each robot of the first act, in the order of its plan.
     first_robots: Vec<Option<usize>>,
+    /// The largest speeds of devices that the first act drives. Devices without a limit are absent.
+    first_speeds: HashMap<(usize, DeviceId), f64>,
     phase: Phase,
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
@@ -144,6 +147,8 @@ pub struct Mission {
     recording: Recording,
     /// What became of each act of the scenario.
     fates: Vec<ActCourse>,
+    /// Whether robots may have moved in a mission that is withdrawn. Its acts are not in `fates`.
+    moved_before: bool,
     /// Acts in a row without a robot left to play them.
     skipped: usize,
     /// Until when clocks are sampled further, and when next.
@@ -153,6 +158,8 @@ pub struct Mission {
     outcome: Option<Outcome>,
     /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
     because: Option<String>,
+    /// How often the journal was removed or replaced while this process wrote it.
+    journal_written_again: u64,
     /// Which operator has stopped it, where that is another than who began it.
     said_stop: Option<String>,
     /// Something failed on the way, whatever follows.
@@ -200,11 +207,17 @@ impl Mission {
             participants.iter().enumerate().map(|(index, participant)| (&participant.id, index)).collect();
         let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
         let first_robots = first.map(|planned| index_of.get(&planned.robot).copied()).collect();
+        let used = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.devices);
+        let speed = |used: &DeviceUse| {
+            Some(((index_of.get(&used.robot).copied()?, used.device.clone()), used.speed_max?))
+        };
+        let first_speeds = used.filter_map(speed).collect();
         Self {
             choreography,
             options,
             robots: participants.into_iter().map(RobotState::new).collect(),
             first_robots,
+            first_speeds,
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
             acts_begun: 0,
@@ -223,12 +236,14 @@ impl Mission {
             deferred: Vec::new(),
             recording: Recording::default(),
             fates,
+            moved_before: false,
             skipped: 0,
             sampling: None,
             preflight: None,
             ntp: None,
             outcome: None,
             because: None,
+            journal_written_again: 0,
             said_stop: None,
             flawed: None,
             flaw_of_times: None,
@@ -279,6 +294,10 @@ impl Mission {
             Event::Go { act, by } => self.go(now, act.as_deref(), by),
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),
+            Event::JournalWrittenAgain => {
+                self.journal_written_again += 1;
+                self.tell(Progress::JournalWrittenAgain);
+            }
             Event::JournalLost { reason } => self.journal_lost(now, reason),
         }
         std::mem::take(&mut self.actions)
@@ -289,6 +308,7 @@ impl Mission {
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
         self.ask_names_again(now);
+        self.other_processes_rest(now);
         match self.phase {
             Phase::Greeting { deadline } => {
                 self.sample_clocks(now);
@@ -324,7 +344,8 @@ impl Mission {
             Phase::Stopping { deadline, resend, .. } => Some(deadline.min(resend)),
             Phase::Ended => return None,
         };
-        due.into_iter().chain(self.next_name).min()
+        let elsewhere = self.robots.iter().filter_map(|robot| robot.elsewhere.flatten());
+        due.into_iter().chain(self.next_name).chain(elsewhere).min()
     }
 
     /// What it is due for, for a trace.
@@ -352,6 +373,11 @@ impl Mission {
     #[must_use]
     pub fn outcome(&self) -> Option<&Outcome> {
         self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
+    }
+
+    /// How often the journal was removed or replaced while this process wrote it.
+    pub(crate) const fn journal_written_again(&self) -> u64 {
+        self.journal_written_again
     }
 
     /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
@@ -414,6 +440,7 @@ impl Mission {
     }
 
     fn end(&mut self) {
+        self.report_all_at_rest();
         self.phase = Phase::Ended;
         let outcome = self.outcome.clone().unwrap_or(Outcome::Failed);
         self.record(Record::Ended { outcome });

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 
 use downbeat_scripts::{Calibration, Lag, Taken};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{
     ControlParameters, ControlType, Device, DeviceId, Interpolation, RobotId, Server, Span, Step, Timestamp,
 };
@@ -60,7 +60,7 @@ struct Movement {
 }
 
 /// When a device began to move.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionReport {
     /// Its robot.
     pub robot: RobotId,
@@ -82,7 +82,7 @@ pub struct MotionReport {
 }
 
 /// How far apart motions began, relative to their plans.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotionSpread {
     /// Latest minus earliest.
     #[serde(rename = "spread_ms")]

@@ -16,13 +16,16 @@ pub struct Participant {
     pub block: Option<InitializationBlock>,
     /// What the fleet file says of it.
     pub settings: MissionSettings,
+    /// Whether the robot runs in the process of the mission. It ends with that process, so no earlier one can still move it.
+    pub in_process: bool,
 }
 
 impl Participant {
     /// A robot of which nothing but this is known, and that wakes up for a start on time.
     #[must_use]
     pub fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
-        Self { id, block, settings: MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() } }
+        let settings = MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() };
+        Self { id, block, settings, in_process: false }
     }
 
     /// What the robot has to call itself.

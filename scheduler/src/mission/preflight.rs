@@ -1,10 +1,13 @@
 //! The checks before a mission as one table: a row a robot, a column a check.
 
+use std::collections::BTreeMap;
+
 use downbeat_scripts::counted;
 use serde::Serialize;
 use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::FailureKind;
+use super::poses::Expected;
 use super::robot_state::{Link, RobotState};
 use super::seize::Ownership;
 use super::skew::SkewBudget;
@@ -91,6 +94,9 @@ pub struct PreflightRow {
     /// Its clock's offset, robot minus server, where it is known. Machines read it of the robot itself.
     #[serde(skip)]
     pub clock_offset: Option<Span>,
+    /// The positions of devices of the first act: the commanded position, or else the reading of the sensor.
+    #[serde(skip)]
+    pub positions: BTreeMap<DeviceId, f64>,
     /// What its sensors read, and where its devices stand.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<DeviceReading>,
@@ -131,7 +137,9 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         let robot = mission.robots[index].id.clone();
         let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
         let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
-        PreflightRow { robot, checks: checks.to_vec(), clock_offset, readings: readings(mission, index) }
+        let positions = mission.positions_to_leave(index);
+        let readings = readings(mission, index);
+        PreflightRow { robot, checks: checks.to_vec(), clock_offset, positions, readings }
     };
     let rows = (0..mission.robots.len()).map(row).collect();
     Preflight { greeting: mission.options.greeting, rows, skew: mission.skew_of_first_act(now) }
@@ -152,10 +160,9 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     let required = robot.settings.require.iter().zip(&robot.readings).filter(|_| asked);
     let required =
         required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
-    let stands = robot.positions.iter().map(|(device, reading)| {
-        let expected = mission.expected_position(index, device);
-        let expected = expected.map(|(expected, tolerance)| format!("{expected} ±{tolerance}"));
-        row(device, Some(*reading), expected)
+    let expected = |expected: Expected| format!("{} ±{}", expected.position, expected.within);
+    let stands = robot.known_positions().map(|(device, reading)| {
+        row(device, Some(reading), mission.expected_position(index, device).map(expected))
     });
     let shown = robot.shown.iter().map(|(device, reading)| row(device, *reading, None));
     required.chain(stands).chain(shown).collect()
@@ -211,10 +218,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         }
         Check::Description => description(robot),
         Check::Clock => clock(robot, now),
-        Check::Position => match robot.positions.len() {
-            0 => Verdict::NotChecked,
-            devices => Verdict::Pass(format!("{devices} read")),
-        },
+        Check::Position => positions(mission, index),
         Check::Hardware => match greeted && robot.clock.samples() > 0 {
             true => Verdict::Pass("there".to_owned()),
             false => Verdict::NotChecked,
@@ -237,6 +241,27 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
                 Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
             }
         },
+    }
+}
+
+fn positions(mission: &Mission, index: usize) -> Verdict {
+    let robot = &mission.robots[index];
+    let unknown = match mission.options.greeting {
+        Greeting::Full if robot.introduced => mission.unknown_positions(index),
+        _ => Vec::new(),
+    };
+    if let Some(first) = unknown.first() {
+        let others = match unknown.len() - 1 {
+            0 => String::new(),
+            others => format!(" and of {}", counted(others, "other")),
+        };
+        return Verdict::Warning(format!(
+            "the position of `{first}`{others} is unknown: the act begins wherever the device is"
+        ));
+    }
+    match robot.known_positions().count() {
+        0 => Verdict::NotChecked,
+        devices => Verdict::Pass(format!("{devices} read")),
     }
 }
 

@@ -6,7 +6,7 @@ use super::act::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
 use super::act::{Act, Member, Timing};
 use super::failure_kind::{FailureKind, Slow};
 use super::lead::{self, LeadTime};
-use super::robot_state::RobotState;
+use super::robot_state::{RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
@@ -18,6 +18,13 @@ const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
 /// Before it is looked again whether the clocks of robots that still play allow what comes next.
 const LOOK_AGAIN: Span = Span::from_millis(100);
+
+/// A shorter delay of a slow machine is not allowed for.
+const HOLD_UP_LEAST: Span = Span::from_millis(5);
+
+/// Additional time to accept an act if no round trip of a robot's link is known, as with `handshake: skip`. The first answer of a
+/// robot may be slow.
+const UNMEASURED: Span = Span::from_millis(500);
 
 /// What an act needs before it can start.
 struct Need {
@@ -71,7 +78,32 @@ impl Mission {
         if let Some(until) = self.links_known_at(&self.acts[index]).filter(|until| now < *until) {
             return self.acts[index].look_again_at(Some(until));
         }
+        if let Some(due) = self.await_positions(now, index) {
+            return self.acts[index].look_again_at(Some(due));
+        }
+        let jumping = self.unplaced_that_jump(index);
+        if !jumping.is_empty() {
+            return self.refuse_jumps(now, index, jumping);
+        }
         self.send_act(now, index, need);
+    }
+
+    /// Leaves out robots that joined late, whatever the policy, because the others could begin without them. Any other robot
+    /// that would jump has failed.
+    fn refuse_jumps(&mut self, now: Timestamp<Server>, index: usize, jumping: Vec<(usize, FailureKind)>) {
+        let (joined, failing): (Vec<_>, Vec<_>) =
+            jumping.into_iter().partition(|(robot, _)| self.robots[*robot].joined_late);
+        for (robot, kind) in joined {
+            self.note_failure(robot, kind);
+            if self.robots[robot].standing == Standing::In {
+                self.drop_robot(now, robot);
+            }
+        }
+        // The act may have no robots left.
+        self.acts[index].look_again_at(Some(now));
+        if !failing.is_empty() {
+            self.fail_all(now, failing);
+        }
     }
 
     /// Refuses robots, unless one of them still has its part in an act ahead.
@@ -179,19 +211,37 @@ impl Mission {
 
     /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
-        match self.robots.iter().all(|robot| robot.touched.is_empty()) {
+        match self.robots.iter().all(RobotState::holds_nothing) {
             true => self.refuse(outcome),
             false => self.abort(now, outcome, super::robot_state::Rest::InPlace, None),
         }
     }
 
+    /// Allows for a slow machine, or for half of its delay and so on as far as a lease that the scenario prescribes makes room.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
+        let mut hold_up = self.hold_up;
+        loop {
+            match self.need_with(hold_up, now, act, skew) {
+                Err(Outcome::LeaseTooShort { .. }) if hold_up > Span::ZERO => {
+                    hold_up = if hold_up > HOLD_UP_LEAST { hold_up / 2 } else { Span::ZERO };
+                }
+                need => return need,
+            }
+        }
+    }
+
+    fn need_with(
+        &self,
+        hold_up: Span,
+        now: Timestamp<Server>,
+        act: &Act,
+        skew: Option<&SkewBudget>,
+    ) -> Result<Need, Outcome> {
         let plan = &act.written().plan;
         let slowest = self.slowest(act);
         let prescribed = plan.stop_condition.pending.map(Millis::span);
         let slow = slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip);
-        // A lease that the scenario prescribes cannot allow for a slow machine.
-        let round_trip = lead::counted(slow + prescribed.map_or(self.hold_up, |_| Span::ZERO));
+        let round_trip = lead::counted(slow + hold_up);
         let measured = self.measured(act, round_trip, prescribed, skew);
         let least = LeadTime::lease_needed(round_trip).max(measured.lease_least());
         if let Some(lease) = prescribed.filter(|lease| *lease < least) {
@@ -213,7 +263,10 @@ impl Mission {
             _ => lease,
         };
         let (needed, pace) = with(longer);
-        let wanted = self.wanted_lead(act).unwrap_or(needed.total());
+        let unmeasured = act.target().is_none()
+            && act.present().any(|member| self.robots[member.robot].clock.samples() == 0);
+        let usual = needed.total() + if unmeasured { UNMEASURED } else { Span::ZERO };
+        let wanted = self.wanted_lead(act).unwrap_or(usual);
         Ok(Need { lead: needed.stretched_to(wanted), pace, slowest })
     }
 
@@ -333,7 +386,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::clock::ClockSample;
+    use crate::clock::{ClockEstimate, ClockSample};
     use crate::mission::bench::{Tells, at, played, robot};
     use crate::mission::{Event, MissionOptions, Participant};
 
@@ -416,6 +469,21 @@ mod tests {
         assert!(!mission.robots[0].has_failed(), "that it fits, whatever comes next");
         mission.refuse_or_look_again(at(1), 0, vec![(0, broken())]);
         assert!(mission.robots[0].has_failed());
+    }
+
+    #[test]
+    fn a_robot_whose_round_trip_is_unknown_has_longer_to_accept() {
+        let lead = |measured: bool, lead| {
+            let mut mission = plays(1, ClockMode::Ntp, Span::ZERO);
+            mission.options.lead = lead;
+            if !measured {
+                mission.robots[0].clock = ClockEstimate::default();
+            }
+            mission.need(at(0), &mission.acts[0], None).ok().map(|need| need.lead.total())
+        };
+        let usual = lead(true, None).unwrap();
+        assert_eq!(lead(false, None), Some(usual + UNMEASURED));
+        assert_eq!(lead(false, Some(usual)), Some(usual), "a requested lead is kept");
     }
 
     fn broken() -> FailureKind {

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use super::{ActFate, ActReport, Outcome, Rest};
+use super::facts::is_zero;
+use super::{ActFate, ActReport, Failure, Outcome, Rest};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
@@ -41,6 +42,13 @@ pub enum Record {
         /// The number of the act.
         number: u32,
     },
+    /// An act lapses while another act plays. It is not committed, even if its commitment was recorded ahead of time.
+    Lapsing {
+        /// The number of the act.
+        number: u32,
+    },
+    /// A robot has failed.
+    Failed(Failure),
     /// A robot is left out.
     Dropped {
         /// The robot's id.
@@ -98,6 +106,8 @@ impl Record {
             Self::Checked
             | Self::Go { .. }
             | Self::Decided { .. }
+            | Self::Lapsing { .. }
+            | Self::Failed(_)
             | Self::Dropped { .. }
             | Self::StopConfirmed { .. }
             | Self::ActEnded { .. }
@@ -166,6 +176,9 @@ pub struct Promise {
     /// The pending lease.
     #[serde(rename = "lease_ms")]
     pub lease: Span,
+    /// How often the act was withdrawn before this attempt.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub prepared_again: u32,
     /// To whom what.
     pub scripts: Vec<PromisedScript>,
 }

@@ -55,8 +55,9 @@ impl Mission {
         let open_on = |device: &DeviceId| reports && open(device).is_some();
         let unnamed = open(&response.device_id);
         if self.robots[robot].stop_answered(now, response, open_on) {
-            self.stop_confirmed(robot);
+            self.stop_confirmed(now, robot);
             self.stop_refused(robot);
+            self.ask_how_far_it_came(now, robot);
             return self.stop_progress(now);
         }
         if self.reading_taken(now, robot, response) {
@@ -77,6 +78,7 @@ impl Mission {
             return self.goes_on(now);
         }
         let noted = act.answered(script, response, self.arrived, &self.robots);
+        self.report_rest(robot);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
             self.goes_on(now);
@@ -122,6 +124,7 @@ impl Mission {
         let lease = act.shortest_lease_of(script);
         let state = &mut self.robots[robot];
         state.touched.insert(request.device_id.clone());
+        state.at_rest = false;
         state.requests.extend(request.request_id.clone().map(|id| (id, script)));
         self.send(now, robot, Message::ControlRequest(request));
         // Under its lease it may begin before the next round that the scripts before it ask for.
@@ -260,9 +263,13 @@ pub(super) fn open_without_name(
     }
     let is_start = response.status == Status::Started;
     let all = || acts.iter().flat_map(|act| of_device(act, robot, device));
-    let fits = |state: &ScriptState| match response.status {
+    let fits = |script: &Script, state: &ScriptState| match response.status {
         Status::Accepted => *state == ScriptState::Sent,
-        Status::Started => matches!(state, ScriptState::Sent | ScriptState::Held),
+        // A script that is known to run may not have started yet.
+        Status::Started => {
+            matches!(state, ScriptState::Sent | ScriptState::Held)
+                || *state == ScriptState::Running && !script.has_started()
+        }
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
         // What it has accepted fails without a word.
         _ if says == Says::Answers => *state == ScriptState::Sent,
@@ -271,7 +278,7 @@ pub(super) fn open_without_name(
     // To a request that came again it repeats its last answer.
     let repeats =
         |script: &Script| is_start && *script.state() == ScriptState::Running && script.came_again();
-    let mut open = all().filter(|(.., script)| fits(script.state()) || repeats(script));
+    let mut open = all().filter(|(.., script)| fits(script, script.state()) || repeats(script));
     // What it was sent earlier may be lost, as after a restart: what it begins or ends now is what is due now.
     let off = |(act, at, script): &(&Act, ScriptRef, &Script)| {
         (*script.state() != ScriptState::Running && !is_start, act.off_its_time(*at, response))

@@ -1,26 +1,30 @@
 //! Taking up what another process promised before it died: to finish it, or to withdraw it.
 
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use downbeat_scripts::{Choreography, Requirements};
-use urrcp::{Server, Timestamp};
+use urrcp::{RobotId, Server, Timestamp};
 
 use super::act::{Act, Reached};
 use super::record::{ActOver, Promise};
-use super::robot_state::{Rest, Standing};
-use super::{Mission, MissionOptions, Outcome, Participant, Phase, ledger};
+use super::robot_state::{Rest, Standing, Stop};
+use super::{ActReport, Failure, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 use crate::journal::{Kept, Left, Progressed};
 
 /// A promise does not fit the choreography as it is now.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{what}: the scenario or the fleet has changed since; `downbeat stop` withdraws what was promised")]
+#[error(
+    "{what}: the scenario or the fleet has changed since; restore the files, or withdraw the mission with `downbeat stop`"
+)]
 pub struct Changed {
     /// What does not fit.
     pub what: String,
 }
 
 impl Mission {
-    /// A mission that goes on with the acts that another process has decided and left.
+    /// A mission that continues the acts that another process decided before it died. `ended` contains the reports of the acts
+    /// that had ended before.
     ///
     /// # Errors
     /// [`Changed`] where what was promised is not what the choreography says.
@@ -29,6 +33,7 @@ impl Mission {
         participants: Vec<Participant>,
         options: MissionOptions,
         left: &Kept,
+        ended: impl Iterator<Item = ActReport>,
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
         let lost = |error: super::MissingParticipant| Changed { what: error.to_string() };
@@ -39,6 +44,8 @@ impl Mission {
             }
         }
         left.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
+        mission.note_failures_of(&left.failures);
+        mission.list_ended(ended, left.ended_acts);
         for ActOver { act, fate } in &left.course {
             let course = mission.fates.get_mut(*act);
             course.into_iter().for_each(|course| course.note(fate.clone()));
@@ -61,14 +68,77 @@ impl Mission {
         Ok(mission)
     }
 
-    /// Robots that were left out and have not confirmed their stop: the process before may have died before it was sent.
+    /// Notes the failures that the previous process recorded.
+    fn note_failures_of(&mut self, failures: &[Failure]) {
+        for failure in failures {
+            let robot = self.robots.iter_mut().find(|robot| robot.id == failure.robot);
+            robot.into_iter().for_each(|robot| _ = robot.failures.note(failure.clone()));
+        }
+    }
+
+    /// Adds the acts that ended before to the report and to the totals of their robots. `count` includes acts without a report.
+    fn list_ended(&mut self, ended: impl Iterator<Item = ActReport>, count: u32) {
+        let index_of = self.indices();
+        let mut listed = 0;
+        for report in ended {
+            for robot in &report.robots {
+                let index = index_of.get(&robot.robot);
+                index.into_iter().for_each(|index| report.add_to(&mut self.robots[*index].totals, robot));
+            }
+            let act = self.choreography.acts.iter().position(|act| act.called() == report.act);
+            let members = report.robots.iter().filter_map(|robot| index_of.get(&robot.robot).copied());
+            act.into_iter().for_each(|act| self.note_late_joiners(act, members.clone(), &index_of));
+            self.list(report);
+            listed += 1;
+        }
+        self.reports_omitted += (count as usize).saturating_sub(listed);
+    }
+
+    fn indices(&self) -> HashMap<RobotId, usize> {
+        self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
+    }
+
+    /// The robots of an act that were not among its members have joined late, or may join.
+    fn note_late_joiners(
+        &mut self,
+        act: usize,
+        members: impl Iterator<Item = usize>,
+        index_of: &HashMap<RobotId, usize>,
+    ) {
+        let members: HashSet<usize> = members.collect();
+        let planned = self.choreography.acts[act].plan.robots.iter();
+        for robot in planned.filter_map(|planned| index_of.get(&planned.robot)) {
+            if !members.contains(robot) {
+                (self.robots[*robot].joined_late, self.robots[*robot].unplaced) = (true, true);
+            }
+        }
+    }
+
+    /// Stops robots that were left out and have not confirmed their stop: the previous process may have died before it sent one.
     fn stop_those_left_out(&mut self, kept: &Kept, now: Timestamp<Server>) {
         let left = kept.left();
         for robot in 0..self.robots.len() {
             let id = &self.robots[robot].id;
-            if kept.dropped.contains(id) && !kept.stopped.contains(id) {
-                self.holds_still(robot, &left, now);
-                self.stop_robot(now, robot, Rest::InPlace);
+            if !kept.dropped.contains(id) {
+                continue;
+            }
+            if kept.stopped.contains(id) {
+                self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+                continue;
+            }
+            self.holds_still(robot, &left, now);
+            self.stop_robot(now, robot, Rest::InPlace);
+        }
+    }
+
+    /// Asks a robot that the previous process left out, and that has confirmed its stop, which steps it played.
+    pub(super) fn ask_how_far_it_came(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        let is_out = state.standing == Standing::Out && matches!(state.stop, Stop::Confirmed(_));
+        if is_out && state.takes_inquiries() {
+            let named: Vec<_> = self.acts.iter().filter_map(|act| act.unheard_of(robot)).collect();
+            if !named.is_empty() {
+                self.ask_about(now, robot, named);
             }
         }
     }
@@ -87,14 +157,15 @@ impl Mission {
         }
     }
 
-    /// A mission that does nothing but take back what another process left on its robots. `scenario` is the name of what that
-    /// played.
+    /// A mission that only withdraws what another process left on its robots. `scenario` is the name of the scenario that the
+    /// other process played. An outcome that contradicts `left.moved` is corrected. The reason is for people.
     #[must_use]
     pub fn withdraw(
         scenario: String,
         participants: Vec<Participant>,
         options: MissionOptions,
         left: &Left,
+        (outcome, reason): (Outcome, String),
         rest: Rest,
         now: Timestamp<Server>,
     ) -> Self {
@@ -107,7 +178,10 @@ impl Mission {
             }
             mission.holds_still(robot, left, now);
         }
-        mission.abort(now, Outcome::Stopped, rest, None);
+        mission.note_failures_of(&left.failures);
+        mission.moved_before = left.moved;
+        mission.because = Some(reason.clone()).filter(|_| outcome != Outcome::Stopped);
+        mission.abort_because(now, (outcome, reason), rest, None);
         mission
     }
 
@@ -141,6 +215,8 @@ impl Mission {
         for member in act.members() {
             self.robots[member.robot].shift = member.shift();
         }
+        let members = act.members().iter().map(|member| member.robot);
+        self.note_late_joiners(promise.act, members, &self.indices());
         self.acts_begun = self.acts_begun.max(promise.number + 1);
         self.acts.push(act);
         Ok(())

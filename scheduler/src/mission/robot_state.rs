@@ -135,7 +135,7 @@ impl Totals {
         // What has begun was accepted, even if that answer was lost.
         self.accepted += usize::from(script.was_accepted() || script.has_begun());
         self.failed += usize::from(matches!(script.state(), ScriptState::Ended(Ending::Failed(_))));
-        self.started += usize::from(script.has_begun());
+        self.started += usize::from(script.has_started());
         self.steps_done += u64::from(script.steps_done());
         self.steps_planned += script.plan.script.steps().len() as u64;
         self.late_steps += u64::from(script.late_steps());
@@ -228,6 +228,10 @@ pub(crate) struct RobotState {
     pub(crate) standing: Standing,
     /// Whether it joined after the mission had begun.
     pub(crate) joined_late: bool,
+    /// Whether its devices may no longer be where the greeting found them, because it joined late or is on a new link.
+    pub(crate) unplaced: bool,
+    /// The last act that asked it for positions on this link, and when.
+    pub(crate) positions_asked: Option<(u32, Timestamp<Server>)>,
     /// It was not there when an act was sent in which it has a part.
     pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
@@ -237,6 +241,7 @@ pub(crate) struct RobotState {
     pub(crate) latency_differs: Option<LatencyDiffers>,
     /// What the fleet file says of it.
     pub(crate) settings: MissionSettings,
+    pub(crate) in_process: bool,
     /// What was last added to a timestamp so that it is right by its own clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
@@ -251,6 +256,10 @@ pub(crate) struct RobotState {
     pub(crate) readings: Vec<Option<f64>>,
     /// Where devices stood before the first act.
     pub(crate) positions: Vec<(DeviceId, f64)>,
+    /// The commanded positions of devices before the first act, as the robot states them.
+    pub(crate) commanded: BTreeMap<DeviceId, f64>,
+    /// Number of pending answers that state them.
+    pub(crate) positions_owed: usize,
     /// What its other sensors read, which nothing depends on.
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
     /// Why a device gave no reading, as the robot says it.
@@ -260,7 +269,13 @@ pub(crate) struct RobotState {
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
     /// Devices that this mission has sent anything that moves.
     pub(crate) touched: BTreeSet<DeviceId>,
+    /// It has confirmed its stop, and was sent nothing that moves since.
+    pub(crate) at_rest: bool,
     pub(crate) stop: Stop,
+    /// Whether the mission has reported that the robot has confirmed its stop.
+    pub(crate) rest_reported: bool,
+    /// Set once the robot has lost a script that another process may still run: the end of its lease, `None` without a lease.
+    pub(crate) elsewhere: Option<Option<Timestamp<Server>>>,
     /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
@@ -292,6 +307,8 @@ impl RobotState {
             attempts: 0,
             standing: Standing::In,
             joined_late: false,
+            unplaced: false,
+            positions_asked: None,
             has_missed_an_act: false,
             block: participant.block,
             introduced: false,
@@ -304,13 +321,19 @@ impl RobotState {
             reached_at: None,
             readings: vec![None; participant.settings.require.len()],
             settings: participant.settings,
+            in_process: participant.in_process,
             positions: Vec::new(),
+            commanded: BTreeMap::new(),
+            positions_owed: 0,
             shown: Vec::new(),
             unread: BTreeMap::new(),
             reads: HashMap::new(),
             requests: HashMap::new(),
             touched: BTreeSet::new(),
+            at_rest: false,
             stop: Stop::None,
+            rest_reported: false,
+            elsewhere: None,
             left: Vec::new(),
             last_sent: None,
             spoken_at: None,
@@ -392,6 +415,7 @@ impl RobotState {
         self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
         self.exchanges.begin_again();
+        self.positions_asked = None;
     }
 
     /// It is the one that is meant, or it is not asked. `false`: that was known of this link.
@@ -531,15 +555,32 @@ impl RobotState {
     /// Whether it was stopped to come to rest in another way than this.
     pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
         match &self.stop {
-            Stop::None => false,
+            // It came to rest by an earlier stop.
+            Stop::None => rest == Rest::Home && !self.touched.is_empty(),
             Stop::Sent(sent) => sent.rest != rest,
             Stop::Confirmed(confirmed) => *confirmed != rest,
         }
     }
 
-    /// Nothing that this mission sent can still move it: it was sent nothing, or has confirmed its stop.
+    /// Whether nothing that this mission sent can still move it: it was sent nothing, or it has confirmed its stop. A process
+    /// that replaced another one cannot confirm the stop of that one.
     pub(crate) fn is_settled(&self) -> bool {
-        self.touched.is_empty() || matches!(self.stop, Stop::Confirmed(_))
+        match self.stop {
+            Stop::None => self.holds_nothing(),
+            Stop::Sent(_) => false,
+            Stop::Confirmed(_) => self.elsewhere.is_none(),
+        }
+    }
+
+    /// It was sent nothing that moves, at least since it has confirmed a stop.
+    pub(crate) fn holds_nothing(&self) -> bool {
+        self.touched.is_empty() || self.at_rest
+    }
+
+    /// Notes that the process that answers has lost a script. Another process may run it until its lease ends.
+    pub(super) fn runs_elsewhere(&mut self, until: Option<Timestamp<Server>>) {
+        let before = self.elsewhere.unwrap_or(until);
+        self.elsewhere = Some(before.zip(until).map(|(before, until)| before.max(until)));
     }
 
     /// Takes the answer to a stop request, if it is one. An answer without a name is one only if no script of its device

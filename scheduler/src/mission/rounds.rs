@@ -113,7 +113,11 @@ impl Mission {
     /// The same ahead of a message that cannot wait.
     pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
         let ahead = self.robots[robot].clock_at(now).map(|reading| reading.offset);
-        let named = self.acts.iter().flat_map(|act| act.names_of(robot, now, ahead)).collect();
+        let named = self.acts.iter().flat_map(|act| {
+            let named = act.names_of(robot, now, ahead);
+            named.into_iter().chain(act.owed_by(robot))
+        });
+        let named = named.collect();
         self.ask_about(now, robot, named);
     }
 
@@ -221,14 +225,28 @@ impl Mission {
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
         let asked_at = sample.sent;
+        // No sample: the robot may belong to another session, and a robot with many devices answers several times at once.
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            return self.positions_stated(now, robot, &response.devices);
+        }
+        if !response.devices.is_empty() {
+            self.positions_stated(now, robot, &response.devices);
+        }
         self.take_times(now, robot, sample);
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
+            let was_lost = act.script(script).is_lost();
             let noted =
                 act.reported(script, report, (asked_at, response.timestamp, self.arrived), &self.robots);
+            let elsewhere = act.runs_elsewhere(script, &self.robots[robot], now);
+            elsewhere
+                .filter(|_| !was_lost)
+                .into_iter()
+                .for_each(|until| self.robots[robot].runs_elsewhere(until));
             self.carry_out(now, script.act, noted.actions);
         }
+        self.report_rest(robot);
         self.tell_heard(now, robot);
         if response.status == Status::Failed && !matches!(self.phase, Phase::Stopping { .. }) {
             let error = error_of_status(response.error.as_ref());

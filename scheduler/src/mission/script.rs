@@ -2,8 +2,8 @@
 
 use downbeat_scripts::DeviceScript;
 use urrcp::{
-    Command, ContentHash, ControlError, ControlResponse, ErrorCode, Millis, RequestId, RequestReport,
-    RequestState, Robot, Server, Span, Status, Timestamp,
+    Command, ContentHash, ControlError, ControlResponse, ErrorCode, Interpolation, Millis, RequestId,
+    RequestReport, RequestState, Robot, Server, Span, Status, Timestamp,
 };
 
 use super::claim::{Claim, Told};
@@ -73,6 +73,8 @@ pub(crate) struct Script {
     state: ScriptState,
     request_id: Option<RequestId>,
     content_hash: ContentHash,
+    /// Planned time from the start of the act until the script has started.
+    starts: Span,
     duration: Span,
     running: RunningLeases,
     accepted: bool,
@@ -94,11 +96,15 @@ pub(crate) struct Script {
     first_sent_at: Option<Timestamp<Server>>,
     /// Another process may have sent it before this one took over, and its robot has not said.
     perhaps_sent: bool,
+    /// Whether the robot no longer knows it, although it had accepted it.
+    lost: bool,
 }
 
 impl Script {
-    pub(crate) fn new(plan: &DeviceScript) -> Self {
+    /// A script for a device with this interpolation.
+    pub(crate) fn new(plan: &DeviceScript, interpolation: Interpolation) -> Self {
         Self {
+            starts: plan.start.span() + plan.script.until_started(interpolation),
             content_hash: Command::Script(plan.script.clone()).content_hash(),
             duration: plan.script.duration(),
             running: RunningLeases::of(plan),
@@ -118,6 +124,7 @@ impl Script {
             sent_at: None,
             first_sent_at: None,
             perhaps_sent: false,
+            lost: false,
         }
     }
 
@@ -138,6 +145,12 @@ impl Script {
         self.perhaps_sent || self.first_sent_at != self.sent_at
     }
 
+    /// Planned time from the start of the act until the script has started. A device that holds begins a script at its start, and
+    /// starts it with the first value.
+    pub(crate) const fn starts(&self) -> Span {
+        self.starts
+    }
+
     /// From its start to its last step.
     pub(crate) const fn duration(&self) -> Span {
         self.duration
@@ -151,6 +164,10 @@ impl Script {
     /// The longest of the leases under which it plays; `None`: at times it plays without one.
     pub(crate) const fn longest_lease(&self) -> Option<Span> {
         self.running.longest
+    }
+
+    pub(crate) const fn is_lost(&self) -> bool {
+        self.lost
     }
 
     pub(crate) const fn was_accepted(&self) -> bool {
@@ -221,11 +238,12 @@ impl Script {
 
     /// The robot said that it began.
     pub(crate) const fn has_begun(&self) -> bool {
-        self.started_at.is_some()
-            || self.began
-            || self.steps_done > 0
-            || self.has_completed()
-            || matches!(self.state, ScriptState::Running)
+        self.has_started() || matches!(self.state, ScriptState::Running)
+    }
+
+    /// Whether the robot has reported that it moved.
+    pub(crate) const fn has_started(&self) -> bool {
+        self.started_at.is_some() || self.began || self.steps_done > 0 || self.has_completed()
     }
 
     pub(super) fn name(&mut self, id: Option<RequestId>) {
@@ -290,7 +308,7 @@ impl Script {
         }
     }
 
-    pub(super) const fn is_final(&self) -> bool {
+    pub(crate) const fn is_final(&self) -> bool {
         matches!(self.state, ScriptState::Ended(_))
     }
 
@@ -307,7 +325,7 @@ impl Script {
                 Some(_) => self.fail(foreign()),
                 None => self.accept(response.timestamp),
             },
-            Status::Started => self.start(response.event_timestamp.unwrap_or(response.timestamp)),
+            Status::Started => self.begin(response.event_timestamp.or(Some(response.timestamp))),
             Status::Ok => self.complete(response.steps_done),
             Status::Failed => self.fail(error_of(response)),
             Status::Provide | Status::Other(_) => News::None,
@@ -334,7 +352,7 @@ impl Script {
                 self.held_at = self.held_at.max(Some(asked_at));
                 self.accept(said_at)
             }
-            RequestState::Running => self.start(report.event_timestamp.unwrap_or(said_at)),
+            RequestState::Running => self.begin(report.event_timestamp),
             RequestState::Ended => {
                 if let Some(at) = report.event_timestamp {
                     self.started_at.get_or_insert(at);
@@ -365,6 +383,7 @@ impl Script {
     /// The robot does not know it any more. What it did of it before nobody can tell.
     pub(super) fn lose(&mut self) -> News {
         self.state = ScriptState::Unknown;
+        self.lost |= self.accepted || self.perhaps_sent;
         let message = "the robot has lost the script, as after a restart";
         News::Failed(ControlError::new(ErrorCode::Internal, message))
     }
@@ -381,14 +400,15 @@ impl Script {
         }
     }
 
-    fn start(&mut self, at: Timestamp<Robot>) -> News {
+    /// Notes that it has begun, and when it started; `None` if it has not started yet.
+    fn begin(&mut self, started_at: Option<Timestamp<Robot>>) -> News {
         self.accepted = true;
-        let first = self.started_at.is_none();
-        self.started_at.get_or_insert(at);
+        let starts = self.started_at.is_none() && started_at.is_some();
+        self.started_at = self.started_at.or(started_at);
         if !self.is_final() {
             self.state = ScriptState::Running;
         }
-        if first { News::Started } else { News::None }
+        if starts { News::Started } else { News::None }
     }
 
     fn complete(&mut self, steps_done: Option<u32>) -> News {

@@ -53,7 +53,7 @@ impl Mission {
                 let state = &mut self.robots[robot];
                 state.ownership = Ownership::Seizing;
                 // Where they stood while the other session had them.
-                state.positions.clear();
+                state.forget_positions();
                 self.ask_availability(now, robot);
             }
         }
@@ -79,9 +79,13 @@ impl Mission {
             Ownership::Seizing => {
                 state.ownership = Ownership::Seized;
                 self.read_positions(now, robot);
+                self.ask_positions(now, robot);
             }
             // It has become free meanwhile.
-            Ownership::OfAnother(_) => state.ownership = Ownership::Asked,
+            Ownership::OfAnother(_) => {
+                state.ownership = Ownership::Asked;
+                self.ask_positions(now, robot);
+            }
             Ownership::Asked | Ownership::Seized => {}
         }
     }
@@ -93,9 +97,10 @@ impl Mission {
 
     /// Reads again where such a robot stands.
     pub(super) fn follow_on_its_way(&mut self, now: Timestamp<Server>, robot: usize) {
-        if self.robots[robot].reads.is_empty() && self.is_on_its_way(robot) {
-            self.robots[robot].positions.clear();
+        if self.robots[robot].has_shown_its_pose() && self.is_on_its_way(robot) {
+            self.robots[robot].forget_positions();
             self.read_positions(now, robot);
+            self.ask_positions(now, robot);
         }
     }
 }

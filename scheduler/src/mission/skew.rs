@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use downbeat_scripts::Plan;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, RobotId, Span, Timestamp};
 
 use super::ClockMode;
@@ -12,7 +12,7 @@ use super::failure_kind::FailureKind;
 use super::robot_state::{RobotState, Standing};
 
 /// The predicted spread of starts with its parts.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SkewBudget {
     /// Latest possible start of a motion minus earliest possible.
     #[serde(rename = "predicted_ms")]
@@ -32,7 +32,7 @@ pub struct SkewBudget {
 
 /// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`. The motions
 /// of its devices may begin earlier and later by `latency_spread`.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotSkew {
     /// The robot's id.
     pub robot: RobotId,

@@ -61,7 +61,7 @@ impl Mission {
     pub(super) fn admit_that_it_moved(&mut self) {
         if let Some(denial) = self.outcome.take_if(|outcome| outcome.denies_any_start()) {
             let reason = (denial != Outcome::NotStarted).then(|| denial.to_string());
-            self.because = denial.hold_up().or(reason);
+            self.because = denial.hold_up().or(reason).or_else(|| self.because.take());
             self.outcome = Some(Outcome::Failed);
         }
     }
@@ -123,7 +123,9 @@ impl Mission {
     /// Stops all devices of a robot that were sent anything. Ahead of everything that waits to be sent.
     pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: usize, rest: Rest) {
         let state = &mut self.robots[robot];
-        if state.touched.is_empty() || state.stop_was_sent() {
+        // A robot at rest holds nothing that a stop would end, but it goes home if the operator says so.
+        let needless = if rest == Rest::Home { state.touched.is_empty() } else { state.holds_nothing() };
+        if needless || state.stop_was_sent() {
             return;
         }
         self.stopped_at = self.stopped_at.max(Some(now));
@@ -137,6 +139,8 @@ impl Mission {
         let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None, given_up: false });
         self.end_leases(now, robot);
         self.robots[robot].stop = stop;
+        self.robots[robot].at_rest = false;
+        self.robots[robot].rest_reported = false;
         self.send_stops(now, robot);
     }
 
@@ -184,6 +188,20 @@ impl Mission {
             if self.takes_stops(now, robot) {
                 self.repeat_stop(now, robot);
             }
+        }
+    }
+
+    /// Repeats the stop on a new link to a robot. If one process has confirmed the stop in place of another one, the other one
+    /// may answer now.
+    pub(super) fn stop_on_new_link(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &mut self.robots[robot];
+        let doubted = matches!(state.stop, Stop::Confirmed(_)) && state.elsewhere.is_some();
+        match state.stop {
+            Stop::Confirmed(rest) if doubted => {
+                state.stop = Stop::None;
+                self.stop_robot(now, robot, rest);
+            }
+            _ => self.repeat_stop(now, robot),
         }
     }
 
@@ -238,6 +256,7 @@ impl Mission {
     /// The stop is over, confirmed or not: the end, or the act that a failure policy wants.
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
         self.tell_unreached();
+        self.report_all_at_rest();
         // Whatever was planned: what the robots say they did is what happened.
         let begun = self.has_moved() || self.acts.iter().any(Act::has_begun);
         if begun {
@@ -271,7 +290,7 @@ impl Mission {
     fn perform_again(&mut self) {
         for robot in &mut self.robots {
             robot.stop = Stop::None;
-            robot.touched.clear();
+            robot.at_rest = true;
             robot.left.clear();
         }
         self.phase = Phase::Performing;
@@ -309,13 +328,58 @@ impl Mission {
         }
     }
 
-    /// A stop was confirmed on all devices of a robot.
-    pub(super) fn stop_confirmed(&mut self, robot: usize) {
-        if matches!(self.robots[robot].stop, Stop::Confirmed(_)) {
-            self.tell_steps(robot);
-            let robot = self.robots[robot].id.clone();
-            self.tell(Progress::AtRest { robot: robot.clone() });
-            self.record(Record::StopConfirmed { robot });
+    /// Confirms the stops of robots that have lost scripts, once the leases have ended under which other processes may run them.
+    pub(super) fn other_processes_rest(&mut self, now: Timestamp<Server>) {
+        for robot in 0..self.robots.len() {
+            if self.phase == Phase::Ended {
+                return;
+            }
+            let over = |until: &mut Option<Timestamp<Server>>| until.is_some_and(|until| now >= until);
+            if self.robots[robot].elsewhere.take_if(over).is_some() {
+                self.report_rest(robot);
+                self.stop_progress(now);
+            }
         }
+    }
+
+    /// Reports the stop of a robot if all devices have confirmed it. If the robot has not reported the fate of a script, the
+    /// mission asks first, because another process may have confirmed the stop.
+    pub(super) fn stop_confirmed(&mut self, now: Timestamp<Server>, robot: usize) {
+        if matches!(self.robots[robot].stop, Stop::Confirmed(_))
+            && self.owes_a_fate(robot)
+            && self.robots[robot].questions.last_unanswered().is_none()
+        {
+            self.inquire_now(now, robot);
+        }
+        self.report_rest(robot);
+    }
+
+    /// Reports that a robot has confirmed its stop, once nothing contradicts that.
+    pub(super) fn report_rest(&mut self, robot: usize) {
+        if self.may_report_rest(robot) && !self.owes_a_fate(robot) {
+            self.tell_at_rest(robot);
+        }
+    }
+
+    fn may_report_rest(&self, robot: usize) -> bool {
+        let state = &self.robots[robot];
+        matches!(state.stop, Stop::Confirmed(_)) && state.is_settled() && !state.rest_reported
+    }
+
+    /// Reports the robots that have confirmed their stop, even if they have not reported the fate of their scripts.
+    pub(super) fn report_all_at_rest(&mut self) {
+        for robot in 0..self.robots.len() {
+            if self.may_report_rest(robot) {
+                self.tell_at_rest(robot);
+            }
+        }
+    }
+
+    fn tell_at_rest(&mut self, robot: usize) {
+        self.robots[robot].rest_reported = true;
+        self.tell_steps(robot);
+        let robot = self.robots[robot].id.clone();
+        self.tell(Progress::AtRest { robot: robot.clone() });
+        self.record(Record::StopConfirmed { robot });
     }
 }

@@ -8,6 +8,7 @@ mod hostile;
 mod lost;
 mod motions;
 mod played;
+mod resumed;
 mod stops;
 mod table;
 

@@ -346,6 +346,7 @@ impl Watch for MissionTrace {
             Progress::AtRest { robot } => self.happened(at, "at rest", Some(robot), None),
             Progress::NtpLost { .. } => self.happened(at, "ntp lost", None, None),
             Progress::NtpBack { .. } => self.happened(at, "ntp back", None, None),
+            Progress::JournalWrittenAgain => self.happened(at, "journal written again", None, None),
             Progress::JournalLost { reason } => self.happened(at, "journal lost", None, Some(reason)),
             Progress::Stopping { reason, .. } => self.happened(at, "stopping", None, Some(reason)),
             Progress::Connected { .. }

@@ -65,6 +65,7 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "dropped" => "is left out from here on".to_owned(),
         "ntp_lost" => "the NTP server does not answer".to_owned(),
         "ntp_back" => "the NTP server answers again".to_owned(),
+        "journal_written_again" => "the journal was removed or replaced, and is written again".to_owned(),
         "journal_lost" => text("reason").to_owned(),
         "stopping" => match value["reason"].as_str() {
             Some(reason) => format!("everything is being stopped: {reason}"),

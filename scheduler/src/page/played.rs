@@ -106,21 +106,17 @@ fn robots(
         Some(PlayedRobot {
             robot: places.robot(&of_act.robot)?,
             left_out: of_act.left_out,
-            started: started(act.number, of_act, played.log_of(&of_act.robot)?).map(|at| epoch.millis(at)),
+            started: started(act.number, played.log_of(&of_act.robot)?).map(|at| epoch.millis(at)),
             ended: finished(told, &of_act.robot, act.number).map(|at| epoch.millis(at)),
         })
     };
     act.robots.iter().filter_map(robot).collect()
 }
 
-/// When the first script of a robot really started, in true time: its first step comes a while after that.
-fn started(number: u32, robot: &ActRobot, log: &[LogEntry]) -> Option<Timestamp<Server>> {
-    let of_act = |entry: &&LogEntry| {
-        entry.motion == "set" && entry.request_id.as_deref().and_then(act_of) == Some(number)
-    };
-    let first = log.iter().find(of_act)?;
-    let script = robot.devices.iter().find(|script| script.device == first.device)?;
-    Some(Timestamp::from_nanos(first.true_ns) - script.first_step)
+/// When the first script of a robot really started, in true time.
+fn started(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
+    let of_act = |entry: &&LogEntry| entry.request_id.as_deref().and_then(act_of) == Some(number);
+    Some(Timestamp::from_nanos(log.iter().find(of_act)?.true_ns))
 }
 
 /// When a robot was told to have ended all its scripts of an act.

@@ -27,18 +27,15 @@ impl History {
         let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
         let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
         let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
-        let failures =
-            self.told.iter().filter(|(_, told)| told["progress"] == "failed").map(|(_, told)| told);
-        let failures: Vec<&Value> = failures.collect();
         json!({
             "scenario": self.scenario,
             "outcome": outcome.map(|(_, record)| &record["outcome"]),
             "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
             "spread_ms": spread,
             "acts": acts,
-            // A journal does not say why robots failed, and neither kind of file what each of them did over all acts.
+            // Neither kind of file states the totals of each robot over all acts.
             "robots": null,
-            "failures": (self.source == HistorySource::Recording).then_some(failures),
+            "failures": self.failures(),
         })
     }
 
@@ -149,10 +146,8 @@ impl History {
             let of_act = self.of_kind(kind).find(|(_, record)| record["number"] == act.number);
             of_act.map(|(at, _)| *at)
         };
-        let report = self.of_kind("act_ended").map(|(_, record)| &record["report"]);
-        let report = report.filter(|report| report["number"] == act.number).last();
-        let name = report.and_then(|report| report["act"].as_str());
-        let name = name.map_or_else(|| self.name_of(act), str::to_owned);
+        let report = self.report_of(act.number);
+        let name = self.name_of(act.number, act.timestamp);
         let phases = Phases::of(&self.told, &name, act.start);
         let told = if self.told.is_empty() { &self.records } else { &self.told };
         // The commitment is written down before it is made: where it is known when that was, this counts.
@@ -177,14 +172,20 @@ impl History {
         }
     }
 
-    /// What the operator was told that it is called.
-    fn name_of(&self, act: &Sent) -> String {
-        let sent = |told: &Value| {
-            told["progress"] == "preparing" && instant(&told["timestamp"]) == Some(act.timestamp)
-        };
-        let told = self.told.iter().find(|(_, told)| sent(told));
-        let name = told.and_then(|(_, told)| told["act"].as_str());
-        name.map_or_else(|| format!("act {}", act.number + 1), str::to_owned)
+    /// The report of the act of this number.
+    fn report_of(&self, number: u32) -> Option<&Value> {
+        let reports = self.of_kind("act_ended").map(|(_, record)| &record["report"]);
+        reports.filter(|report| report["number"] == number).last()
+    }
+
+    /// The name of the act with this number and sending timestamp: from its report or, without one, from the progress that was
+    /// reported to the operator.
+    pub(super) fn name_of(&self, number: u32, timestamp: Timestamp<Server>) -> String {
+        let sent =
+            |told: &Value| told["progress"] == "preparing" && instant(&told["timestamp"]) == Some(timestamp);
+        let told = || self.told.iter().map(|(_, told)| told).find(|told| sent(told));
+        let name = self.report_of(number).or_else(told).and_then(|named| named["act"].as_str());
+        name.map_or_else(|| format!("act {}", number + 1), str::to_owned)
     }
 
     fn plan(&self, act: &Sent, played: &Played, places: &Places, columns: &mut Columns) -> Plan {

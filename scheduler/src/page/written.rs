@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use downbeat_scripts::{Act, Choreography, Finding, Fleet, Outline};
+use downbeat_scripts::{Act, Approach, Choreography, Finding, Fleet, Outline};
 use serde_json::Value;
 use urrcp::Command;
 
@@ -10,6 +10,7 @@ use super::columns::Columns;
 use super::document::Plan;
 use super::history::History;
 use super::planned::{self, Places};
+use super::played::instant;
 
 /// A scenario as it compiles, next to its files.
 #[derive(Clone, Copy, Debug)]
@@ -36,12 +37,19 @@ pub struct OtherScenario {
 }
 
 impl Written<'_> {
-    /// Whether every script that was promised is one of this scenario's, by the hash of its content.
+    /// Whether every script that was promised is one of this scenario's, by the hash of its content. The act by which the mission
+    /// approached is in no scenario.
     ///
     /// # Errors
     /// [`OtherScenario`] names the first script of an act that is not.
     pub fn check(&self, history: &History) -> Result<(), OtherScenario> {
-        let foreign = history.of_kind("prepared").find(|(_, record)| self.act(record).is_none());
+        let approached = |record: &Value| {
+            let number = record["number"].as_u64().and_then(|number| u32::try_from(number).ok());
+            let named = number.zip(instant(&record["timestamp"]));
+            named.is_some_and(|(number, at)| Approach::may_be_named(&history.name_of(number, at)))
+        };
+        let mut prepared = history.of_kind("prepared");
+        let foreign = prepared.find(|(_, record)| self.act(record).is_none() && !approached(record));
         let Some((_, record)) = foreign else { return Ok(()) };
         let own: HashSet<_> = self.choreography.acts.iter().flat_map(scripts).collect();
         let all = promised(record);

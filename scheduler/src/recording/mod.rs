@@ -14,8 +14,7 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::Serialize;
 use serde_json::{Value, json};
 use urrcp::{
-    AvailabilityResponse, Command, ControlRequest, ControlResponse, Message, RobotId, Server, Span,
-    StatusValue, Timestamp,
+    Command, ControlRequest, ControlResponse, Message, Robot, RobotId, Server, Span, StatusValue, Timestamp,
 };
 
 use crate::clock::ClockSample;
@@ -162,15 +161,28 @@ impl Recording {
     pub fn received(&mut self, at: Timestamp<Server>, robot: &RobotId, message: &Message) {
         self.put(&format!("/robots/{robot}/responses"), Kind::Message, at, at, message);
         match message {
-            Message::AvailabilityResponse(response) => self.clock(at, robot, response),
+            Message::AvailabilityResponse(answer) => {
+                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
+                self.clock(at, robot, times);
+            }
+            Message::InquiryResponse(answer) => {
+                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
+                self.clock(at, robot, times);
+            }
             Message::ControlResponse(response) => self.reported(at, robot, response),
             _ => {}
         }
     }
 
-    fn clock(&mut self, at: Timestamp<Server>, robot: &RobotId, response: &AvailabilityResponse) {
-        let Some(sent) = response.originate_timestamp else { return };
-        let sample = ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, at);
+    /// Records a clock sample from the times in an answer: the question was sent, was received, and was answered.
+    fn clock(
+        &mut self,
+        at: Timestamp<Server>,
+        robot: &RobotId,
+        (sent, received, answered): (Option<Timestamp<Server>>, Timestamp<Robot>, Timestamp<Robot>),
+    ) {
+        let Some(sent) = sent else { return };
+        let sample = ClockSample::from_exchange(sent, received, answered, at);
         let value = json!({"offset_ms": sample.offset, "delay_ms": sample.delay});
         self.put(&format!("/robots/{robot}/clock"), Kind::Clock, at, at, &value);
     }

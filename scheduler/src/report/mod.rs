@@ -32,7 +32,8 @@ pub(crate) use course::course_lines;
 pub(crate) use required::requirements_table;
 pub use text::report_text;
 pub(crate) use text::{
-    TAKEN_OVER, UNBOUNDED, choreography_figures, latencies_text, main_duration, plan_table, preflight_table,
+    TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration, plan_table,
+    preflight_table,
 };
 pub use wake_up::HostWakeUp;
 pub use withdrawal::Withdrawal;
@@ -53,6 +54,9 @@ pub struct Report {
     /// Why it was stopped, for people, where neither the outcome nor a failure of a robot says so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub because: Option<String>,
+    /// How often the journal was removed or replaced while the mission ran, and written again.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub journal_written_again: u64,
     /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
     /// followed.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -198,6 +202,7 @@ impl Report {
             session: mission.options().session_name().cloned(),
             outcome,
             because: mission.because().map(str::to_owned),
+            journal_written_again: mission.journal_written_again(),
             acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),
             lead: acts.front().map(|act| act.lead),
@@ -262,6 +267,9 @@ const fn is_zero(count: &u64) -> bool {
 }
 
 fn stop_state(robot: &RobotState) -> StopState {
+    if let (Stop::Confirmed(_), Some(lease_ends)) = (&robot.stop, robot.elsewhere) {
+        return StopState::Unconfirmed { lease_ends };
+    }
     match (&robot.stop, robot.left.is_empty()) {
         (Stop::Confirmed(Rest::InPlace), _) => StopState::Confirmed,
         (Stop::Confirmed(Rest::Home), _) => StopState::Home,

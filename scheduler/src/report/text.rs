@@ -237,14 +237,20 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
     if rows.is_empty() { String::new() } else { format!("\n{}\n", rows.text(columns)) }
 }
 
-/// The report for people, in this many columns: how it ended, what failed, a row a robot, and the figures that matter.
-#[must_use]
-pub fn report_text(report: &Report, columns: usize) -> String {
+/// How a mission ended and why, for people.
+pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
     let mut text = String::new();
     say(&mut text, columns, &format!("{}: {}", report.scenario, outcome_text(&report.outcome)));
     if let Some(because) = &report.because {
         say(&mut text, columns, &format!("  {because}"));
     }
+    text
+}
+
+/// The report for people, in this many columns: the outcome, the failures, a row per robot, and the figures that matter.
+#[must_use]
+pub fn report_text(report: &Report, columns: usize) -> String {
+    let mut text = ending_text(report, columns);
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
         let sentence = format!("  ended because {acts} had begun, the bound; another would have followed");
@@ -273,8 +279,11 @@ pub fn report_text(report: &Report, columns: usize) -> String {
         text.push_str(&robots_table(report, columns));
     }
     let mut sentences = Vec::new();
-    if let [act] = report.acts.as_slice() {
-        sentences.extend(act_sentences(act));
+    match report.acts.as_slice() {
+        [act] => sentences.extend(act_sentences(act)),
+        acts => sentences.extend(
+            acts.iter().filter_map(|act| Some(format!("act `{}`: {}", act.act, prepared_again(act)?))),
+        ),
     }
     sentences.extend(closing_sentences(report));
     sentences.iter().for_each(|sentence| say(&mut text, columns, sentence));
@@ -322,6 +331,11 @@ fn acts_table(report: &Report, columns: usize) -> String {
     rows.text(columns)
 }
 
+fn prepared_again(act: &ActReport) -> Option<String> {
+    let times = (act.prepared_again > 0).then(|| counted(act.prepared_again as usize, "time"))?;
+    Some(format!("withdrawn {times} before anything moved, and prepared again: this machine was too slow"))
+}
+
 fn budget_text(skew: &SkewBudget) -> String {
     let parts = skew.parts();
     format!("predicted start spread {} at most, {} allowed{parts}", skew.predicted, skew.tolerance)
@@ -337,12 +351,7 @@ fn act_sentences(act: &ActReport) -> Vec<String> {
         lead.lease,
         lead.margin
     )];
-    if act.prepared_again > 0 {
-        let times = counted(act.prepared_again as usize, "time");
-        sentences.push(format!(
-            "withdrawn {times} before anything moved, and prepared again: this machine was too slow"
-        ));
-    }
+    sentences.extend(prepared_again(act));
     if let Some(skew) = &act.skew {
         sentences.push(budget_text(skew));
     }
@@ -420,6 +429,10 @@ fn closing_sentences(report: &Report) -> Vec<String> {
     sentences.extend(late_steps(report));
     sentences.extend(report.robots.iter().filter_map(unaccounted));
     sentences.extend(report.robots.iter().filter_map(stop));
+    if report.journal_written_again > 0 {
+        let times = counted(usize::try_from(report.journal_written_again).unwrap_or(usize::MAX), "time");
+        sentences.push(format!("the journal was removed or replaced, and written again, {times}"));
+    }
     if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
         sentences.push(format!("the recording is not whole: {failure}"));
     }

@@ -13,6 +13,8 @@ pub struct Withdrawal<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     session: Option<&'a SessionId>,
     outcome: &'a Outcome,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    because: Option<&'a str>,
     robots: Vec<WithdrawnRobot<'a>>,
     failures: &'a [Failure],
     #[serde(skip_serializing_if = "<[String]>::is_empty")]
@@ -33,6 +35,7 @@ impl<'a> From<&'a Report> for Withdrawal<'a> {
             scenario: &report.scenario,
             session: report.session.as_ref(),
             outcome: &report.outcome,
+            because: report.because.as_deref(),
             robots: report.robots.iter().map(WithdrawnRobot::from).collect(),
             failures: &report.failures,
             not_at_rest: &report.not_at_rest,

@@ -15,11 +15,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use rustix::io::Errno;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{mpsc, oneshot, watch};
-use tokio::task::AbortHandle;
+use tokio::task::{AbortHandle, spawn_blocking};
 use tokio::time::timeout;
 
 use super::Operator;
@@ -40,6 +41,8 @@ const SILENCE_MAX: Duration = Duration::from_secs(1);
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
 /// If the loop of a stopping mission makes no progress for this long, the client gives it up and asks the robots itself.
 const STANDS_STILL: Duration = Duration::from_secs(2);
+/// Interval between checks that the socket is still found under its name.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
@@ -68,33 +71,41 @@ fn is_root(stream: &UnixStream) -> bool {
 /// Listens for other terminals as long as a mission runs.
 #[derive(Debug)]
 pub struct Control {
-    accepting: AbortHandle,
+    /// The task that accepts connections, and the task that keeps the socket under its name.
+    listening: [AbortHandle; 2],
     report: watch::Sender<Option<String>>,
     /// Closed once everybody has been told how it ended.
     told: mpsc::Receiver<()>,
 }
 
 impl Control {
-    /// Listens until [`Control::end`]. With a desk, operators that present themselves may do what their roles permit.
+    /// Listens until [`Control::end`]. With a desk, operators that present themselves may do what their roles permit. If the
+    /// socket is removed or replaced, it is made again, together with its folder.
     ///
     /// # Errors
     /// The socket cannot be made, as where its path is too long.
     pub fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> io::Result<Self> {
-        let path = socket(folder);
-        // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
-        let _absent = std::fs::remove_file(&path);
         // In the lane: nothing that stands still elsewhere keeps a stop from being heard.
         let _in_the_lane = lane.runtime().enter();
         let voice = lane.voice();
-        let listener = UnixListener::bind(&path)?;
-        // The folder is for this user alone, too.
-        std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
+        let (place, listener) = Place::bind(folder)?;
+        let mut listener = UnixListener::from_std(listener)?;
+        let (made_again, mut again) = mpsc::channel(1);
+        // Ends with the mission.
+        let keeping = tokio::spawn(keep(place, made_again));
         let (report, reported) = watch::channel(None);
         let (telling, told) = mpsc::channel(1);
         let (desk, mission) = (desk.map(Arc::new), mission_of(folder));
         let accepting = tokio::spawn(async move {
             loop {
-                let Ok((stream, _)) = listener.accept().await else {
+                let accepted = tokio::select! {
+                    accepted = listener.accept() => accepted,
+                    Some(other) = again.recv() => {
+                        listener = other;
+                        continue;
+                    }
+                };
+                let Ok((stream, _)) = accepted else {
                     // As where there are too many open files: it may be over soon.
                     tokio::time::sleep(ACCEPT_AGAIN).await;
                     continue;
@@ -114,15 +125,90 @@ impl Control {
                 });
             }
         });
-        Ok(Self { accepting: accepting.abort_handle(), report, told })
+        Ok(Self { listening: [accepting.abort_handle(), keeping.abort_handle()], report, told })
     }
 
     /// Tells every client that said stop how the mission ended, for at most a second.
     pub async fn end(mut self, report: Option<String>) {
         let _nobody_waits = self.report.send(report);
-        self.accepting.abort();
+        self.listening.iter().for_each(AbortHandle::abort);
         drop(self.report);
         let _too_slow = timeout(SILENCE_MAX, self.told.recv()).await;
+    }
+}
+
+/// The name of a mission's socket, and the file that it leads to.
+struct Place {
+    folder: PathBuf,
+    /// Device and inode.
+    file: (u64, u64),
+}
+
+impl Place {
+    fn bind(folder: &Path) -> io::Result<(Self, std::os::unix::net::UnixListener)> {
+        let path = socket(folder);
+        // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
+        let _absent = std::fs::remove_file(&path);
+        let listener = std::os::unix::net::UnixListener::bind(&path)?;
+        // The folder is for this user alone, too.
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
+        listener.set_nonblocking(true)?;
+        let found = rustix::fs::lstat(&path)?;
+        Ok((Self { folder: folder.to_path_buf(), file: (found.st_dev, found.st_ino) }, listener))
+    }
+
+    /// Whether the name no longer leads to the file. If the check itself fails, the file counts as present.
+    fn is_gone(&self) -> bool {
+        match rustix::fs::lstat(socket(&self.folder)) {
+            Ok(found) => (found.st_dev, found.st_ino) != self.file,
+            Err(error) => matches!(error, Errno::NOENT | Errno::NOTDIR),
+        }
+    }
+
+    /// Makes the socket again if it is gone, together with the folders that it needs.
+    fn make_again(&mut self) -> io::Result<Option<std::os::unix::net::UnixListener>> {
+        if !self.is_gone() {
+            return Ok(None);
+        }
+        if let Some(state) = self.folder.parent() {
+            private::create_folder(state)?;
+        }
+        private::create_folder(&self.folder)?;
+        let (place, listener) = Self::bind(&self.folder)?;
+        *self = place;
+        Ok(Some(listener))
+    }
+}
+
+/// Passes on each socket that had to be made again. Another thread accesses the disk, because the disk may stall.
+async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
+    let mut before = None;
+    loop {
+        tokio::time::sleep(LOOK_EVERY).await;
+        let looked = spawn_blocking(move || {
+            let made = place.make_again();
+            (place, made)
+        });
+        let Ok((back, made)) = looked.await else { return };
+        place = back;
+        match made.and_then(|made| made.map(UnixListener::from_std).transpose()) {
+            Ok(None) => {}
+            Ok(Some(listener)) => {
+                tracing::warn!("the mission's socket was removed or replaced, and is made again");
+                if made_again.send(listener).await.is_err() {
+                    return;
+                }
+            }
+            Err(error) => {
+                let reason = error.to_string();
+                if before.as_ref() != Some(&reason) {
+                    tracing::warn!(
+                        "the mission's socket was removed or replaced, and cannot be made again, so `downbeat stop` does not reach this mission: {reason}"
+                    );
+                }
+                before = Some(reason);
+            }
+        }
     }
 }
 

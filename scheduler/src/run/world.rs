@@ -10,7 +10,7 @@ use urrcp::{Message, RobotId, Server, Span, Timestamp};
 use super::watch::Watches;
 use super::{Keep, Operator};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
-use crate::journal::{Journal, Writer, Written};
+use crate::journal::{Journal, News, Writer};
 use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
 use crate::mission::{Event, Mission, Progress, Record};
 use crate::recording::{Recorder, Recording};
@@ -132,9 +132,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
                 }
                 Some(Operator::Leave) | None => Some(Happened::Left),
             },
-            written = next_written(&mut self.journal) => self.recorded(match written.lost {
-                Some(reason) => Event::JournalLost { reason },
-                None => Event::Recorded { count: written.count },
+            news = next_news(&mut self.journal) => self.recorded(match news {
+                News::Recorded(count) => Event::Recorded { count },
+                News::WrittenAgain => Event::JournalWrittenAgain,
+                News::Lost(reason) => Event::JournalLost { reason },
             }),
             Some(Waiting { happened, .. }) = self.happened.recv() => {
                 self.note_received(&happened);
@@ -265,7 +266,7 @@ fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
     shared.into_iter().enumerate().map(of).collect()
 }
 
-async fn next_written(journal: &mut FileJournal) -> Written {
+async fn next_news(journal: &mut FileJournal) -> News {
     match journal {
         FileJournal::Written(writer) => writer.next().await,
         FileJournal::None | FileJournal::Lost(_) => std::future::pending().await,

@@ -66,6 +66,15 @@ impl StopLane {
     /// # Errors
     /// The system gives no thread, no runtime or no signal handlers.
     pub fn start(on_hang_up: OnHangUp) -> io::Result<(Self, mpsc::Receiver<Operator>)> {
+        Self::hearing(Some(on_hang_up))
+    }
+
+    /// The same for a mission that moves nothing: the lane hears no signals, so that one of them ends the process.
+    pub(crate) fn deaf() -> io::Result<(Self, mpsc::Receiver<Operator>)> {
+        Self::hearing(None)
+    }
+
+    fn hearing(on_hang_up: Option<OnHangUp>) -> io::Result<(Self, mpsc::Receiver<Operator>)> {
         let (mission, operator) = mpsc::channel(WORDS_MAX);
         let (ring, alarm) = watch::channel(Alarm::Quiet);
         let voice = Voice::new(mission, ring);
@@ -78,6 +87,10 @@ impl StopLane {
                 Err(error) => return drop(ready.send(Err(error))),
             };
             runtime.block_on(async {
+                let Some(on_hang_up) = on_hang_up else {
+                    let _waited_for = ready.send(Ok(Handle::current()));
+                    return std::future::pending().await;
+                };
                 match crate::signals::Signals::of_scheduler(on_hang_up) {
                     Ok(signals) => {
                         let _waited_for = ready.send(Ok(Handle::current()));
@@ -103,6 +116,17 @@ impl StopLane {
     #[must_use]
     pub const fn runtime(&self) -> &Handle {
         &self.runtime
+    }
+
+    /// Completes once the operator has requested a stop.
+    pub(crate) fn is_stopped(&self) -> impl Future<Output = ()> + use<> {
+        let mut alarm = self.alarm.clone();
+        async move {
+            if alarm.wait_for(|alarm| *alarm != Alarm::Quiet).await.is_err() {
+                // The lane has ended with the process.
+                std::future::pending().await
+            }
+        }
     }
 
     /// Takes the mission's robots into its care, in their order. `before` is what another process has moved of them under this

@@ -166,9 +166,9 @@ fn the_slowest_link_is_the_weakest_and_says_how_much_lead_would_be_enough() {
 #[test]
 fn an_operator_who_never_says_go_leaves_the_act_waiting_and_that_is_the_reason() {
     let scenario = ACTS.replace("WAIT", "operator");
-    let never = results(&scenario, "operator: {go_after: {from: 1s, to: 90s}, never: 25%}", 100);
+    let never = results(&scenario, "operator: {go_after: {from: 1s, to: 90s}, never: 25%}", 40);
     let waited = never.finishes.of - never.finishes.count;
-    assert!((10..=42).contains(&waited), "{waited}");
+    assert!((3..=20).contains(&waited), "{waited}");
     assert!(never.reasons.iter().all(|reason| reason.kind == "waited"), "{:?}", never.reasons);
 }
 

@@ -6,25 +6,29 @@ use urrcp::{
     ControlType, Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition,
 };
 
-use super::cast::{Cast, Left, Positions, Rest};
+use super::cast::{Cast, Left, Rest};
 use super::conflict::told;
+use super::jumps::{First, Moved, Mover, Position};
 use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
 use super::together::{Together, Told};
 use crate::budget::Budget;
-use crate::duration::{seconds, written};
+use crate::duration::written;
 use crate::fields::Reader;
 use crate::finding::Code;
-use crate::motion::Value;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
-use crate::scenario::{Items, Scenario};
+use crate::scenario::Scenario;
 
 /// An act's scripts, how they came about, and where they leave the devices.
 pub(super) struct Joined {
     pub(super) robots: Vec<RobotPlan>,
     pub(super) devices: Vec<DeviceUse>,
     pub(super) rest: Rest,
+    /// Where devices are left.
+    pub(super) places: Moved,
+    /// The first segment of each device.
+    pub(super) first: Vec<First>,
 }
 
 pub(super) fn join(
@@ -32,10 +36,15 @@ pub(super) fn join(
     scenario: &Scenario,
     cast: &Cast<'_>,
     segments: BTreeMap<(usize, usize), Vec<Segment>>,
-    positions: &Positions<'_>,
     room: &mut Budget,
 ) -> Joined {
-    let mut joined = Joined { robots: Vec::new(), devices: Vec::new(), rest: HashMap::new() };
+    let mut joined = Joined {
+        robots: Vec::new(),
+        devices: Vec::new(),
+        rest: HashMap::new(),
+        places: HashMap::new(),
+        first: Vec::new(),
+    };
     if !taken(findings, cast, &segments, room) {
         return joined;
     }
@@ -47,10 +56,16 @@ pub(super) fn join(
         let speed = cast.limits(robot, device, ControlType::Position).speed;
         let lane = Lane { scenario, robot: cast.id(robot), device, speed, segments: &segments };
         lane.check_overlaps(&mut together);
-        lane.check_jumps(&mut together, positions.of(robot, index));
+        lane.check_jumps(&mut together);
+        joined.first.extend(lane.segments.first().map(|first| First {
+            robot,
+            index,
+            segment: first.clone(),
+        }));
         lane.check_left_in_motion(&mut together);
         let Some((scripts, used)) = lane.scripts(findings) else { continue };
         joined.rest.insert((robot, index), Left::at(lane.last_value()));
+        joined.places.insert((robot, index), lane.last_position());
         if last_robot != Some(robot) {
             joined.robots.push(RobotPlan { robot: cast.id(robot).clone(), scripts: Vec::new() });
             last_robot = Some(robot);
@@ -86,24 +101,6 @@ fn taken(
         findings.add(Code::TooMuch, first.part.place.clone(), message, expected, hint);
     }
     sound
-}
-
-/// Where a device is when a cue begins.
-struct Position {
-    value: f64,
-    /// Since when.
-    since: Span,
-    whence: String,
-    sure: Sure,
-}
-
-/// How sure that is.
-#[derive(Clone, Copy)]
-enum Sure {
-    /// A cue of the same act has moved it there.
-    Told,
-    /// Its description says so, or the act before.
-    Assumed,
 }
 
 /// One device of one robot, with everything that it does in an act.
@@ -163,98 +160,22 @@ impl Lane<'_> {
         });
     }
 
-    /// A device that moves linearly, told to be somewhere else at once.
-    fn check_jumps(&self, together: &mut Together, begin: Option<f64>) {
-        let whence = "where it is when the act begins".to_owned();
-        let mut position =
-            begin.map(|value| Position { value, since: Span::ZERO, whence, sure: Sure::Assumed });
+    /// Reports jumps from one cue of the act to the next.
+    fn check_jumps(&self, together: &mut Together) {
+        let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
+        let mut position: Option<Position> = None;
         for segment in self.segments {
             let Steps::One(values) = &segment.part.steps else { return };
-            let position_control = segment.part.control_type == ControlType::Position;
-            if !self.moves() || !position_control {
+            if !self.moves() || segment.part.control_type != ControlType::Position {
                 return;
             }
-            let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
-            // A segment that overlaps the previous one is reported already.
-            if let Some(from) = position.as_ref().filter(|from| segment.start() >= from.since) {
-                let way = (first.to - from.value).abs();
-                match segment.part.moves_from_anywhere {
-                    true => self.check_way_there(together, segment, from, first),
-                    false if way > segment.part.tolerance.max(1e-9) => {
-                        self.jump(together, segment, from, first);
-                    }
-                    false => {}
-                }
+            let Some(last) = values.last() else { continue };
+            if let Some(from) = &position {
+                mover.arrives(together, segment, from);
             }
             let whence = format!("where `{}` leaves it", segment.cue);
-            position = Some(Position { value: last.to, since: segment.end(), whence, sure: Sure::Told });
+            position = Some(Position { value: last.to, since: segment.end(), whence, is_sure: true });
         }
-    }
-
-    /// Where the device is moved to by a cue of the act it has to be in time; of where it is at the act's start only what
-    /// its description says is known.
-    fn code_of(&self, from: &Position) -> Code {
-        match from.sure {
-            Sure::Told if self.speed.is_some() => Code::TooFast,
-            _ => Code::Jump,
-        }
-    }
-
-    fn jump(&self, together: &mut Together, segment: &Segment, position: &Position, first: &Value) {
-        let at = segment.begin + first.at;
-        let (device, robot, to, from) = (&self.device.id, self.robot, first.to, position.value);
-        let whence = &position.whence;
-        let needed = self.speed.map(|speed| seconds((to - from).abs() / speed));
-        let hint = match (segment.part.items, needed) {
-            (Items::Keyframes, Some(needed)) => {
-                format!("put the first keyframe at {needed} or later: it is reached by moving there")
-            }
-            (Items::Keyframes, None) => {
-                "a first keyframe later than 0s is reached by moving there".to_owned()
-            }
-            (_, Some(needed)) => format!("let a cue before it move there, which takes {needed} or more"),
-            (_, None) => "let a cue before it move there".to_owned(),
-        };
-        let expected = match segment.part.items {
-            Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
-            _ => format!("a movement that begins at {from}"),
-        };
-        together.add(Told {
-            code: self.code_of(position),
-            cause: format!("{:?}\n{from} {to} {whence}", segment.part.place),
-            size: (to - from).abs(),
-            who: self.who(),
-            place: segment.part.place.clone(),
-            message: format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}"),
-            expected,
-            hint: Some(hint),
-        });
-    }
-
-    /// The way to a first keyframe later than 0s, from where the device is.
-    fn check_way_there(
-        &self,
-        together: &mut Together,
-        segment: &Segment,
-        position: &Position,
-        first: &Value,
-    ) {
-        let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
-        let needed = (first.to - from).abs() / length;
-        let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
-        together.add(Told {
-            code: self.code_of(position),
-            cause: format!("{:?}\n{from} {} way", segment.part.place, first.to),
-            size: needed,
-            who: self.who(),
-            place: segment.part.place.clone(),
-            message: format!(
-                "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
-                self.device.id, self.robot, first.at, first.to
-            ),
-            expected: format!("at most {speed}"),
-            hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
-        });
     }
 
     /// A rate that nothing ends: neither a last step of the resting value nor a lease.
@@ -298,6 +219,11 @@ impl Lane<'_> {
             Steps::One(values) => values.last().map(|value| value.to),
             Steps::Several(_) => None,
         }
+    }
+
+    fn last_position(&self) -> Option<f64> {
+        let by_position = self.segments.last()?.part.control_type == ControlType::Position;
+        self.last_value().filter(|_| by_position)
     }
 
     /// Every step with its time from the act's start.
@@ -398,6 +324,7 @@ impl Lane<'_> {
             budget: most as u64 * u64::from(self.device.script_queue.max(1)),
             worst_error: worst.map_or(0.0, |(part, _)| part.worst),
             worst_at: worst.map_or(Span::ZERO, |(part, begin)| begin + part.worst_at),
+            speed_max: self.speed,
         }
     }
 

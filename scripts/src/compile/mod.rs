@@ -17,6 +17,7 @@ pub(crate) mod compensate;
 mod conflict;
 mod courses;
 mod join;
+mod jumps;
 mod outline;
 mod perform;
 mod schedule;
@@ -41,6 +42,7 @@ use crate::source::Source;
 
 use cast::Cast;
 use join::Joined;
+use jumps::Passages;
 
 pub use outline::{Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, outline};
 
@@ -106,6 +108,8 @@ impl Compiler {
         let mut incomplete = HashSet::new();
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
+        let passages = Passages::of(&ways);
+        let (mut first_movements, mut moved) = (Vec::new(), Vec::new());
         let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
@@ -124,10 +128,14 @@ impl Compiler {
             // Where times contradict each other, cues would seem to overlap.
             if !times.consistent {
                 acts.push(None);
+                first_movements.push(Vec::new());
+                moved.push(HashMap::new());
                 continue;
             }
-            let Joined { robots, devices, rest } =
-                join::join(&mut self.findings, &scenario, &cast, segments, &positions, &mut room);
+            let Joined { robots, devices, rest, places, first } =
+                join::join(&mut self.findings, &scenario, &cast, segments, &mut room);
+            first_movements.push(first);
+            moved.push(places);
             let stage = check_space::Stage {
                 cast: &cast,
                 requirements: &scenario.requirements,
@@ -169,6 +177,11 @@ impl Compiler {
                 on_failure: ways.on_failure,
                 on_doubt: act.on_doubt,
             }));
+        }
+        // If the times of an act contradict each other, the positions in which it leaves devices are unknown.
+        if acts.iter().all(Option::is_some) {
+            let known = (first_movements.as_slice(), moved.as_slice());
+            jumps::check_entries(&mut self.findings, &cast, &scenario.acts, &passages, known);
         }
         check_formations::check(&mut self.findings, &scenario, fleet);
         check_safety::check(&mut self.findings, &scenario, &acts);

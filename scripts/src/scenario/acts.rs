@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use serde::Serialize;
 use serde::de::IntoDeserializer;
+use serde::{Deserialize, Serialize};
 use urrcp::{Server, Span, StopCondition, Timestamp};
 
 use super::cue::ORDER;
@@ -93,7 +93,7 @@ pub enum Wait {
 }
 
 /// Which readings of a sensor will do, in its unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SensorRange {
     /// Larger than this.

@@ -549,7 +549,7 @@ fn a_robot_that_cannot_change_its_height_is_named_where_the_others_would() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
     #[test]
     fn the_shortest_time_that_is_named_is_enough(
         turn in -9_000..9_000i32,
@@ -573,7 +573,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
     #[test]
     fn bodies_of_random_groups_are_where_they_should_be_and_as_far_apart_as_stated(
         points in prop::collection::vec(prop::array::uniform3(1..40i32), 2..8),

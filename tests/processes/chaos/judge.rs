@@ -67,6 +67,8 @@ fn is_withdrawal(report: &Value) -> bool {
 
 /// An act as it was promised.
 struct Promise {
+    /// Index of its record in the journal.
+    place: usize,
     act: usize,
     sent: i64,
     start: i64,
@@ -91,11 +93,12 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
     let of = |kind: &'static str| journal.iter().filter(move |(_, record)| record["record"] == kind);
     let dropped: BTreeMap<usize, i64> =
         of("dropped").map(|(at, record)| (index(&record["robot"]), *at)).collect();
-    let promise = |(_, record): &(i64, Value)| {
+    let promise = |(place, (_, record)): (usize, &(i64, Value))| {
         let decided = of("decided").find(|(_, decided)| decided["number"] == record["number"]);
         let (start, lease) = (nanos(record["start"].as_str().unwrap()), span(&record["lease_ms"]));
         let scripts = record["scripts"].as_array().unwrap();
         Promise {
+            place,
             act: record["act"].as_u64().unwrap() as usize,
             sent: nanos(record["timestamp"].as_str().unwrap()),
             start,
@@ -109,7 +112,12 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
             scripts: scripts.iter().map(|script| script["request_id"].as_str().unwrap().to_owned()).collect(),
         }
     };
-    of("prepared").map(promise).collect()
+    journal
+        .iter()
+        .enumerate()
+        .filter(|(_, (_, record))| record["record"] == "prepared")
+        .map(promise)
+        .collect()
 }
 
 /// Collects what is wrong.
@@ -385,16 +393,24 @@ impl Judge<'_> {
         }
     }
 
-    /// Nothing is done after a confirmed stop.
+    /// After a robot has confirmed a stop, it plays only scripts that were sent later, for an act that is prepared again.
     fn confirmed(&mut self, robot: usize) {
-        let confirmed = self
-            .played
-            .journal
-            .iter()
-            .find(|(_, record)| record["record"] == "stop_confirmed" && index(&record["robot"]) == robot);
-        let Some((at, _)) = confirmed else { return };
-        let after = self.played.sets[robot].iter().filter(|entry| entry.at > *at).count();
-        self.say(after > 0, || format!("(stop) r{robot} did {after} steps after it had confirmed its stop"));
+        let is_stop =
+            |record: &Value| record["record"] == "stop_confirmed" && index(&record["robot"]) == robot;
+        let journal = self.played.journal.iter().enumerate();
+        let stops: Vec<(usize, i64)> =
+            journal.filter(|(_, (_, record))| is_stop(record)).map(|(place, (at, _))| (place, *at)).collect();
+        for (place, at) in stops {
+            let before = |entry: &&Logged| {
+                let promise = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request));
+                promise.is_none_or(|promise| promise.place < place)
+            };
+            let sets = self.played.sets[robot].iter().filter(|entry| entry.at > at);
+            let after = sets.filter(before).count();
+            self.say(after > 0, || {
+                format!("(stop) r{robot} played {after} steps after it confirmed its stop")
+            });
+        }
     }
 
     /// `downbeat stop` brings every robot that it can reach to rest within its bound.
@@ -466,8 +482,8 @@ impl Judge<'_> {
     fn row(&mut self, outcome: &str, report: &Value, row: &Value) {
         let robot = index(&row["robot"]);
         let acts = report["acts"].as_array().into_iter().flatten();
-        let numbers: Vec<usize> = acts.filter_map(|act| act["number"].as_u64()).map(|n| n as usize).collect();
-        let of_acts = |entry: &&Logged| numbers.iter().any(|act| act_of(entry) == *act);
+        let acts: Vec<usize> = acts.map(place_of).collect();
+        let of_acts = |entry: &&Logged| acts.contains(&act_of(entry));
         let sets: Vec<&Logged> = self.played.sets[robot].iter().filter(of_acts).collect();
         let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64);
         let late = sets.iter().filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
@@ -492,7 +508,7 @@ impl Judge<'_> {
     }
 
     fn script(&mut self, act: &Value, robot: usize, script: usize, device: &Value) {
-        let act = act["number"].as_u64().unwrap() as usize;
+        let act = place_of(act);
         let first = value(act, script * STEPS);
         let own = first..first + STEPS as f64;
         let set = self.played.sets[robot].iter().filter(|entry| own.contains(&entry.value)).count() as u64;
@@ -541,6 +557,11 @@ impl Judge<'_> {
             self.say(!failed && !all, || format!("(done) {}, and r{robot} set {set:?}", report["outcome"]));
         }
     }
+}
+
+/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again.
+fn place_of(act: &Value) -> usize {
+    act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok()).unwrap()
 }
 
 fn act_of(entry: &Logged) -> usize {

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 use downbeat::server_clock::ask_ntp;
 use urrcp::Span;
 
-use stage::session::Session;
+use stage::session::{Session, arm_at};
 
 const NTP_EPOCH_SECONDS: u64 = 2_208_988_800;
 
@@ -51,6 +51,7 @@ fn the_offset_of_an_ntp_server_is_found_within_its_uncertainty() {
 fn robots_that_do_not_share_the_servers_time_keep_the_mission_from_starting() {
     let session = Session::new();
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    session.file("arm.yaml", arm_at(45));
     session.file("fleet.yaml", format!("ntp: {}\n{fleet}", serve(Duration::from_millis(250))));
     session.file(
         "test.yaml",

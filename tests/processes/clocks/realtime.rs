@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use rustix::process::{Pid, Signal};
 
-use stage::session::{ARM, Ran, Session, program};
+use stage::session::{Ran, Session, arm_at, program};
 
 const SCENARIO: &str = "scenario: test
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 100ms, to: 0}]}}]
@@ -22,7 +22,7 @@ const REFUSED: [&str; 5] = [
 
 fn session() -> Session {
     let session = Session::new();
-    session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(10)).file("test.yaml", SCENARIO);
     session.file(
         "tcp.yaml",
         "robots:\n  left: {init: arm.yaml, address: 'tcp://127.0.0.1:9'}\ngroups: {arms: [left]}\n",

@@ -97,6 +97,12 @@ fn recode(passing: &mut Passing, code: &str) -> Then {
     Then::Pass
 }
 
+/// Shifts a timestamp by milliseconds.
+fn shift(timestamp: &mut Value, by: i64) {
+    let at: urrcp::Timestamp<urrcp::Robot> = serde_json::from_value(timestamp.clone()).unwrap();
+    *timestamp = json!(at + urrcp::Span::from_millis(by));
+}
+
 /// Edits control requests on their way to the robot.
 fn edit(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     if let Some(request) = passing.request() {

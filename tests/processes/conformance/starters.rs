@@ -1,4 +1,4 @@
-//! The robots to copy among strangers: connections that say nothing, or half a message, and the places of the owner.
+//! The robots to copy: their limits on strangers that send nothing or half a message, places for the owner, and a mission.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use stage::Process;
-use stage::session::root;
+use stage::session::{Session, root};
 use stage::site::listens;
 
 const HALF: &str = "{\"availability_request\":{\"session\"";
@@ -59,7 +59,7 @@ impl Peer {
 
 #[track_caller]
 fn check(mut robot: Command, strangers_max: usize) {
-    let mut child = robot.env("PYTHONDONTWRITEBYTECODE", "1").stdout(Stdio::piped()).spawn().unwrap();
+    let mut child = robot.stdout(Stdio::piped()).spawn().unwrap();
     let said = listens(&mut child);
     let _robot = Process(child);
     let address = said.rsplit(' ').next().unwrap().trim();
@@ -80,10 +80,52 @@ fn check(mut robot: Command, strangers_max: usize) {
     assert!(open < strangers_max && open > 0, "{open} strangers");
 }
 
+fn python() -> Command {
+    let mut python = Command::new(std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned()));
+    python.env("PYTHONDONTWRITEBYTECODE", "1");
+    python
+}
+
+/// Both devices hold. Their second script begins when the first one ends, and starts with its first value 500 ms later.
+#[test]
+fn the_robot_to_copy_in_python_starts_with_one_of_downbeats_own_if_first_values_come_later() {
+    const DEVICES: &str = "
+api_version: '1'
+reports: true
+inquiry: true
+pending_until: true
+devices:
+  - id: shoulder
+    name: shoulder servo
+    script_queue: 2
+    available_control_types:
+      position: {min_value: 0, max_value: 90, granularity: 0.5}
+      script: {max_number_of_steps: 2}
+";
+    let session = Session::new();
+    let robot = std::fs::read_to_string(root().join("robot/starters/python/robot.py")).unwrap();
+    session.file("robot.py", robot.replace("\"max_number_of_steps\": 1000", "\"max_number_of_steps\": 2"));
+    let mut child = python().arg(session.path("robot.py")).stdout(Stdio::piped()).spawn().unwrap();
+    let said = listens(&mut child);
+    let _robot = Process(child);
+    let address = said.rsplit(' ').next().unwrap().trim();
+    for id in ["arm-1", "arm-2"] {
+        session.file(&format!("{id}.yaml"), format!("id: {id}{DEVICES}"));
+    }
+    session.file(
+        "fleet.yaml",
+        format!("robots:\n  arm-1: {{init: arm-1.yaml, address: 'tcp://{address}'}}\n  arm-2: {{init: arm-2.yaml, address: sim}}\n"),
+    );
+    session.file(
+        "show.yaml",
+        "scenario: show\nstart_tolerance: 200ms\ncues:\n  - {robots: [arm-1, arm-2], tracks: {shoulder: [{at: 0s, to: 45}, {at: 500ms, to: 20}, {at: 1s, to: 30}]}}\n",
+    );
+    session.play(&["run", "show.yaml"]).says(0, &["show: done", "2/2"]);
+}
+
 #[test]
 fn the_robot_to_copy_in_python_bounds_what_strangers_cost() {
-    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let mut robot = Command::new(python);
+    let mut robot = python();
     robot.arg(root().join("robot/starters/python/robot.py"));
     check(robot, 16);
 }

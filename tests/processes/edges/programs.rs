@@ -92,7 +92,7 @@ fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resu
         assert_eq!(driven(), before, "the resume started it");
     }
     let named = session.path("fleet.yaml");
-    there(&["resume", "--fleet", named.to_str().unwrap()]).says(0, &["tank-1: stop confirmed"]);
+    there(&["resume", "--fleet", named.to_str().unwrap()]).says(3, &["tank-1: stop confirmed"]);
     let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
     assert!(after.contains("hello\n") && !after.contains("set"), "it was moved: {after}");
 }
@@ -333,6 +333,63 @@ fn a_value_that_a_program_refuses_reads_as_refused() {
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert!(ran.text().contains(refused) && !ran.text().contains("hardware is away"), "{}", ran.text());
     assert!(said.contains(&format!("tank-1: {refused}")), "{said}");
+}
+
+/// Hardware that takes longer to start than a program has by default, 10 s.
+const SLOW: &str = r#"
+import sys, time
+from downbeat_driver import Driver
+
+class Slow(Driver):
+    def start(self, robot):
+        with open("starting", "w"):
+            time.sleep(11)
+
+    def set(self, device, control_type, value, *more):
+        with open(sys.argv[1], "a") as driven:
+            driven.write(f"{device} {value:g}\n")
+
+Slow().run()
+"#;
+
+/// A fleet of one robot behind a program that starts slowly.
+fn slow(python: &str) -> Session {
+    let session = session();
+    session.file("slow.py", SLOW);
+    let address = format!("program:{python} slow.py driven.txt").replace('\'', "''");
+    session.file("fleet.yaml", format!("robots: {{tank-1: {{init: tank.json, address: '{address}'}}}}\n")).file(
+        "play.yaml",
+        "scenario: play\nstart_tolerance: 1s\ncues: [{at: 0s, robots: tank-1, tracks: {left: [{at: 0s, to: 20}]}}]\n",
+    );
+    session
+}
+
+#[test]
+fn a_program_that_takes_longer_than_ten_seconds_to_start_drives_a_robot_of_the_fleet_file() {
+    let Some(python) = python() else { return };
+    let session = slow(&python);
+    let in_time = ["--driver-start-timeout", "120s"];
+    let preflight = ["preflight", "play.yaml", "--start-programs"];
+    session.run(&[&preflight[..], &in_time].concat()).says(0, &["ready"]);
+    let run = ["run", "play.yaml", "--lead", LEAD];
+    session.run(&[&run[..], &in_time].concat()).says(0, &["play: done"]);
+    assert_eq!(std::fs::read_to_string(session.path("driven.txt")).unwrap(), "left 20\n");
+    session.run(&run).says(1, &["did not answer `init", "within 10 s"]);
+    let refused = session.run(&["run", "play.yaml", "--driver-start-timeout", "1h"]);
+    refused.says(2, &["'1h' for '--driver-start-timeout <TIME>': expected 10ms to 600s"]);
+}
+
+#[test]
+fn a_stop_does_not_wait_for_hardware_that_starts() {
+    let Some(python) = python() else { return };
+    let session = slow(&python);
+    session.file("slow.py", SLOW.replace("sleep(11)", "sleep(600)"));
+    let run = ["run", "play.yaml", "--driver-start-timeout", "600s"];
+    let mut command = session.command(&run);
+    let running = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    await_that("the start of the hardware", || session.path("starting").exists());
+    session.run(&["stop"]).says(0, &[]);
+    Ran(running.wait_with_output().unwrap()).says(3, &["stopped"]);
 }
 
 #[test]

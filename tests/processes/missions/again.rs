@@ -1,23 +1,85 @@
 //! The mission prepares an act again if this machine was too slow to start it.
 
+use std::time::Duration;
+
 use rustix::process::Signal;
 
-use stage::play::SHORT;
-use stage::{Via, sleep_until};
+use stage::play::{CHAIN, Play, SHORT};
+use stage::{Running, Stage, Via, sleep_until};
 
-#[test]
-fn a_scheduler_that_stalls_over_the_commitment_starts_all_robots_a_little_later() {
-    let stage = SHORT.stage(&[Via::Direct; 3]);
-    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s"]);
+/// Stalls the scheduler over the commitment of the act that it prepares next.
+fn stalls(running: &mut Running) {
     let start = running.start();
     sleep_until(start - 250_000_000);
     running.process.signal(Signal::STOP);
     sleep_until(start + 200_000_000);
     running.process.signal(Signal::CONT);
+}
+
+#[track_caller]
+fn plays_again(running: Running, act: &str) {
     let ended = running.ended();
     assert_eq!(ended.code, Some(0), "{ended}");
-    assert!(ended.told.contains("`play` is prepared again"), "{ended}");
+    assert!(ended.told.contains(&format!("`{act}` is prepared again")), "{ended}");
     let reported = "before anything moved, and prepared again";
     assert!(ended.out.split_whitespace().collect::<Vec<_>>().join(" ").contains(reported), "{ended}");
+}
+
+#[test]
+fn a_scheduler_that_stalls_over_the_commitment_starts_all_robots_a_little_later() {
+    let stage = SHORT.stage(&[Via::Direct; 3]);
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s"]);
+    stalls(&mut running);
+    plays_again(running, "play");
     stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
+}
+
+#[test]
+fn robots_that_are_sent_home_while_an_act_is_prepared_again_are_reported_as_their_logs_say() {
+    let mut stage = SHORT.stage(&[]);
+    let device =
+        stage::one_device(1, 200, 200).replace("    name: d\n", "    name: d\n    default_value: 5\n");
+    stage.file("robot.yaml", device);
+    for _ in 0..3 {
+        stage.robot("robot.yaml", Via::Direct);
+    }
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s"]);
+    stalls(&mut running);
+    let stopped = stage.run(&["stop", "--home"]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(3), "{ended}");
+    for robot in &stage.robots {
+        assert!(ended.out.contains(&format!("{}: default state confirmed", robot.id)), "{ended}");
+        robot.await_logged("default", Duration::from_secs(10));
+    }
+}
+
+/// Two acts of three seconds that follow each other at once.
+fn two_acts() -> Stage {
+    let stage = Play { script: 20, ..CHAIN }.stage(&[Via::Direct; 3]);
+    let track = |from: u32| {
+        let keyframes = (0..15).map(|step| format!("{{at: {}ms, to: {}}}", step * 200, from + step));
+        keyframes.collect::<Vec<_>>().join(", ")
+    };
+    let act = |name: &str, from: u32| {
+        format!("  - {{act: {name}, cues: [{{at: 0s, robots: all, tracks: {{d: [{}]}}}}]}}\n", track(from))
+    };
+    let acts = act("one", 1) + &act("two", 16);
+    stage.file(
+        "play.yaml",
+        format!("scenario: play\nstart_tolerance: 1s\nstop_condition: {{running: 3s}}\nacts:\n{acts}"),
+    );
+    stage
+}
+
+#[test]
+fn a_scheduler_that_stalls_before_an_act_stops_no_act_that_plays() {
+    let stage = two_acts();
+    let mut running = stage.start(&["run", "play.yaml"]);
+    running.start();
+    stalls(&mut running);
+    plays_again(running, "two");
+    let planned: Vec<f64> = (1..=30).map(f64::from).collect();
+    stage.robots.iter().for_each(|robot| assert_eq!(robot.values("d"), planned, "{}", robot.id));
 }

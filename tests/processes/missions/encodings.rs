@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 
 use urrcp::{Decoder, Encoding, Message};
 
-use stage::session::{ARM, Session, program};
+use stage::session::{Session, arm_at, program};
 
 const SCENARIO: &str = "scenario: test
 start_tolerance: 1s
@@ -113,7 +113,7 @@ fn check_done(session: &Session) {
 #[test]
 fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_have() {
     let session = Session::new();
-    session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
     let robots = [Robot::start(&session, "r0"), Robot::start(&session, "r1")];
     let (port, overheard) = relay(robots[0].port, |bytes| bytes);
     fleet(&session, "full", [port, robots[1].port]);
@@ -140,7 +140,7 @@ fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_ha
 #[test]
 fn without_a_handshake_the_file_says_what_a_robot_understands() {
     let session = Session::new();
-    session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
     let robots = [Robot::start(&session, "r0"), Robot::start(&session, "r1")];
     let (port, overheard) = relay(robots[0].port, |bytes| bytes);
     fleet(&session, "skip", [port, robots[1].port]);
@@ -148,7 +148,7 @@ fn without_a_handshake_the_file_says_what_a_robot_understands() {
         1,
         &["DB0018", "the robot does not list the encoding `msgpack`", "`encodings: [msgpack]` in its"],
     );
-    session.file("arm.yaml", format!("encodings: [msgpack]\n{ARM}"));
+    session.file("arm.yaml", format!("encodings: [msgpack]\n{}", arm_at(45)));
     check_done(&session);
     let all = [Overheard::messages(&overheard.to_robot), Overheard::messages(&overheard.to_server)].concat();
     assert!(all.len() >= 4);
@@ -168,7 +168,7 @@ fn a_robot_that_does_not_list_the_encoding_is_refused_and_never_hears_it() {
         text.replace(r#""encodings":["msgpack"]"#, r#""encodings":["cbor"]"#).into_bytes()
     }
     let session = Session::new();
-    session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
     let robots = [Robot::start(&session, "r0"), Robot::start(&session, "r1")];
     let (port, overheard) = relay(robots[0].port, unlisted);
     fleet(&session, "full", [port, robots[1].port]);

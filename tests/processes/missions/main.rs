@@ -13,5 +13,7 @@ mod preflight;
 mod processes;
 mod refills;
 mod rest;
+mod resumed;
+mod start_poses;
 mod told;
 mod undecided;

@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use stage::quiet::await_that;
-use stage::session::{Ran, Session};
+use stage::session::{Ran, Session, arm_at};
 use stage::{Logged, Process, Proxy, free_port};
 
 const TWO_ACTS: &str = "scenario: evening
@@ -186,10 +186,10 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     elsewhere.says(1, &["not started", "`left` belongs to another session", "end it with `downbeat stop`"]);
     session.run(&["stop"]).says(0, &["confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
-    session.run(&["run", "evening.yaml", "--act", "opening"]).says(0, &["done"]);
+    session.run(&["run", "evening.yaml", "--act", "opening", "--approach", "1s"]).says(0, &["done"]);
 }
 
-fn on_tcp(session: &Session) -> Process {
+pub fn on_tcp(session: &Session) -> Process {
     let _both = ports(session);
     let mut sim = session.command(&["sim", "fleet.yaml", "--log-file", "sim.jsonl"]);
     let mut sim = Process(sim.stdout(Stdio::piped()).spawn().unwrap());
@@ -301,7 +301,7 @@ fn every_kind_of_report_keeps_to_its_schema() {
     }
 }
 
-fn ports(session: &Session) -> (u16, u16) {
+pub fn ports(session: &Session) -> (u16, u16) {
     let ports = (free_port(), free_port());
     session.file(
         "fleet.yaml",
@@ -313,8 +313,12 @@ fn ports(session: &Session) -> (u16, u16) {
     ports
 }
 
-fn robot(session: &Session, id: &str, port: u16) -> Process {
-    let mut command = session.command(&["robot", "--init", "arm.yaml", "--id", id, "--listen"]);
+pub fn robot(session: &Session, id: &str, port: u16) -> Process {
+    robot_of(session, "arm.yaml", id, port)
+}
+
+fn robot_of(session: &Session, init: &str, id: &str, port: u16) -> Process {
+    let mut command = session.command(&["robot", "--init", init, "--id", id, "--listen"]);
     command.arg(format!("127.0.0.1:{port}")).args(["--log-file", &format!("{id}.jsonl")]);
     let mut child = Process(command.stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
@@ -328,6 +332,27 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
     let (left, right) = ports(&session);
     let _left = robot(&session, "left", left);
     session.run(&["run", "evening.yaml"]).says(1, &["not started", "right: link down"]);
+    // The first position of the finale is 20.
+    session.file("at-20.yaml", arm_at(20));
+    let ran = joins_late(&session, "at-20.yaml", right);
+    ran.says(0, &["evening: done"]);
+    let row =
+        |robot: &str| ran.out().lines().find(|line| line.trim_start().starts_with(robot)).unwrap().to_owned();
+    assert!(row("left").contains("2/2") && row("right").contains("1/1"), "{}", ran.out());
+}
+
+#[test]
+fn a_late_joiner_that_would_jump_is_left_out_and_does_not_move() {
+    let session = evening("wait: operator");
+    let (left, right) = ports(&session);
+    let _left = robot(&session, "left", left);
+    let ran = joins_late(&session, "arm.yaml", right);
+    ran.says(5, &["right: device `shoulder` is at 0, its first keyframe expects 20"]);
+    assert_eq!(std::fs::read_to_string(session.path("right.jsonl")).unwrap(), "");
+}
+
+/// Plays the evening, and starts the robot `right` before the finale.
+fn joins_late(session: &Session, init: &str, port: u16) -> Ran {
     let args = ["run", "evening.yaml", "--join", "next_act", "--format", "text"];
     let told = session.path("told");
     let mut command = session.command(&args);
@@ -335,14 +360,10 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
     let child = Process(command.spawn().unwrap());
     let await_line = |text: &str| await_that(text, || std::fs::read_to_string(&told).unwrap().contains(text));
     await_line("waits for the operator's go");
-    let _right = robot(&session, "right", right);
+    let _right = robot_of(session, init, "right", port);
     await_line("right: back");
     session.run(&["go"]).says(0, &[]);
-    let ran = finished(child);
-    ran.says(0, &["evening: done"]);
-    let row =
-        |robot: &str| ran.out().lines().find(|line| line.trim_start().starts_with(robot)).unwrap().to_owned();
-    assert!(row("left").contains("2/2") && row("right").contains("1/1"), "{}", ran.out());
+    finished(child)
 }
 
 #[test]

@@ -54,7 +54,7 @@ fn no_line_of_the_table_is_wider_than_a_terminal() {
     let session = session(SIM, SIM);
     let ran = session.run(&["preflight", "test.yaml"]);
     let table = ran.out();
-    let table = table.lines().skip(1).take_while(|line| !line.contains("stands at"));
+    let table = table.lines().skip(1).take_while(|line| !line.contains("keyframe expects"));
     for line in table {
         assert!(line.chars().count() <= 80, "{} characters: {line}", line.chars().count());
     }

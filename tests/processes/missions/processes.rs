@@ -7,7 +7,7 @@ use std::time::Duration;
 use rustix::process::Signal;
 
 use stage::quiet::await_that;
-use stage::session::{ARM, Session, program};
+use stage::session::{Session, arm_at, program};
 use stage::{free_port, signal};
 
 const SCENARIO: &str = "scenario: test
@@ -29,7 +29,7 @@ impl Fleet {
     /// Robot 3 gets the extra arguments.
     fn start(third: &[&str]) -> Self {
         let session = Session::new();
-        session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
+        session.file("arm.yaml", arm_at(45)).file("test.yaml", SCENARIO);
         let mut fleet = Self { session, robots: Vec::new() };
         let mut yaml = "robots:\n".to_owned();
         for id in 0..6 {

@@ -172,7 +172,8 @@ fn a_resumed_mission_that_was_stopped_moves_no_robot() {
     mission.process.kill();
     stage.robots[1].thaw();
     let resumed = stage.run(&["resume"]);
-    assert_eq!(resumed.code, Some(0), "{resumed}");
+    assert_eq!(resumed.code, Some(3), "{resumed}");
+    assert!(resumed.out.contains("stopped by the operator"), "{resumed}");
     BOTH.iter().for_each(|said| assert!(resumed.out.contains(said), "{resumed}"));
     stand_where_they_were(&stage);
 }
@@ -193,6 +194,54 @@ fn driven() -> Stage {
 /// What its program was told.
 fn told(stage: &Stage) -> String {
     std::fs::read_to_string(stage.path("driven.txt")).unwrap_or_default()
+}
+
+/// A driver that writes the time and the value of each `set`.
+const LOGGING: &str = "import sys, time
+for line in sys.stdin:
+    words = line.split()
+    if words[0] == 'set':
+        with open('driven.txt', 'a') as driven:
+            driven.write(f'{time.time()} {words[3]}\\n')
+    print('ok', flush=True)
+";
+
+#[test]
+fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_file() {
+    let mut stage = Stage::new();
+    let arm = "id: arm\napi_version: '1'\nreports: true\ndevices:\n  - {id: d, name: d, default_value: 0, interpolation: linear, available_control_types: {position: {min_value: 0, max_value: 600, granularity: 1}, speed: {min_value: -1000, max_value: 1000, granularity: 1}, script: {min_value: -1000, max_value: 1000, granularity: 1, max_number_of_steps: 20}}}\n";
+    stage.file("arm.yaml", arm).file("drive.py", LOGGING);
+    stage.robot("arm.yaml", Via::Direct);
+    let served = stage.robots[0].port();
+    stage.file("own.yaml", format!("robots:\n  w: {{init: arm.yaml, address: 'program:python3 drive.py', limits: {{d: {{speed: 50}}}}}}\n  r0: {{init: arm.yaml, address: 'tcp://127.0.0.1:{served}'}}\n"));
+    stage.file("play.yaml", "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: none}\ncues:\n  - {at: 0s, robots: [w, r0], tracks: {d: [{at: 0s, to: 0}, {at: 4s, to: 160}, {at: 60s, to: 170}]}}\n");
+    let driven = || -> Vec<(f64, f64)> {
+        let text = std::fs::read_to_string(stage.path("driven.txt")).unwrap_or_default();
+        let numbers = |line: &str| {
+            let (at, value) = line.split_once(' ')?;
+            Some((at.parse().ok()?, value.parse().ok()?))
+        };
+        text.lines().filter_map(numbers).collect()
+    };
+    let mission =
+        stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s", "--patience", "60s"]);
+    await_that("the way up", || driven().last().is_some_and(|(_, value)| *value >= 150.0));
+    // While this robot does not confirm, the scheduler and the driver of the other robot continue to run.
+    stage.robots[0].freeze();
+    let stop = stage.start(&["stop", "--home"]);
+    await_that("the default state", || driven().last().is_some_and(|(_, value)| *value == 0.0));
+    stage.robots[0].thaw();
+    assert_eq!(stop.ended().code, Some(0));
+    let ended = mission.ended();
+    assert!(ended.out.contains("w: default state confirmed"), "{ended}");
+    let driven = driven();
+    let below = |limit: f64| {
+        let top = driven.iter().rposition(|(_, value)| *value >= 150.0).unwrap();
+        driven[top..].iter().find(|(_, value)| *value <= limit).unwrap().0
+    };
+    // 100 units take 2 s at the speed of the fleet file, and 0.1 s at that of the device.
+    let seconds = below(20.0) - below(120.0);
+    assert!(seconds > 1.0, "{seconds} s: {driven:?}");
 }
 
 #[test]

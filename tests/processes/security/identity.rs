@@ -109,6 +109,22 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
 }
 
 #[test]
+fn a_stop_that_a_process_of_the_same_name_confirms_is_unconfirmed_while_the_robot_may_move() {
+    let mut stage = Play { running: "3s", ..LONG }.stage(&[Via::Proxy]);
+    let other = stage.robot_called("r0", "robot.yaml", Vec::new());
+    let run = stage.begin(&["run", "play.yaml", "--patience", "1s", "--format", "json"], [0], 5);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.lead_to(other);
+    link.interrupt();
+    link.open();
+    let ended = run.ended();
+    assert_eq!(ended.report()["outcome"], "failed", "{ended}");
+    assert_eq!(ended.report()["robots"][0]["stop"]["state"], "unconfirmed", "{ended}");
+    assert_eq!(ended.code, Some(4), "{ended}");
+    assert!(stage.robots[1].sets().is_empty(), "{:?}", stage.robots[1].log());
+}
+
+#[test]
 fn the_same_robot_that_comes_back_goes_on() {
     let play = Play { steps: 30, running: "2s", ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);

@@ -114,7 +114,7 @@ fn robots_are_taken(scheme: &'static str) {
     assert!(failures.iter().any(|f| f.to_string().contains("taken by operator eva")), "{report}");
     assert!(said(&site, "r0.log").contains("operator cleo may observe, drive, and this takes seize"));
     // Nothing is left of it: anna plays again, once eva has gone.
-    site.run().says(0, &["test: done"]);
+    site.session.run(&["run", "test.yaml", "--approach", "1s"]).says(0, &["test: done"]);
 }
 
 #[test]

@@ -132,7 +132,7 @@ fn simulated_robots_of_a_fleet_have_their_keys_too() {
 #[test]
 fn who_may_stop_stops_the_missions_of_others_and_is_named_in_their_reports() {
     let site = Site::new();
-    let long = SCENARIO.replace("{at: 300ms, to: 10}", "{at: 60s, to: 10}");
+    let long = SCENARIO.replace("{at: 300ms, to: 10}, {at: 600ms, to: 45}", "{at: 60s, to: 10}");
     site.session.file("long.yaml", long);
     let mut playing = site.session.command(&["run", "long.yaml", "--format", "json"]);
     let playing = playing.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 
 use stage::play::{LONG, Play, SHORT, SOON};
-use stage::session::Session;
+use stage::session::{Session, arm_at};
 use stage::terminal::{Terminal, fill};
 use stage::{Process, Stage, Via};
 
@@ -96,7 +96,10 @@ cues:
 #[track_caller]
 fn check_on_a_full_disk(args: &[&str], code: i32) {
     let session = Session::new();
-    session.file("hello.yaml", SCENARIO).file("bad.yaml", SCENARIO.replace("45", "450"));
+    session
+        .file("arm.yaml", arm_at(45))
+        .file("hello.yaml", SCENARIO)
+        .file("bad.yaml", SCENARIO.replace("45", "450"));
     let full = File::options().write(true).open("/dev/full").unwrap();
     let ended = session.command(args).stdout(full).output().unwrap();
     let told = String::from_utf8_lossy(&ended.stderr).into_owned();
@@ -132,7 +135,7 @@ fn output_on_a_full_disk_hides_no_other_failure() {
 #[test]
 fn a_reader_that_has_gone_is_no_error() {
     let session = Session::new();
-    session.file("hello.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(45)).file("hello.yaml", SCENARIO);
     for args in [&["check", "hello.yaml"][..], &["run", "hello.yaml"], &["schema", "scenario"]] {
         let (reader, writer) = rustix::pipe::pipe().unwrap();
         drop(reader);
@@ -185,7 +188,7 @@ fn a_recording_that_cannot_be_begun_is_found_before_anything_moves() {
 #[test]
 fn a_log_in_a_pipe_or_with_no_color_has_no_colours() {
     let session = Session::new();
-    session.file("hello.yaml", SCENARIO);
+    session.file("arm.yaml", arm_at(45)).file("hello.yaml", SCENARIO);
     let ran = session.run(&["run", "hello.yaml", "--log", "trace"]);
     assert!(!ran.text().contains('\u{1b}'), "{}", ran.text());
     let terminal = Terminal::new(100, 30);

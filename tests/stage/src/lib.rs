@@ -172,7 +172,8 @@ impl Stage {
 
     /// Starts a robot with an id of its own, which the fleet file does not name; returns its port.
     pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
-        let log = self.path(&format!("{id}-0.jsonl"));
+        // Another robot may have the same id.
+        let log = self.path(&format!("{id}-called-{}.jsonl", self.robots.len()));
         let args = self.with_key(id, args);
         let (process, port) = start(self.folder.path(), init, &args, id, 0, &log);
         let (id, init, logs) = (id.to_owned(), init.to_owned(), vec![log]);
@@ -348,6 +349,16 @@ impl Robot {
     /// The values that one device was set to, in order.
     pub fn values(&self, device: &str) -> Vec<f64> {
         self.sets().iter().filter(|entry| entry.device == device).map(|entry| entry.value).collect()
+    }
+
+    /// Waits until the last line of its log has this kind of movement.
+    #[track_caller]
+    pub fn await_logged(&self, motion: &str, within: Duration) {
+        let began = Instant::now();
+        while self.log().last().is_none_or(|line| line.motion != motion) {
+            assert!(began.elapsed() < within, "{} logged last: {:?}", self.id, self.log().last());
+            std::thread::sleep(Duration::from_millis(2));
+        }
     }
 
     /// Waits until its log says that it has set so many values.

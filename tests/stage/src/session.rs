@@ -39,6 +39,11 @@ devices:
       script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
 ";
 
+/// The arm, with its shoulder at this position.
+pub fn arm_at(position: u32) -> String {
+    ARM.replace("default_value: 0", &format!("default_value: {position}"))
+}
+
 /// A folder with an arm, a fleet and whatever a test adds.
 pub struct Session {
     folder: TempDir,

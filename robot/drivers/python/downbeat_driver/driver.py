@@ -93,6 +93,8 @@ class Driver:
             plan.wait_until(step.at)
             with self._setting:
                 plan.wait_until(step.at)
+                if not plan.is_started:
+                    plan.started()
                 self.set_frame([step.value])
             plan.reached(step)
             before = step

@@ -64,7 +64,9 @@ class Plan:
     # What `play` uses.
 
     def begin(self) -> None:
-        """Waits for the start, and says that the plan has started. Raises `PlanEnded` if it must not."""
+        """Waits for the start. If the device moves linearly, reports that the plan has started, because the device begins to move
+        to the first value then. On a device that holds, a plan starts with its first value: call `started` or `reached` at that
+        time. Raises `PlanEnded` if the plan must not begin."""
         self.wait_until(self.start)
         silence = self._silence()
         if silence > self._silence_at_start:
@@ -74,16 +76,20 @@ class Plan:
             raise PlanEnded(f"it is {late * 1000:.0f} ms too late to begin")
         with self._changed:
             self._raise_if_ended()
-            self.started()
+            if self.is_linear:
+                self.started()
 
     def started(self, at_ns: Optional[int] = None) -> None:
-        """Says that the first value is set, or that the device has begun to move: now, or then."""
+        """Reports that the first value was set, or that the device began to move to it linearly, at `at_ns` or now."""
         self._started = True
         self._say(f"started {self.id} {self._now_ns() if at_ns is None else at_ns}")
 
     def reached(self, step: Step, at_ns: Optional[int] = None) -> None:
         """Says that a step is done, and with it all before: now, or then."""
-        self._say(f"step {self.id} {step.index} {self._now_ns() if at_ns is None else at_ns}")
+        at_ns = self._now_ns() if at_ns is None else at_ns
+        if not self._started:
+            self.started(at_ns)
+        self._say(f"step {self.id} {step.index} {at_ns}")
 
     def finished(self, at_ns: int) -> None:
         """Notes when all steps were done. Without it, that is when `play` returns, which says so to the edge."""

@@ -120,6 +120,14 @@ class Played(unittest.TestCase):
             self.assertGreaterEqual(at, step["at"])
             self.assertGreaterEqual(int(word.split()[3]), at)
 
+    def test_a_plan_has_started_with_its_first_value_or_when_the_device_begins_to_move_to_it(self):
+        for linear in [False, True]:
+            line, told = plan(steps=[(400, 1), (450, 2)], linear=linear)
+            lines = said(Recorder(), INIT, line, ("done 1",))
+            started = next(int(line.split()[2]) for line in lines if line.startswith("started 1 "))
+            first = told["steps"][0]["at"]
+            self.assertEqual(started < first, linear, lines)
+
     def test_plans_of_several_devices_are_played_at_the_same_time(self):
         driver = Recorder()
         arm, leg = plan(steps=[(0, 1), (90, 2)])[0], plan("leg", steps=[(0, 3), (90, 4)], number=2)[0]
@@ -223,7 +231,7 @@ class Played(unittest.TestCase):
                 plan.begin()
                 time.sleep(1.5)
 
-        lines = said(Stuck(), INIT, plan(steps=[(0, 1)], start_ms=10)[0], ("started 1",), cancel())
+        lines = said(Stuck(), INIT, plan(steps=[(0, 1)], start_ms=10, linear=True)[0], ("started 1",), cancel())
         self.assertIn("error plan 1 does not end", lines)
 
     def test_waiting_in_a_plan_that_is_over_raises(self):

@@ -1,6 +1,6 @@
 //! A question that cannot act.
 
-use urrcp::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
+use urrcp::{DeviceReport, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
 
 use super::*;
 use crate::plans::PlanEvent;
@@ -43,6 +43,44 @@ impl Bench {
 
 fn paper() -> Command {
     script(ControlType::Position, &PAPER)
+}
+
+#[test]
+fn a_script_has_started_with_its_first_value_or_when_the_device_begins_to_move_to_it() {
+    for (device, started) in [("arm", 1_500), ("ramp", 1_000)] {
+        let mut bench = Bench::new();
+        bench.request(timed(
+            device,
+            "a",
+            1_000.0,
+            script(ControlType::Position, &[(500.0, 20.0), (800.0, 30.0)]),
+        ));
+        bench.until(1_200);
+        let told = bench.state("a");
+        let begun = (RequestState::Running, Some(0), Some(at(started)).filter(|at| *at <= bench.now));
+        assert_eq!((told.state, told.steps_done, told.event_timestamp), begun, "{device}");
+        bench.until(2_000);
+        assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+        let report = bench.responses().into_iter().find(|report| report.status == Status::Started).unwrap();
+        assert_eq!(
+            (report.event_timestamp, &report.status_value),
+            (Some(at(started)), &StatusValue::Number(20.0))
+        );
+        assert_eq!(bench.state("a").event_timestamp, Some(at(started)));
+    }
+}
+
+#[test]
+fn a_script_that_ends_before_its_first_value_has_begun_and_not_started() {
+    let mut bench = Bench::new();
+    let leased = timed("arm", "a", 100.0, script(ControlType::Position, &[(500.0, 20.0)]));
+    bench.request(ControlRequest { stop_condition: lease(5_000.0, 300.0), ..leased });
+    bench.until(1_000);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+    let told = bench.state("a");
+    assert_eq!((told.event_timestamp, told.steps_done), (None, Some(0)));
+    assert!(told.error.unwrap().message.as_str().starts_with("the running lease"));
+    assert!(bench.values().is_empty());
 }
 
 #[test]
@@ -114,8 +152,9 @@ fn the_answer_keeps_the_order_of_the_question_and_tells_the_room_of_known_device
     let answer = bench.inquire(Inquiry { devices, timestamp, ..about(&["b", "a", "b"]) });
     let states: Vec<_> = answer.requests.iter().map(|report| report.state).collect();
     assert_eq!(states, [RequestState::Unknown, RequestState::Held, RequestState::Unknown]);
-    let room = |id: &str, room| DeviceRoom { device_id: DeviceId::new(id).unwrap(), room };
-    assert_eq!(answer.devices, [room("wheel", 1), room("arm", 1)]);
+    let report =
+        |id: &str, position| DeviceReport { device_id: DeviceId::new(id).unwrap(), room: 1, position };
+    assert_eq!(answer.devices, [report("wheel", None), report("arm", Some(10.0))]);
     assert_eq!((answer.status, answer.originate_timestamp), (Status::Ok, timestamp));
     assert_eq!((answer.receive_timestamp, answer.timestamp), (at(5), at(5)));
 }
@@ -363,6 +402,37 @@ fn the_room_of_a_device_is_what_its_queue_still_takes() {
     }
     bench.until(3_000);
     assert_eq!(room(&mut bench), 1, "the first has ended");
+}
+
+#[test]
+fn the_position_of_a_device_is_stated_where_it_is_known() {
+    let position = |bench: &mut Bench| {
+        let devices = vec![DeviceId::new("arm").unwrap()];
+        bench.inquire(Inquiry { devices, ..Inquiry::default() }).devices[0].position
+    };
+    let set = || Command::Set(Setpoint::new(ControlType::Position, 30.0));
+    let mut simulated = Bench::new();
+    assert_eq!(position(&mut simulated), Some(10.0), "a simulated device begins in its default state");
+    simulated.request(timed("arm", "a", 1_000.0, set()));
+    assert_eq!(position(&mut simulated), Some(10.0));
+    simulated.until(1_000);
+    assert_eq!(position(&mut simulated), Some(30.0));
+
+    simulated.request(timed("arm", "b", 2_000.0, Command::Set(Setpoint::new(ControlType::Speed, 2.0))));
+    simulated.until(2_000);
+    assert_eq!(position(&mut simulated), None, "a speed takes it somewhere");
+
+    let mut driven = Bench { robot: Robot::driven(simulated.robot.block().clone()), ..Bench::new() };
+    let found = |bench: &mut Bench, at_ms| bench.robot.hardware_found(at(at_ms), &mut Vec::new());
+    found(&mut driven, 0);
+    assert_eq!(position(&mut driven), None, "hardware may be anywhere");
+    driven.request(timed("arm", "a", 1_000.0, set()));
+    driven.until(1_000);
+    assert_eq!(position(&mut driven), Some(30.0));
+    driven.robot.hardware_lost(at(1_500), "unplugged", &mut Vec::new());
+    assert_eq!(position(&mut driven), None);
+    found(&mut driven, 2_000);
+    assert_eq!(position(&mut driven), None, "somebody may have moved it");
 }
 
 #[test]

@@ -407,6 +407,7 @@ struct Sent {
     link: u64,
     start: Timestamp<urrcp::Robot>,
     first_offset: Span,
+    started: Timestamp<urrcp::Robot>,
     lease: StopCondition,
 }
 
@@ -450,7 +451,8 @@ proptest! {
                     let lease = lease(f64::from(pending), f64::from(running)).unwrap();
                     request.stop_condition = Some(lease);
                     let start = start.map_or(bench.now, |start| at(i64::from(start)));
-                    sent.insert(id.to_string(), Sent { link, start, first_offset, lease });
+                    let started = if name == "ramp" { start } else { start + first_offset };
+                    sent.insert(id.to_string(), Sent { link, start, first_offset, started, lease });
                     heard.entry(link).or_default().push(bench.now);
                     let input = Input::Message(Message::ControlRequest(request));
                     bench.robot.handle(bench.now, LinkId(link), input, &mut bench.out);
@@ -462,7 +464,7 @@ proptest! {
         let mut seen = BTreeSet::new();
         for moved in bench.sets() {
             let Some(id) = moved.request_id.as_ref().map(RequestId::as_str) else { continue };
-            let Sent { link, start, first_offset, lease } = &sent[id];
+            let Sent { link, start, first_offset, lease, .. } = &sent[id];
             // Messages of the instant itself come after the movement, so only those before it count; but a command
             // that starts on receipt starts by that very message.
             let last = heard[link].iter().filter(|at| **at < moved.due || **at <= *start && *start == moved.due).max();
@@ -475,7 +477,7 @@ proptest! {
         }
         for response in bench.responses() {
             if let (Status::Started, Some(id)) = (&response.status, &response.request_id) {
-                prop_assert_eq!(response.event_timestamp, Some(sent[id.as_str()].start));
+                prop_assert_eq!(response.event_timestamp, Some(sent[id.as_str()].started));
             }
         }
     }
@@ -570,6 +572,36 @@ fn a_device_that_is_stopped_keeps_its_position_and_turns_no_more_and_goes_home_o
         assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(position));
         assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
         assert!(bench.robot.is_idle());
+    }
+}
+
+#[test]
+fn a_device_comes_to_rest_and_goes_home_within_the_tighter_of_its_own_and_the_operators_limits() {
+    let limits = |device: &str, speed, acceleration| {
+        [(DeviceId::new(device).unwrap(), MotionLimits { speed, acceleration })].into()
+    };
+    let end = |device: &str| at_once(device, "end", Command::Script(Script::cancel()));
+    // The arm declares a speed of 10 and has 35 to go.
+    for (limit, millis) in [(Some(5.0), 7_000), (Some(20.0), 3_500), (None, 3_500)] {
+        let mut bench = Bench::new();
+        bench.robot = bench.robot.with_limits(&limits("arm", limit, None));
+        bench.request(at_once("arm", "a", set(ControlType::Position, 45.0)));
+        bench.request(ControlRequest { home: true, ..end("arm") });
+        bench.until(millis - 100);
+        assert_ne!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0), "{limit:?}");
+        bench.until(millis);
+        assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0), "{limit:?}");
+    }
+    // The wheel declares no acceleration.
+    for (limit, after_a_second) in [(Some(4.0), 4.0), (None, 0.0)] {
+        let mut bench = Bench::new();
+        bench.robot = bench.robot.with_limits(&limits("wheel", None, limit));
+        bench.request(at_once("wheel", "a", set(ControlType::Speed, 8.0)));
+        bench.request(end("wheel"));
+        bench.until(1_000);
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(after_a_second));
+        bench.until(2_000);
+        assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
     }
 }
 

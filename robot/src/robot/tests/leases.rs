@@ -11,6 +11,23 @@ fn paper() -> Command {
 }
 
 #[test]
+fn the_end_of_a_lease_names_the_lease_and_a_delay_of_the_robot_itself() {
+    for (start, lease_of) in [(0.0, "running"), (1_000.0, "pending")] {
+        for (woke, why) in [
+            (350, "ended: the server was silent"),
+            (351, "ended while the robot was delayed: it woke up 51 ms"),
+        ] {
+            let mut bench = Bench::new();
+            let leased = timed("arm", "a", start, script(ControlType::Position, &PAPER));
+            bench.request(ControlRequest { stop_condition: lease(300.0, 300.0), ..leased });
+            bench.robot.advance(at(woke), &mut bench.out);
+            let error = bench.responses().last().unwrap().error.clone().unwrap();
+            assert!(error.message.starts_with(&format!("the {lease_of} lease {why}")), "{error:?}");
+        }
+    }
+}
+
+#[test]
 fn the_end_of_a_pending_lease_leaves_the_running_script_alone() {
     let mut bench = Bench::new();
     bench.request(leased("arm", "running", 0.0, paper(), 240.0));

@@ -46,6 +46,10 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
         Progress::NtpBack { offset_change } => {
             format!("the NTP server answers again; this machine's clock has strayed by {offset_change}")
         }
+        Progress::JournalWrittenAgain => {
+            "the journal was removed or replaced, and is written again; `downbeat stop` reaches this mission again"
+                .to_owned()
+        }
         Progress::JournalLost { reason } => format!("{reason}; stopping"),
         Progress::Stopping { reason, rest: Rest::InPlace } => format!("stopping all robots: {reason}"),
         Progress::Stopping { reason, rest: Rest::Home } => {

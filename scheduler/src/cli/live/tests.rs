@@ -73,6 +73,7 @@ fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
         robot: robot("arm-1"),
         checks: vec![(Check::Clock, Verdict::Pass("1.25 ±0.30 ms, measured".to_owned()))],
         clock_offset: Some(Span::from_nanos(1_250_000)),
+        positions: std::collections::BTreeMap::new(),
         readings: Vec::new(),
     };
     let preflight = Preflight { greeting: Greeting::Full, rows: vec![row], skew: None };

@@ -1,5 +1,6 @@
 //! The journal of a mission that begins: on a disk that may stand still while the operator stops.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use downbeat_scripts::{Address, Attempt, FleetRobot, Refusal};
@@ -48,12 +49,12 @@ async fn unless_stopped<T: Send + 'static>(
 
 /// What a stop has to know of a robot when nothing but the journal is left.
 pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
-    let init = match robot.address {
-        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
-        Address::Tcp { .. } | Address::Zenoh { .. } | Address::Simulated => None,
+    let (init, limits) = match robot.address {
+        Address::Thrift { .. } | Address::Program { .. } => (robot.init.clone(), robot.limits.clone()),
+        Address::Tcp { .. } | Address::Zenoh { .. } | Address::Simulated => (None, BTreeMap::new()),
     };
     let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
-    OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }
+    OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init, limits }
 }
 
 fn unwritable(state: &Path, error: &std::io::Error) -> String {

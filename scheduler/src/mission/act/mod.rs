@@ -4,6 +4,7 @@
 //! file a stage. It reads of the robots what the mission knows of them.
 
 mod approaching;
+mod elsewhere;
 mod member;
 mod motions;
 mod playing;
@@ -55,6 +56,8 @@ enum Stage {
     Committed(Commitment),
     /// The start has passed.
     Playing(playing::Playing),
+    /// It will not be committed, and another act still plays. Its robots drop it; once that act has ended, it is withdrawn.
+    Lapsing(Outcome),
     /// All has ended.
     Over,
 }
@@ -69,6 +72,7 @@ pub(crate) enum Progressed {
     Approaching,
     Committed,
     Playing,
+    Lapsing,
     Over,
 }
 
@@ -212,6 +216,15 @@ impl Act {
         self.stage = Stage::Ready { target: None, look: None };
     }
 
+    /// Lets the act lapse: it is not committed, and its robots drop it when its leases end.
+    pub(crate) fn is_not_started(&mut self, outcome: Outcome) {
+        self.stage = Stage::Lapsing(outcome);
+    }
+
+    pub(crate) const fn is_lapsing(&self) -> bool {
+        matches!(self.stage, Stage::Lapsing(_))
+    }
+
     pub(crate) const fn timing(&self) -> Option<&Timing> {
         self.timing.as_ref()
     }
@@ -255,7 +268,10 @@ impl Act {
 
     /// Its requests may be sent: what it promises is on the disk.
     pub(crate) const fn is_open(&self) -> bool {
-        !matches!(self.stage, Stage::Waiting(_) | Stage::Ready { .. } | Stage::Promised | Stage::Over)
+        matches!(
+            self.stage,
+            Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_) | Stage::Playing(_)
+        )
     }
 
     /// Whether one of its robots may have something of it.
@@ -291,9 +307,14 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
     }
 
-    /// One of its robots that take part has said what became of all that it has of it.
-    pub(crate) fn is_known_of_one(&self) -> bool {
-        self.present().any(|member| !member.scripts().iter().any(Script::is_unaccounted))
+    /// Whether a robot that takes part has completed all its scripts.
+    pub(crate) fn is_done_by_one(&self) -> bool {
+        self.present().any(Member::is_done)
+    }
+
+    /// Whether a robot that takes part has refused a script or ended one before its last step.
+    pub(crate) fn was_cut_short(&self) -> bool {
+        self.present().flat_map(Member::scripts).any(|script| script.is_final() && !script.has_completed())
     }
 
     /// How far it is, to tell whether it went on.
@@ -306,6 +327,7 @@ impl Act {
             Stage::Approaching(_) => Progressed::Approaching,
             Stage::Committed(_) => Progressed::Committed,
             Stage::Playing(_) => Progressed::Playing,
+            Stage::Lapsing(_) => Progressed::Lapsing,
             Stage::Over => Progressed::Over,
         }
     }
@@ -334,6 +356,24 @@ impl Act {
         self.look_again();
     }
 
+    /// If a robot is left out: the requests that it may have received before this process took the act up, without those whose
+    /// fate it has reported.
+    pub(crate) fn unheard_of(&self, robot: usize) -> Option<NamedScripts> {
+        self.left_out_with(robot, Script::is_unheard_since_taken_up)
+    }
+
+    /// If a robot is left out: the requests whose fate it has not reported.
+    pub(crate) fn owed_by(&self, robot: usize) -> Option<NamedScripts> {
+        self.left_out_with(robot, Script::is_out)
+    }
+
+    fn left_out_with(&self, robot: usize, is_meant: impl Fn(&Script) -> bool) -> Option<NamedScripts> {
+        let member = self.member(robot).filter(|member| !member.takes_part())?;
+        let meant = member.scripts().iter().filter(|script| is_meant(script));
+        let requests: Vec<_> = meant.filter_map(|script| script.request_id().cloned()).collect();
+        (!requests.is_empty()).then_some(NamedScripts { lease: None, until: None, requests })
+    }
+
     /// Robots have come; those that are there now take part, if nothing has been sent.
     pub(crate) fn gather(&mut self, robots: &[RobotState]) {
         if !self.was_sent() {
@@ -358,7 +398,8 @@ impl Act {
             Stage::Approaching(_) => self.approach(now, robots),
             Stage::Committed(_) => self.begin_if_due(now, robots),
             Stage::Playing(_) => self.watch(now, robots),
-            Stage::Over => Vec::new(),
+            Stage::Lapsing(outcome) if self.is_alone() => vec![ActAction::Withdraw(outcome.clone())],
+            Stage::Lapsing(_) | Stage::Over => Vec::new(),
         };
         if watched.is_empty() {
             return actions;
@@ -381,7 +422,7 @@ impl Act {
                 let due = self.reading_due().into_iter().chain(self.motion_due());
                 due.chain([playing.wakeup(self.since)]).min()
             }
-            Stage::Over => None,
+            Stage::Lapsing(_) | Stage::Over => None,
         }
     }
 
@@ -450,7 +491,8 @@ impl Act {
         now: Timestamp<Server>,
         ahead: Option<Span>,
     ) -> Vec<NamedScripts> {
-        let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+        let uncommitted =
+            matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_) | Stage::Lapsing(_));
         let Some(timing) = self.timing.as_ref().filter(|timing| uncommitted && now < timing.brink()) else {
             return Vec::new();
         };

@@ -173,6 +173,8 @@ impl Act {
             actions.push(ActAction::Refill(vec![robot]));
         }
         match &news {
+            // Robots are expected to drop these scripts: the act is prepared again with other requests.
+            News::Failed(_) | News::NeverReceived if self.is_lapsing() => {}
             News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
@@ -192,19 +194,25 @@ impl Act {
                 }
             }
             News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
-            News::Failed(error) => {
+            // A robot that was left out does not fail again.
+            News::Failed(error) if member.takes_part() => {
                 let device = member.scripts()[script.script].plan.device.clone();
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
-            News::None | News::Accepted | News::NeverReceived | News::Discredited | News::Lapsed => {}
+            News::None
+            | News::Accepted
+            | News::NeverReceived
+            | News::Failed(_)
+            | News::Discredited
+            | News::Lapsed => {}
         }
         Noted { news, actions }
     }
 
     /// Actual minus planned start, both by the robot's own clock.
     pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
-        let planned = self.timing.as_ref()?.start + script.plan.start.span() + member.shift;
+        let planned = self.timing.as_ref()?.start + script.starts() + member.shift;
         Some(script.started_at()? - planned.assume_clock())
     }
 
@@ -220,7 +228,7 @@ impl Act {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start = self.timing.as_ref()?.start;
         let due = match response.status {
-            urrcp::Status::Started => start + planned.plan.start.span(),
+            urrcp::Status::Started => start + planned.starts(),
             _ => planned_end(start, planned),
         };
         Some((response.timestamp - (due + member.shift).assume_clock()).abs())
@@ -234,7 +242,7 @@ impl Act {
     /// Ends the act when all is done, and finds reports that are overdue.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
-        if self.is_played(robots) {
+        if self.is_played(robots) && !self.awaits_those_left_out(now, robots) {
             self.stage = Stage::Over;
             return actions;
         }
@@ -243,7 +251,7 @@ impl Act {
             return actions;
         }
         actions.extend(self.refill_lapsed(now, robots));
-        if self.is_played(robots) {
+        if self.is_played(robots) && !self.awaits_those_left_out(now, robots) {
             self.stage = Stage::Over;
             return actions;
         }
@@ -264,6 +272,15 @@ impl Act {
         playing.done += self.members[playing.done..].iter().take_while(done).count();
         let mut rest = self.members[playing.done..].iter().filter(|member| member.takes_part());
         rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
+    }
+
+    /// Whether robots that were left out before this process took the act up may soon report which steps they played.
+    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        let may_answer = |member: &Member| {
+            let robot = &robots[member.robot];
+            robot.takes_inquiries() && !robot.is_gone() && self.unheard_of(member.robot).is_some()
+        };
+        now < self.since + REPORT_GRACE && self.members.iter().any(may_answer)
     }
 
     /// Another script of a member that reports by itself is what is awaited now. What is awaited of the others is the same.
@@ -379,13 +396,14 @@ impl Act {
             return None;
         }
         let late = late_of(timing, robot);
-        let start = timing.start + script.plan.start.span() + late;
+        let begin = timing.start + script.plan.start.span() + late;
+        let start = timing.start + script.starts() + late;
         let end = planned_end(timing.start, script) + late;
         match script.state() {
             // Sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
             ScriptState::Ended(_) => None,
-            ScriptState::Planned => Some(start + grace),
+            ScriptState::Planned => Some(begin + grace),
             _ if !robot.reports() => Some(end + LAPSE),
             ScriptState::Unknown => Some(end),
             ScriptState::Sent | ScriptState::Held => Some(start + grace),
@@ -414,7 +432,8 @@ impl Act {
     pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| self.watched(member, robots, grace));
-        let next = due.flatten().filter(|at| *at > now).min().unwrap_or(now + grace);
+        let answered = Some(self.since + REPORT_GRACE).filter(|_| self.awaits_those_left_out(now, robots));
+        let next = due.flatten().chain(answered).filter(|at| *at > now).min().unwrap_or(now + grace);
         next.min(now + self.patience_with_silent_ones(robots))
     }
 
@@ -537,7 +556,7 @@ impl Act {
 
 /// How much later than planned a robot may be by its own clock, as was told or as it shows by now, negative if it is surely
 /// earlier; where that is not known, as the latest of the fleet.
-fn late_of(timing: &Timing, robot: &RobotState) -> Span {
+pub(super) fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
     told.max(shown).unwrap_or(timing.pace.late)
@@ -590,7 +609,7 @@ fn is_full(response: &ControlResponse) -> bool {
     response.status == urrcp::Status::Failed && matches!(code, ErrorCode::Busy | ErrorCode::Overlap)
 }
 
-fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
+pub(super) fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
     start + script.plan.start.span() + script.duration()
 }
 

@@ -123,6 +123,7 @@ impl Act {
             timestamp: timing.timestamp,
             start: timing.start,
             lease: timing.lead.lease,
+            prepared_again: self.attempts,
             scripts: self.present().flat_map(of_member).collect(),
         }
     }

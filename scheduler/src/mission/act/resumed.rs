@@ -1,18 +1,19 @@
 //! An act that another process promised before it died.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use downbeat_scripts::Choreography;
 use urrcp::{RequestId, Server, Span, Timestamp};
 
 use super::approaching::Approach;
+use super::member::{Part, members_among};
 use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
-use super::{Act, Stage, Timing};
+use super::{Act, Member, Stage, Timing, places};
 use crate::mission::lead::LeadTime;
 use crate::mission::record::{Promise, PromisedScript};
 use crate::mission::resume::Changed;
-use crate::mission::robot_state::RobotState;
+use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::ScriptRef;
 
 /// How far the other process came.
@@ -43,6 +44,12 @@ impl Act {
             return Err(Changed { what: format!("there is no act {} any more", promise.act + 1) });
         }
         let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
+        // Includes robots that were left out after the promise: the report contains the steps that they played.
+        let sent: HashSet<_> = promise.scripts.iter().map(|script| &script.robot).collect();
+        act.members = members_among(&act.written().plan, robots, |robot| sent.contains(&robot.id));
+        act.place = places(&act.members);
+        let is_out = |member: &&mut Member| robots[member.robot].standing == Standing::Out;
+        act.members.iter_mut().filter(is_out).for_each(|member| member.part = Part::Dropped);
         let promised: HashMap<_, _> = promise
             .scripts
             .iter()
@@ -66,6 +73,7 @@ impl Act {
             }
         }
         act.timing = Some(act.timing_of(promise));
+        act.attempts = promise.prepared_again;
         act.stage = match reached {
             Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
             // The commitment is written down ahead of time, and was not sent yet.

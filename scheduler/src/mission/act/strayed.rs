@@ -87,7 +87,7 @@ impl Act {
             *script.state() == ScriptState::Held && unreached(script).is_some_and(|gap| gap > lease)
         };
         let script = member.firsts().find(over)?;
-        Some(link_lost(script, unreached(script)?, lease))
+        Some(link_lost(script, unreached(script)?, ("pending", lease)))
     }
 
     /// The same of a script that had begun by then: its robot has dropped it, and all that its device held behind it.
@@ -103,13 +103,14 @@ impl Act {
             let begins = (timing.start + script.plan.start.span() + member.shift).assume_clock();
             let over = before + lease;
             let broken = begins <= over && over < begins + script.duration() && over + GRAIN < at;
-            broken.then(|| link_lost(script, at - before, lease))
+            broken.then(|| link_lost(script, at - before, ("running", lease)))
         })
     }
 }
 
-fn link_lost(script: &Script, silence: Span, lease: Span) -> FailureKind {
-    let message = format!("no question is known to have reached it for {silence}, and its lease is {lease}");
+fn link_lost(script: &Script, silence: Span, (which, lease): (&str, Span)) -> FailureKind {
+    let message =
+        format!("no question is known to have reached it for {silence}, and its {which} lease is {lease}");
     let error = ControlError::new(ErrorCode::LinkLost, message);
     FailureKind::Script { device: script.plan.device.clone(), error }
 }

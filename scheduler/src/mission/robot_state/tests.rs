@@ -1,6 +1,6 @@
 //! Questions and their answers, stops and their confirmations, links and attempts.
 
-use urrcp::ErrorCode;
+use urrcp::{ErrorCode, Interpolation};
 
 use super::*;
 use crate::mission::bench::{self, Tells, at, ms, response};
@@ -231,7 +231,7 @@ fn silence_counts_from_what_was_last_heard_and_a_question_has_two_thirds_of_the_
 fn the_totals_of_a_robot_add_up_over_its_scripts() {
     let mut totals = Totals::default();
     let script = |status: Option<Status>, late: u32| {
-        let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+        let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
         if let Some(status) = status {
             script.sent(at(0));
             let error = bench::refusal(ErrorCode::Late).filter(|_| status == Status::Failed);

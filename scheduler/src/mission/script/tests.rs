@@ -24,7 +24,7 @@ enum Said {
 }
 
 fn sent() -> Script {
-    let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+    let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
     script.name(RequestId::new("id").ok());
     script.sent(at(0));
     script
@@ -55,7 +55,10 @@ fn take(script: &mut Script, said: Said, millis: i64) -> News {
             return News::None;
         }
         Said::Held => state(RequestState::Held, None, None),
-        Said::Running(steps) => state(RequestState::Running, Some(steps), None),
+        Said::Running(steps) => RequestReport {
+            event_timestamp: Some(by_robot(now)),
+            ..state(RequestState::Running, Some(steps), None)
+        },
         Said::EndedWell(steps) => state(RequestState::Ended, steps, None),
         Said::EndedBadly => state(RequestState::Ended, None, failed),
         Said::Unknown => state(RequestState::Unknown, None, None),
@@ -151,7 +154,7 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
 #[test]
 fn a_script_that_another_process_may_have_sent_is_unaccounted_until_its_robot_has_said() {
     let taken_up = || {
-        let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+        let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
         script.name(RequestId::new("id").ok());
         script.taken_up();
         assert!(script.is_planned() && script.is_unaccounted());
@@ -213,10 +216,8 @@ fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them(
             }),
         };
         let steps = leases.iter().enumerate().map(step).collect();
-        Script::new(&DeviceScript {
-            script: urrcp::Script::new(steps).unwrap(),
-            ..bench::device_script(("a", 0, 0))
-        })
+        let script = urrcp::Script::new(steps).unwrap();
+        Script::new(&DeviceScript { script, ..bench::device_script(("a", 0, 0)) }, Interpolation::Hold)
     };
     let both = |script: Script| (script.shortest_lease(), script.longest_lease());
     let whole = bench::RUNNING;
@@ -228,6 +229,31 @@ fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them(
         "up to its first step"
     );
     assert_eq!(both(planned(0, &[Some(100), Some(0)])), (Some(ms(100)), None), "the second has none");
+}
+
+#[test]
+fn a_script_that_runs_has_started_once_its_robot_says_when() {
+    let step = urrcp::Step {
+        offset: Millis::from_span(ms(500)),
+        setpoint: urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0),
+        stop_condition: None,
+    };
+    let plan = DeviceScript {
+        script: urrcp::Script::new(vec![step]).unwrap(),
+        ..bench::device_script(("a", 200, 0))
+    };
+    let starts = |interpolation| Script::new(&plan, interpolation).starts();
+    assert_eq!([Interpolation::Hold, Interpolation::Linear].map(starts), [ms(700), ms(200)]);
+    let mut script = Script::new(&plan, Interpolation::Hold);
+    script.sent(at(0));
+    let id = RequestId::new("id").unwrap();
+    let running = RequestReport { steps_done: Some(0), ..report(&id, RequestState::Running, None) };
+    assert_eq!(script.reported(&running, at(210), by_robot(at(211))), News::None);
+    assert!(script.has_begun() && !script.has_started());
+    let event_timestamp = Some(by_robot(at(701)));
+    let started = response(&plan.device, Some(&id), Status::Started, at(702));
+    assert_eq!(script.answered(&ControlResponse { event_timestamp, ..started }), News::Started);
+    assert_eq!(script.started_at(), event_timestamp);
 }
 
 fn any_said() -> impl Strategy<Value = Said> {
@@ -284,7 +310,7 @@ fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or
 
 #[test]
 fn only_a_script_that_another_process_may_have_sent_and_of_which_nothing_was_said_is_unheard() {
-    let planned = Script::new(&bench::device_script(("a", 0, 400)));
+    let planned = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
     assert!(!planned.is_unheard_since_taken_up() && !sent().is_unheard_since_taken_up());
     let mut taken_up = sent();
     taken_up.perhaps_sent = true;

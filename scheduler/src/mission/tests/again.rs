@@ -7,9 +7,9 @@ use crate::mission::bench::{ms, response};
 const LATE: Outcome = Outcome::DecisionLate { by: Span::from_millis(30) };
 
 impl Played {
-    /// Withdraws the act under way.
-    fn is_withdrawn(&mut self) {
-        let (now, number) = (self.now, self.mission.acts[0].number());
+    /// Withdraws the last act under way.
+    pub(super) fn is_withdrawn(&mut self) {
+        let (now, number) = (self.now, self.mission.acts.last().unwrap().number());
         self.mission.withdraw_act(now, number, LATE);
         let actions = self.mission.advance(now);
         self.carry_out(actions);
@@ -31,7 +31,8 @@ impl Played {
 fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_longer_lead() {
     for tells in [Everything, Tells::Reports, Tells::Answers] {
         let mut played = Played::begun(begins_at_once(tells));
-        let before = played.lead();
+        // Only the first attempt has additional time, because no round trip is known.
+        let before = played.lead() - ms(500);
         played.is_withdrawn();
         played.run_until(played.now + ms(20));
         assert!(played.lead() > before + ms(60), "{tells:?}");
@@ -42,6 +43,23 @@ fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_long
         let totals = &played.mission.robots[0].totals;
         assert_eq!((totals.scripts, totals.steps_planned), (1, totals.steps_done), "{tells:?}");
         assert_eq!(played.mission.fates[0].played, 1);
+    }
+}
+
+#[test]
+fn a_prescribed_lease_makes_room_for_a_slower_machine_as_far_as_it_can() {
+    // Three round trips, each longer by all or half of twice the delay of 30 ms, and margins.
+    for (pending, longer) in [(3_000, 180..260), (240, 90..130)] {
+        let mut mission = begins_at_once(Everything);
+        let act = &mut Arc::make_mut(&mut mission.choreography).acts[0];
+        act.plan.stop_condition.pending = Some(urrcp::Millis::from_span(ms(pending)));
+        let mut played = Played::begun(mission);
+        let before = played.lead() - ms(500);
+        played.is_withdrawn();
+        played.run_until(played.now + ms(20));
+        let by = (played.lead() - before).as_nanos() / 1_000_000;
+        assert!(longer.contains(&by), "{by} ms longer, a pending lease of {pending} ms");
+        assert_eq!(played.run_to_the_end(), Outcome::Done, "a pending lease of {pending} ms");
     }
 }
 
@@ -69,17 +87,80 @@ fn what_an_act_waited_for_is_not_waited_for_again() {
 }
 
 #[test]
-fn an_act_with_an_instant_of_its_own_or_behind_another_one_is_not_prepared_again() {
+fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
     let mut mission = begins_at_once(Everything);
     mission.options.start_at = Some(at(1_000));
     let mut played = Played::begun(mission);
     played.is_withdrawn();
     assert_eq!(played.run_to_the_end(), LATE);
+}
 
-    let mut played = Played::begun(waits_in(1));
+/// Two acts; the first one plays, and the second one has been sent and follows it at once.
+pub(super) fn chained(drops_undecided: bool) -> Played {
+    let mut mission = waits_in(2);
+    mission.robots[0].block.as_mut().unwrap().pending_until = drops_undecided;
+    let mut played = Played::begun(mission);
     played.run_to_the_start();
-    assert_eq!(played.mission.acts.len(), 2);
-    assert!(!played.mission.may_be_prepared_again(1));
+    assert!(played.mission.acts[1].was_sent() && !played.mission.acts[1].is_committed());
+    played
+}
+
+/// The second act is withdrawn, and its robot drops it.
+fn lapses() -> Played {
+    let mut played = chained(true);
+    played.is_withdrawn();
+    assert!(played.mission.acts[1].is_lapsing());
+    played.drops(&second(&played));
+    played
+}
+
+/// The script of the second act.
+pub(super) fn second(played: &Played) -> RequestId {
+    played.mission.acts[1].members()[0].scripts()[0].request_id().cloned().unwrap()
+}
+
+#[test]
+fn an_act_behind_another_one_lapses_and_is_prepared_again_once_that_has_ended() {
+    let mut played = lapses();
+    let end = played.mission.acts[0].timing().unwrap().end;
+    played.run_until(end);
+    assert_eq!((played.stops(), played.starts()), (0, 2), "a stop would end the first act, too");
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert_eq!((played.stops(), played.starts()), (1, 3));
+    let again: Vec<_> = played.mission.reports.iter().map(|act| act.prepared_again).collect();
+    assert_eq!(again, [0, 1]);
+    let totals = &played.mission.robots[0].totals;
+    assert_eq!((totals.scripts, totals.steps_planned), (2, totals.steps_done));
+    assert!(played.mission.fates.iter().all(|act| act.played == 1));
+}
+
+#[test]
+fn robots_that_drop_an_act_while_it_lapses_have_not_failed() {
+    let mut played = lapses();
+    let (device, id) = (DeviceId::new("a").unwrap(), second(&played));
+    let mut dropped = response(&device, Some(&id), Status::Failed, played.now);
+    dropped.error = Some(ran_out());
+    played.happens(Event::Received { robot: 0, message: Message::ControlResponse(dropped) });
+    assert!(!played.mission.robots[0].has_failed());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_stop_withdraws_an_act_that_lapses() {
+    let mut played = lapses();
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.starts(), 2);
+    let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+    assert_eq!(fates, [ActFate::Stopped, ActFate::Withdrawn]);
+}
+
+#[test]
+fn an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer() {
+    let mut played = chained(false);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert_eq!(played.starts(), 2);
 }
 
 #[test]
@@ -99,6 +180,23 @@ fn a_stop_of_the_operator_ends_the_preparation_for_good() {
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.starts(), 1);
+}
+
+#[test]
+fn robots_go_home_before_the_next_attempt_if_the_operator_says_so_and_stay_without_a_word_otherwise() {
+    for (rest, sent) in [(Rest::Home, 1), (Rest::InPlace, 0)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        played.is_withdrawn();
+        // The stop is confirmed, and the next attempt is on its way to the disk.
+        played.run_until(played.now + ms(1));
+        assert!(!played.mission.acts[0].is_open() && played.mission.acts[0].attempts() == 1);
+        let before = played.stops();
+        played.happens(Event::StopRequested { rest, by: None });
+        assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+        assert_eq!(played.stops() - before, sent, "{rest:?}");
+        let confirmed = matches!(played.mission.robots[0].stop, Stop::Confirmed(Rest::Home));
+        assert_eq!(confirmed, rest == Rest::Home);
+    }
 }
 
 #[test]
@@ -148,6 +246,23 @@ fn most_robots_that_stay_silent_have_failed() {
     assert_eq!(played.run_to_the_end(), Outcome::NotStarted);
     let failed: Vec<bool> = played.mission.robots.iter().map(RobotState::has_failed).collect();
     assert_eq!(failed, [true, true, false]);
+}
+
+#[test]
+fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent() {
+    for (silent, attempts) in [(3, 3), (2, 2)] {
+        let mut played = accepts_late(silent, downbeat_scripts::OnFailure::Without);
+        let failed =
+            |played: &Played| played.mission.robots.iter().filter(|robot| robot.has_failed()).count();
+        while failed(&played) == 0 {
+            // The silent robots answer only the stop of an attempt.
+            let withdrawn = played.mission.again.is_some();
+            played.mute = (0..silent).filter(|_| !withdrawn).collect();
+            played.run_until(played.now + ms(1));
+        }
+        let attempt = played.mission.acts[0].attempts() + 1;
+        assert_eq!((failed(&played), attempt), (silent, attempts), "{silent} of 3 robots are silent");
+    }
 }
 
 #[test]
@@ -207,13 +322,13 @@ fn a_repetition_does_not_count_as_another_act() {
 
 #[test]
 fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
-    let mut played = Played::begun(waits_in(1));
-    played.run_to_the_start();
-    let failing = || vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
-    assert!(!played.mission.may_be_prepared_again(1));
-    let now = played.now + ms(100);
-    played.mission.fail_of_act(now, 1, failing());
-    assert!(played.mission.again.is_none() && played.mission.robots[0].has_failed());
+    let mut played = chained(true);
+    played.drops(&second(&played));
+    let failing = vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
+    let now = played.mission.acts[1].wakeup().unwrap() + ms(50);
+    played.mission.fail_of_act(now, 1, failing);
+    assert!(played.mission.acts[1].is_lapsing() && !played.mission.robots[0].has_failed());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
 }
 
 fn ran_out() -> urrcp::ControlError {

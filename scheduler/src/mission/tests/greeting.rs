@@ -7,6 +7,7 @@ use super::played::Played;
 use super::*;
 use crate::mission::bench::Tells::Reports;
 use crate::mission::bench::ms;
+use crate::mission::poses::Expected;
 use crate::mission::seize::Ownership;
 
 fn asks(actions: &[Action]) -> usize {
@@ -215,9 +216,12 @@ fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
     let before = &played.sent[..first.unwrap()];
-    let times =
-        before.iter().filter(|(.., message)| matches!(message, Message::AvailabilityRequest(_))).count();
-    assert_eq!(times, 8);
+    let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_) | Message::Inquiry(_));
+    // One of them asks for positions.
+    assert_eq!(before.iter().filter(|(.., message)| asks(message)).count(), 9);
+    let positions =
+        |message: &Message| matches!(message, Message::Inquiry(inquiry) if !inquiry.devices.is_empty());
+    assert!(before.iter().any(|(.., message)| positions(message)));
     assert!(matches!(before[0].2, Message::InitializationRequest(_)));
     let greeted = played.told.iter().find_map(|told| match told {
         Progress::Greeted { clock_offset_max, preflight } => Some((*clock_offset_max, preflight.clone())),
@@ -360,6 +364,68 @@ fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
         if greeting == Greeting::Full {
             assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
         }
+    }
+}
+
+#[test]
+fn a_robot_that_would_jump_when_it_joins_is_left_out_and_the_others_play() {
+    for (stands_at, left_out) in [(Some(0.0), true), (Some(45.0), false), (None, false)] {
+        let mut played = waits_for_nobody(Greeting::Full);
+        let block = played.mission.robots[1].block.as_mut().unwrap();
+        block.devices[0].interpolation = urrcp::Interpolation::Linear;
+        played.positions = stands_at.map(|at| ("a".parse().unwrap(), at)).into_iter().collect();
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(5_000));
+        let robot = &played.mission.robots[1];
+        let misplaced = |failure: &Failure| matches!(failure.kind, FailureKind::Position { .. });
+        assert_eq!(robot.failures.iter().any(misplaced), left_out, "at {stands_at:?}");
+        assert_eq!(robot.totals.started > 0, !left_out, "at {stands_at:?}");
+        assert!(robot.touched.is_empty() == left_out, "at {stands_at:?}");
+        assert!(played.mission.outcome().is_none(), "the other robot still plays");
+    }
+}
+
+#[test]
+fn an_act_ends_at_once_if_its_only_robot_joins_late_and_would_jump() {
+    let mut choreography = choreography(&[&[("a", 0, 3_000)], &[("a", 0, 3_000)]]);
+    let mut alone = choreography.acts[0].clone();
+    alone.plan.robots.remove(0);
+    (choreography.acts[0].next, alone.wait) = (Way::Act(1), Wait::Done);
+    choreography.acts.push(alone);
+    let mut played = begun_without_the_second(choreography, Greeting::Full);
+    let block = played.mission.robots[1].block.as_mut().unwrap();
+    block.devices[0].interpolation = urrcp::Interpolation::Linear;
+    played.positions = [("a".parse().unwrap(), 0.0)].into();
+    played.happens(Event::LinkUp { robot: 1 });
+    played.run_until(at(6_000));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::DoneWithout));
+    assert!(played.mission.robots[1].touched.is_empty());
+}
+
+#[test]
+fn a_robot_that_is_elsewhere_after_a_new_link_before_its_first_act_fails() {
+    for (stands_at, fails) in [(0.0, true), (45.0, false)] {
+        let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+        choreography.acts[0].wait = Wait::Operator;
+        let participant =
+            |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+        let participants = vec![participant("r0"), participant("r1")];
+        let mission = Mission::new(Arc::new(choreography), participants, MissionOptions::default(), at(0));
+        let mut played = Played::linked(mission.unwrap(), &[0, 1]);
+        let block = played.mission.robots[1].block.as_mut().unwrap();
+        block.devices[0].interpolation = urrcp::Interpolation::Linear;
+        played.positions = [("a".parse().unwrap(), 45.0)].into();
+        played.run_until(at(1_000));
+        assert_eq!(played.mission.phase, Phase::Performing, "at {stands_at}");
+        let reason = "closed".to_owned();
+        played.happens(Event::LinkDown { robot: 1, loss: Loss::Closed, reason });
+        played.positions = [("a".parse().unwrap(), stands_at)].into();
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(2_000));
+        played.happens(Event::Go { act: None, by: None });
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::NotStarted, fails, "at {stands_at}: {outcome:?}");
+        assert_eq!(played.mission.robots[1].touched.is_empty(), fails, "at {stands_at}");
     }
 }
 
@@ -566,7 +632,7 @@ fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
     };
     let position = urrcp::ControlType::Position;
     for (linear, after, control_type, expected) in [
-        (true, 0, position, Some((45.0, 2.0))),
+        (true, 0, position, Some(2.0)),
         (false, 0, position, None),
         (true, 1, position, None),
         (true, 0, urrcp::ControlType::Speed, None),
@@ -577,6 +643,7 @@ fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
         }
         first(&mut mission, after, control_type);
         let told = mission.expected_position(0, &"a".parse().unwrap());
+        let expected = expected.map(|within| Expected { position: 45.0, within });
         assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}");
     }
 }

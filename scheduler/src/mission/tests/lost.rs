@@ -1,9 +1,12 @@
 //! Robots whose link breaks, or that say nothing, while they play.
 
+use urrcp::{ControlType, Millis, Script, Setpoint, Step};
+
 use super::played::Played;
 use super::*;
 use crate::mission::bench::{RUNNING, ms};
 use crate::mission::failure_kind::FailureKind;
+use crate::report::{Report, StopState};
 
 fn breaks() -> Event {
     Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() }
@@ -56,6 +59,140 @@ fn a_robot_that_is_heard_again_is_waited_for_no_more() {
     assert_eq!(played.mission.give_up, None);
     assert_eq!(played.run_to_the_end(), Outcome::Done);
     assert_eq!(played.mission.robots[0].totals.reconnects, 1);
+}
+
+/// A mission that stops because another process answers in place of its robot, which still plays.
+fn replaced(patience: Span) -> Played {
+    let mut played = broken();
+    played.mission.options.patience = patience;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + ms(20));
+    let robot = &played.mission.robots[0];
+    assert!(matches!(robot.stop, Stop::Confirmed(_)) && !robot.is_settled());
+    played
+}
+
+fn is_confirmed(played: &Played) -> bool {
+    confirmations(played) > 0
+}
+
+#[test]
+fn a_stop_that_another_process_has_confirmed_counts_once_the_lease_of_the_first_one_has_ended() {
+    let mut played = replaced(RUNNING * 3);
+    played.run_until(played.now + RUNNING - ms(40));
+    assert!(played.mission.outcome().is_none() && !is_confirmed(&played));
+    played.run_until(played.now + ms(60));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::Failed));
+    assert!(is_confirmed(&played));
+}
+
+fn confirmations(played: &Played) -> usize {
+    played.recorded.iter().filter(|record| matches!(record, Record::StopConfirmed { .. })).count()
+}
+
+#[test]
+fn a_stop_that_another_process_confirms_before_it_is_known_that_it_is_another_one_counts_as_late() {
+    let mut played = broken();
+    played.mission.options.patience = RUNNING * 3;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + RUNNING - ms(40));
+    assert!(matches!(played.mission.robots[0].stop, Stop::Confirmed(_)));
+    assert_eq!((played.mission.outcome(), confirmations(&played)), (None, 0));
+    played.run_until(played.now + ms(60));
+    assert_eq!((played.mission.outcome(), confirmations(&played)), (Some(&Outcome::Stopped), 1));
+}
+
+#[test]
+fn a_process_that_answers_again_after_another_one_has_confirmed_its_stop_is_stopped() {
+    let mut played = replaced(RUNNING * 3);
+    assert_eq!(played.stops(), 1);
+    played.happens(breaks());
+    assert!(played.mission.robots[0].lost().unwrap().connecting);
+    played.happens(Event::LinkUp { robot: 0 });
+    assert_eq!(played.stops(), 2);
+}
+
+/// Time from the start of this script of 10 s until a process that still runs it comes to rest; `None` for never.
+fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
+    let script = &mut choreography.acts[0].plan.robots[0].scripts[0];
+    script.stop_condition.running = lease.map(Millis::from_span);
+    let step = |offset, setpoint| Step { offset: Millis::from_span(offset), setpoint, stop_condition: None };
+    let first = Setpoint::new(last.control_type, 1.0);
+    script.script = Script::new(vec![step(Span::ZERO, first), step(ms(10_000), last)]).unwrap();
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let id = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&id);
+    let (start, now) = (played.mission.acts[0].timing().unwrap().start, played.now);
+    played.mission.inquire_now(now, 0);
+    let actions = played.mission.advance(now);
+    played.carry_out(actions);
+    played.run_until(now + ms(1));
+    played.mission.robots[0].elsewhere.expect("another process may run it").map(|until| until - start)
+}
+
+#[test]
+fn another_process_moves_a_robot_until_its_lease_or_its_last_step_and_drives_it_until_its_lease() {
+    let position = Setpoint::new(ControlType::Position, 5.0);
+    let (driven, halted) = (Setpoint::new(ControlType::Speed, 5.0), Setpoint::new(ControlType::Speed, 0.0));
+    let (short, long) = (Some(ms(2_000)), Some(ms(60_000)));
+    for (lease, last, from, to) in [
+        (short, position.clone(), 2_000, 2_100),
+        (long, position.clone(), 10_000, 10_100),
+        (None, position, 10_000, 10_100),
+        (None, halted, 10_000, 10_100),
+        (long, driven.clone(), 60_000, 60_100),
+    ] {
+        let rests = rests_elsewhere(lease, last.clone()).expect("it comes to rest");
+        assert!(ms(from) <= rests && rests <= ms(to), "{lease:?} {last:?}: {rests}");
+    }
+    assert_eq!(rests_elsewhere(None, driven), None);
+}
+
+#[test]
+fn the_longest_lease_of_the_scripts_that_are_lost_counts() {
+    let elsewhere = |leases: &[Option<i64>]| {
+        let mut mission = begins_at_once(Everything);
+        leases.iter().for_each(|lease| mission.robots[0].runs_elsewhere(lease.map(at)));
+        mission.robots[0].elsewhere
+    };
+    assert_eq!(elsewhere(&[]), None);
+    assert_eq!(elsewhere(&[Some(3), Some(5), Some(4)]), Some(Some(at(5))));
+    assert_eq!(elsewhere(&[Some(3), None, Some(4)]), Some(None), "one runs without a lease");
+}
+
+#[test]
+fn a_robot_in_the_process_of_the_mission_is_moved_by_no_other_process() {
+    let mut played = broken();
+    played.mission.robots[0].in_process = true;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + ms(20));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::Failed));
+    assert!(is_confirmed(&played));
+}
+
+#[test]
+fn a_stop_that_another_process_has_confirmed_is_unconfirmed_while_a_lease_may_run() {
+    let mut played = replaced(RUNNING / 2);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    let report = Report::of(&played.mission).unwrap();
+    let stop = &report.robots[0].stop;
+    let StopState::Unconfirmed { lease_ends: Some(ends) } = stop else { panic!("{stop:?}") };
+    assert!(*ends > played.now - ms(60_000) && !is_confirmed(&played));
 }
 
 #[test]

@@ -2,10 +2,14 @@
 
 use std::collections::HashMap;
 
-use urrcp::{AvailabilityResponse, Command, ControlRequest, Inquiry, InquiryResponse, RequestState};
+use urrcp::{
+    AvailabilityResponse, Command, ControlRequest, DeviceReport, Inquiry, InquiryResponse, RequestReport,
+    RequestState,
+};
 
 use super::*;
-use crate::mission::bench::{ms, report, response};
+use crate::journal::Kept;
+use crate::mission::bench::{ms, refusal, report, response};
 
 /// From a message to its answer.
 const ROUND_TRIP: Span = Span::from_micros(400);
@@ -18,9 +22,13 @@ pub(super) struct Played {
     pub(super) now: Timestamp<Server>,
     records: u64,
     scripts: HashMap<RequestId, Held>,
+    /// Scripts that have ended before their last step, with the reason and the number of steps done.
+    ended: HashMap<RequestId, (ErrorCode, u32)>,
     arrivals: Vec<(Timestamp<Server>, Event)>,
     /// Robots whose messages are lost both ways from now on.
     pub(super) mute: Vec<usize>,
+    /// The positions that the robots state for their devices.
+    pub(super) positions: HashMap<DeviceId, f64>,
     pub(super) told: Vec<Progress>,
     pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
     pub(super) recorded: Vec<Record>,
@@ -45,8 +53,26 @@ impl Played {
     pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
         let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
         let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
-        let (scripts, mute) = (HashMap::new(), Vec::new());
-        Self { mission, now: at(0), records: 0, scripts, arrivals, mute, told, sent, recorded }
+        let (scripts, ended, mute) = (HashMap::new(), HashMap::new(), Vec::new());
+        let (now, positions) = (at(0), HashMap::new());
+        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
+    }
+
+    /// The process has died, and another one resumes the mission at this instant and is about to connect. Robots have continued,
+    /// and their reports in between are lost.
+    pub(super) fn resumed_at(&self, now: Timestamp<Server>, kept: &Kept, ended: Vec<ActReport>) -> Self {
+        let participant = |robot: &RobotState| Participant::new(robot.id.clone(), robot.block.clone());
+        let participants = self.mission.robots.iter().map(participant).collect();
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let choreography = Arc::clone(&self.mission.choreography);
+        let mission =
+            Mission::resume(choreography, participants, options, kept, ended.into_iter(), now).unwrap();
+        let all: Vec<usize> = (0..mission.robots.len()).collect();
+        let arrivals = all.into_iter().map(|robot| (now, Event::LinkUp { robot })).collect();
+        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
+        let (scripts, ended, mute) = (self.scripts.clone(), self.ended.clone(), Vec::new());
+        let positions = self.positions.clone();
+        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
     }
 
     pub(super) fn run_until(&mut self, until: Timestamp<Server>) {
@@ -127,17 +153,30 @@ impl Played {
     fn inquired(&self, inquiry: &Inquiry) -> InquiryResponse {
         let when = self.now + ROUND_TRIP / 2;
         let requests = inquiry.requests.iter().map(|id| {
+            if let Some((code, steps_done)) = self.ended.get(id) {
+                let ended = report(id, RequestState::Ended, None);
+                let steps_done = Some(*steps_done);
+                return RequestReport { steps_done, error: refusal(code.clone()), ..ended };
+            }
             let state = match self.scripts.get(id) {
                 None => RequestState::Unknown,
                 Some((.., start, _)) if when < *start => RequestState::Held,
                 Some((.., end)) if when < *end => RequestState::Running,
                 Some(_) => RequestState::Ended,
             };
-            report(id, state, None)
+            let begun = matches!(state, RequestState::Running | RequestState::Ended);
+            let start = self.scripts.get(id).filter(|_| begun).map(|(.., start, _)| by_robot(*start));
+            RequestReport { event_timestamp: start, ..report(id, state, None) }
         });
         let requests = requests.collect();
+        let stated = |device: &DeviceId| {
+            let position = self.positions.get(device).copied();
+            DeviceReport { device_id: device.clone(), room: 2, position }
+        };
+        let devices = inquiry.devices.iter().map(stated).collect();
         InquiryResponse {
             requests,
+            devices,
             ..InquiryResponse::new(inquiry, by_robot(when), by_robot(when), Status::Ok)
         }
     }
@@ -148,7 +187,13 @@ impl Played {
         let there = self.now + ROUND_TRIP / 2;
         let Command::Script(script) = &request.command else { return says(Status::Failed, there) };
         let Some((sent, offset)) = request.timestamp.zip(request.time_offset_to_start) else {
-            self.scripts.retain(|_, (of, on, ..)| (*of, &*on) != (robot, device));
+            let now = self.now;
+            let cancelled =
+                self.scripts.extract_if(|_, (of, on, _, end)| (*of, &*on) == (robot, device) && *end > now);
+            // Scripts have a step at their start and one at their end.
+            let steps = |start: Timestamp<Server>| u32::from(start <= now);
+            let ended = cancelled.map(|(id, (.., start, _))| (id, (ErrorCode::Cancelled, steps(start))));
+            self.ended.extend(ended);
             let own = |message: &Message| matches!(message, Message::ControlResponse(said) if said.device_id == *device);
             self.arrivals.retain(|(_, event)| !matches!(event, Event::Received { robot: of, message } if *of == robot && own(message)));
             return says(Status::Ok, there);
@@ -166,6 +211,42 @@ impl Played {
 
     fn says(&mut self, at: Timestamp<Server>, robot: usize, message: Message) {
         self.arrivals.push((at, Event::Received { robot, message }));
+    }
+
+    /// A pending lease ends: the robot does not begin the script.
+    pub(super) fn drops(&mut self, id: &RequestId) {
+        self.loses(id);
+        self.ended.insert(id.clone(), (ErrorCode::LinkLost, 0));
+    }
+
+    /// The process of the robot is replaced by one that does not know the script.
+    pub(super) fn loses(&mut self, id: &RequestId) {
+        self.scripts.remove(id);
+        let of_it = |message: &Message| matches!(message, Message::ControlResponse(said) if said.request_id.as_ref() == Some(id));
+        self.arrivals
+            .retain(|(_, event)| !matches!(event, Event::Received { message, .. } if of_it(message)));
+    }
+
+    /// Delays the link of a robot.
+    pub(super) fn delay_link(&mut self, robot: usize, by: Span) {
+        for (at, event) in &mut self.arrivals {
+            if matches!(event, Event::LinkUp { robot: of } if *of == robot) {
+                *at = *at + by;
+            }
+        }
+    }
+
+    /// Ends all scripts of all robots now, after `steps_done` steps.
+    pub(super) fn ends_early(&mut self, steps_done: u32) {
+        self.ended.extend(self.scripts.drain().map(|(id, _)| (id, (ErrorCode::LinkLost, steps_done))));
+    }
+
+    /// The number of stops that were sent, one for each device.
+    pub(super) fn stops(&self) -> usize {
+        let stops = self.sent.iter().filter(|(.., message)| {
+            matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_none())
+        });
+        stops.count()
     }
 
     pub(super) fn mutes(&mut self, robot: usize) {

@@ -82,7 +82,7 @@ fn a_robot_is_stopped_otherwise_only_if_it_was_stopped_in_another_way() {
     let mut mission = sent();
     let otherwise =
         |mission: &Mission| [Rest::InPlace, Rest::Home].map(|rest| mission.robots[0].stops_otherwise(rest));
-    assert_eq!(otherwise(&mission), [false, false], "no stop was sent");
+    assert_eq!(otherwise(&mission), [false, true], "a robot that came to rest earlier still goes home");
     mission.stop_robot(at(1), 0, Rest::Home);
     assert_eq!(otherwise(&mission), [true, false]);
     mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
@@ -202,12 +202,14 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
                 robots: [("r0".parse().unwrap(), crate::journal::LeftOn { leases, ..left.clone() })].into(),
                 own_ids: [("r0".parse().unwrap(), "UR5-1".parse().unwrap())].into(),
                 renewed_until: until,
+                ..Default::default()
             };
             let participants =
                 vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
             let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+            let ending = (Outcome::Stopped, "why".to_owned());
             let mut mission =
-                Mission::withdraw("s".to_owned(), participants, options, &left, Rest::Home, at(0));
+                Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::Home, at(0));
             assert_eq!(mission.robots[0].own_id.as_str(), "UR5-1");
             assert_eq!(mission.robots[0].left, expected);
             let stops = stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 }));

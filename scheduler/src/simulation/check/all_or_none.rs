@@ -242,7 +242,7 @@ fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestam
 fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let first = |script: &SentScript<'_>| {
         let entry = script.log.first()?;
-        Some(Timestamp::<Server>::from_nanos(entry.true_ns) - script.first_offset())
+        Some(Timestamp::<Server>::from_nanos(entry.true_ns) - script.starts_after)
     };
     let began = act.of(robot).filter_map(first).min()?;
     let stood_still = |cause: Cause| matches!(cause, Cause::SchedulerCrash | Cause::SchedulerPause);

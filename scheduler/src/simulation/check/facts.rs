@@ -63,6 +63,8 @@ pub(super) struct SentScript<'a> {
     pub(super) promised: &'a PromisedScript,
     /// `None` where the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
+    /// Time from its start to its first movement: zero if its device moves linearly to the first value.
+    pub(super) starts_after: Span,
     /// What its robot logged of it, in order.
     pub(super) log: Vec<&'a LogEntry>,
 }
@@ -138,10 +140,15 @@ impl<'a> Facts<'a> {
         let same = |written: &&DeviceScript| {
             written.device == promised.device && written.start.get() == promised.start.get()
         };
+        let robot = self.index_of(&promised.robot)?;
+        let written = scripts.iter().find(same);
+        let device = self.drawn().robots[robot].block.device(promised.device.as_str());
+        let interpolation = device.map(|device| device.interpolation).unwrap_or_default();
         Some(SentScript {
-            robot: self.index_of(&promised.robot)?,
+            robot,
             promised,
-            written: scripts.iter().find(same),
+            written,
+            starts_after: written.map_or(Span::ZERO, |written| written.script.until_started(interpolation)),
             log: logs.get(promised.request_id.as_str()).cloned().unwrap_or_default(),
         })
     }
@@ -369,11 +376,5 @@ impl<'a> SentScript<'a> {
     /// It moved its device.
     pub(super) fn began(&self) -> bool {
         !self.log.is_empty()
-    }
-
-    /// From its start to its first step.
-    pub(super) fn first_offset(&self) -> Span {
-        let first = self.written.and_then(|written| written.script.steps().first());
-        first.map_or(Span::ZERO, |step| step.offset.span())
     }
 }

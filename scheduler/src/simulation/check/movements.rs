@@ -1,13 +1,14 @@
 //! (m) Every movement has one reason: an unaltered step of a script, coming to rest from such a step, or a stop with `home`.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::{FailurePolicy, OnFailure};
-use urrcp::{ControlType, DeviceId, Message, Robot, Server, Span, Timestamp};
+use urrcp::{ControlType, DeviceId, Interpolation, Message, Robot, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::facts::{Facts, SentScript};
+use crate::simulation::draw::{BEGINS_AT, Hands};
 use crate::simulation::{Fault, Happened};
 
 /// The largest relative difference, by rounding, between two computations of the same value.
@@ -41,7 +42,66 @@ impl Way {
     }
 }
 
+/// Distance from the first value above which a device jumps to it: twice its granularity.
+const JUMP: f64 = 2.0;
+
+/// The devices that would have to jump at the start of an act if their robot has not moved before. Includes only devices that
+/// move linearly, are not behind an edge, and have a position that the robot states.
+pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: usize) -> Vec<DeviceId> {
+    let (choreography, drawn) = (&facts.drawn().choreography, &facts.drawn().robots[robot]);
+    let states_positions = drawn.block.inquiry && drawn.hands == Hands::Own;
+    let act = choreography.acts.get(act).filter(|_| states_positions).into_iter();
+    let planned = act.flat_map(|act| &act.plan.robots).filter(|planned| planned.robot == drawn.block.id);
+    let mut devices = Vec::new();
+    let mut jumping = Vec::new();
+    for script in planned.flat_map(|planned| &planned.scripts) {
+        if devices.contains(&script.device) {
+            continue;
+        }
+        devices.push(script.device.clone());
+        let device = drawn.block.device(script.device.as_str());
+        let linear = device.is_some_and(|device| {
+            device.interpolation == Interpolation::Linear && device.default_value.is_some()
+        });
+        let at_once = script.script.steps().first().filter(|step| step.offset.span() == Span::ZERO);
+        if linear && at_once.is_some_and(|step| (step.setpoint.value - BEGINS_AT).abs() > JUMP) {
+            jumping.push(script.device.clone());
+        }
+    }
+    jumping
+}
+
+/// Index, in the choreography, of the first act in which a robot moved.
+fn first_act_of(facts: &Facts<'_>, robot: usize) -> Option<usize> {
+    let moved = |script: &SentScript<'_>| script.robot == robot && !script.log.is_empty();
+    facts.acts.iter().find(|act| act.scripts.iter().any(moved)).map(|act| act.promise.act)
+}
+
+/// Checks that no robot that states its positions jumps at the start of a mission or when it joins one.
+fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
+        let act = if facts.drawn().joins(robot) { first_act_of(facts, robot) } else { Some(0) };
+        let Some(act) = act else { continue };
+        let jumping = jumps_of(facts, robot, act);
+        // If a robot is absent at first, its first process starts when it arrives.
+        let comes_later = facts.drawn().robots[robot].there_from > Span::ZERO;
+        let began_anew = begins(facts, robot).nth(usize::from(comes_later)).map(Timestamp::as_nanos);
+        let mut moved = HashSet::new();
+        for entry in &facts.ran.logs[robot] {
+            if began_anew.is_some_and(|at| at <= entry.true_ns) {
+                break;
+            }
+            let is_first = moved.insert(&entry.device);
+            if is_first && jumping.contains(&entry.device) && entry.motion == "set" {
+                let what = format!("r{robot} jumped from {BEGINS_AT} to its first value: {entry:?}");
+                verdict.violated('m', what);
+            }
+        }
+    }
+}
+
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    no_jumps(facts, verdict);
     let scripts: HashMap<&str, &SentScript<'_>> = facts
         .acts
         .iter()

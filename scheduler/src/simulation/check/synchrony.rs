@@ -85,8 +85,8 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
 
 /// True start minus plan; `None` where it did not start.
 fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
-    let first = script.steps().find(|entry| entry.step == Some(0))?;
-    let planned = act.start_of(script) + script.first_offset();
+    let first = script.log.first()?;
+    let planned = act.start_of(script) + script.starts_after;
     Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
 }
 
@@ -98,7 +98,7 @@ fn excuse(
     script: &SentScript<'_>,
     told: Option<&RobotSkew>,
 ) -> Option<Cause> {
-    let due = act.start_of(script) + script.first_offset();
+    let due = act.start_of(script) + script.starts_after;
     let own = facts.hits.iter().filter(|hit| hit.is_of(script.robot));
     let hidden = facts.drawn().delay.1 * 2 + facts.drawn().robots[script.robot].slow;
     let excuses = own.filter(|hit| match hit.cause {

@@ -1,11 +1,13 @@
 //! What is played: acts with chains of scripts, what they wait for, and what a failure does.
 
+use std::collections::HashSet;
+
 use downbeat_scripts::{
     Act, Choreography, DeviceScript, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedReading, Requirements,
     RobotPlan, SensorRange, Wait, Way,
 };
 use fastrand::Rng;
-use urrcp::{ControlType, Device, Millis, Script, Setpoint, Span, Step, StopCondition};
+use urrcp::{ControlType, Device, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
 
 use super::fleet::{DrawnRobot, Show};
 use super::{millis, one_in};
@@ -49,6 +51,32 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
     let acts = plans.into_iter().enumerate().map(|(index, plan)| draw_act(rng, robots, plan, index, count));
     Choreography { scenario: "soak".to_owned(), acts: acts.collect(), requirements: Requirements::default() }
 }
+
+/// Changes the first act so that devices that move linearly begin it at the initial position of simulated robots.
+pub(super) fn begin_where_devices_are(choreography: &mut Choreography, robots: &[DrawnRobot]) {
+    let Some(act) = choreography.acts.first_mut() else { return };
+    for planned in &mut act.plan.robots {
+        let Some(robot) = robots.iter().find(|robot| robot.block.id == planned.robot) else { continue };
+        let mut known = HashSet::new();
+        for script in &mut planned.scripts {
+            let device = robot.block.device(script.device.as_str());
+            let linear = device.is_some_and(|device| device.interpolation == Interpolation::Linear);
+            if !known.insert(script.device.clone()) || !linear {
+                continue;
+            }
+            let mut steps = script.script.steps().to_vec();
+            if let Some(first) = steps.first_mut() {
+                first.setpoint.value = BEGINS_AT;
+            }
+            if let Ok(begins_there) = Script::new(steps) {
+                script.script = begins_there;
+            }
+        }
+    }
+}
+
+/// The initial position of the devices of simulated robots.
+pub(crate) const BEGINS_AT: f64 = 0.0;
 
 fn draw_act(rng: &mut Rng, robots: &[DrawnRobot], plan: Plan, index: usize, count: usize) -> Act {
     let duration = plan.duration();

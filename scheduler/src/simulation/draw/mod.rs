@@ -12,7 +12,7 @@ use urrcp::Span;
 
 use crate::mission::Join;
 
-pub(crate) use choreography::BRIGHT;
+pub(crate) use choreography::{BEGINS_AT, BRIGHT};
 pub use faults::Fault;
 pub(crate) use fleet::stranger;
 pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
@@ -52,7 +52,15 @@ impl Drawn {
         self.disk.capacity = None;
         self
     }
+
+    /// Whether a robot is absent at first and may join later.
+    pub(crate) fn joins(&self, robot: usize) -> bool {
+        self.join == Join::NextAct && self.robots[robot].there_from > Span::ZERO
+    }
 }
+
+/// In one of this many missions, devices may begin at a position other than that of the first act.
+const MISPLACED_ONE_IN: u64 = 40;
 
 fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
     Span::from_micros(rng.i64(least * 1_000..=largest * 1_000))
@@ -81,7 +89,10 @@ pub fn draw(seed: u64) -> Drawn {
         // Not all of them, or no robot could begin.
         robots[count - 1].there_from = millis(rng, 500, 6_000);
     }
-    let choreography = choreography::draw_choreography(rng, &robots, show);
+    let mut choreography = choreography::draw_choreography(rng, &robots, show);
+    if !seed.is_multiple_of(MISPLACED_ONE_IN) {
+        choreography::begin_where_devices_are(&mut choreography, &robots);
+    }
     let comes_after = draw_what_comes(rng, &choreography);
     let disk = network::draw_disk(rng);
     let drawn = Drawn {

@@ -1,7 +1,7 @@
 //! The scheduler's process in a simulated world: the loop of every mission meets what goes wrong here. Its journal is the real
 //! one, on a disk that is slow, runs full, and loses power.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
@@ -9,8 +9,10 @@ use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 use super::{BEGIN, Due, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all};
-use crate::mission::{Event, Greeting, Mission, Progress, Promise, Record, Rest};
+use crate::journal::{
+    Asked, Fate, Journal, Kept, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all, ended_acts,
+};
+use crate::mission::{Event, Greeting, Mission, Outcome, Progress, Promise, Record, Rest};
 use crate::simulation::{Drawn, Fault, Happened};
 
 /// Whether the process is there.
@@ -71,7 +73,7 @@ enum DiskState {
 }
 
 fn opened(robot: RobotId) -> OpenedRobot {
-    OpenedRobot { robot, own_id: None, address: "soak".to_owned(), init: None }
+    OpenedRobot { robot, own_id: None, address: "soak".to_owned(), init: None, limits: BTreeMap::new() }
 }
 
 impl Scheduler {
@@ -87,6 +89,7 @@ impl Scheduler {
             folder: None,
             project: None,
             asked: Asked::default(),
+            plan_hash: None,
             greeting: Greeting::Full,
             clock_offset: Span::ZERO,
             keys: OpenedKeys::default(),
@@ -248,19 +251,27 @@ impl World {
         side.ahead = side.clock_of_machine;
         side.paused_until = self.now;
         let now = self.now + side.ahead;
+        let bytes = self.scheduler.journal.as_mut().and_then(|journal| journal.bytes().ok());
+        let bytes = bytes.unwrap_or_default();
         let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
         let (participants, options) = (participants(&self.drawn), options(&self.drawn));
         let choreography = self.drawn.choreography.clone();
         let goes_on = |kept: &&Kept| intention == Intention::Resume && kept.fate() == Fate::Resume;
         let resumed = kept.filter(goes_on).and_then(|kept| {
-            Mission::resume(choreography, participants.clone(), options.clone(), kept, now).ok()
+            let (participants, ended) = (participants.clone(), ended_acts(&bytes));
+            Mission::resume(choreography, participants, options.clone(), kept, ended, now).ok()
         });
         let left = kept.map(Kept::left).unwrap_or_default();
         let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
         self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
+        let ending = match (intention, kept.map(|kept| (kept, kept.fate()))) {
+            (Intention::Resume, Some((kept, Fate::Withdraw(why)))) => kept.ending(why),
+            _ => (Outcome::Stopped, Outcome::Stopped.to_string()),
+        };
         self.note(Happened::TakenUp(how));
         resumed.unwrap_or_else(|| {
-            Mission::withdraw("soak".to_owned(), participants, options, &left, Rest::InPlace, now)
+            let name = "soak".to_owned();
+            Mission::withdraw(name, participants, options, &left, ending, Rest::InPlace, now)
         })
     }
 

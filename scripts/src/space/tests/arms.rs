@@ -277,7 +277,7 @@ fn path((body, ways): &(Body, Vec<Vec<(f64, f64)>>)) -> Path {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(ProptestConfig::with_cases(16))]
 
     /// Looking every millisecond finds nothing closer, whatever the depth of the trees.
     #[test]

@@ -225,7 +225,7 @@ fn fleet() -> Fleet {
 }
 
 pub(super) fn scenarios() -> u32 {
-    std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(500)
+    std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(150)
 }
 
 /// What has been compared.

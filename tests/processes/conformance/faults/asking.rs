@@ -43,11 +43,21 @@ pub fn of_inquiries() -> Vec<Mutant> {
         }),
         mutant("the planned start is told a second late", &["inquiry-held"], |_, passing| {
             edit_told(passing, "held", |report| {
-                let start: urrcp::Timestamp<urrcp::Robot> =
-                    serde_json::from_value(report["start_timestamp"].clone()).unwrap();
-                report["start_timestamp"] = json!(start + urrcp::Span::from_millis(1_000));
+                shift(&mut report["start_timestamp"], 1_000);
             })
         }),
+        Mutant {
+            robot: Robot::Rover,
+            ..mutant(
+                "a script that waits for its first value is reported as started",
+                &["inquiry-running"],
+                |_, passing| {
+                    edit_told(passing, "running", |report| {
+                        report["event_timestamp"] = report["start_timestamp"].clone();
+                    })
+                },
+            )
+        },
         mutant("steps are told when all are done", &["inquiry-running"], |_, passing| {
             edit_told(passing, "running", |report| report["steps_done"] = json!(0))
         }),
@@ -61,6 +71,15 @@ pub fn of_inquiries() -> Vec<Mutant> {
             edit_answer(passing, |answer| {
                 for device in answer.get_mut("devices").and_then(Value::as_array_mut).into_iter().flatten() {
                     device["room"] = json!(2);
+                }
+            })
+        }),
+        mutant("the position is not the one commanded last", &["inquiry-position"], |_, passing| {
+            edit_answer(passing, |answer| {
+                for device in answer.get_mut("devices").and_then(Value::as_array_mut).into_iter().flatten() {
+                    if let Some(position) = device.get_mut("position") {
+                        *position = json!(position.as_f64().unwrap_or_default() + 7.0);
+                    }
                 }
             })
         }),

@@ -192,6 +192,22 @@ fn passed_by(request: &Value) -> Option<urrcp::Span> {
     Some(now - start).filter(|passed| *passed > urrcp::Span::ZERO)
 }
 
+/// Shifts by milliseconds the reported starts of scripts whose first value is due 300 ms later.
+fn start_of_later_scripts(memory: &mut Memory, passing: &mut Passing, by: i64) -> Then {
+    if let Some(request) = passing.request() {
+        if steps_of(request).next().is_some_and(|step| offset(step) == 300.0) {
+            memory.order.extend(request["request_id"].as_str().map(str::to_owned));
+        }
+        return Then::Pass;
+    }
+    edit_response(passing, |response| {
+        let later = memory.order.iter().any(|id| response["request_id"] == id.as_str());
+        if later && response["status"] == "Started" {
+            shift(&mut response["event_timestamp"], by);
+        }
+    })
+}
+
 pub fn of_times() -> Vec<Mutant> {
     fn shifted(passing: &mut Passing, by: f64) -> Then {
         edit(passing, |request| {
@@ -206,13 +222,28 @@ pub fn of_times() -> Vec<Mutant> {
         }),
         mutant("starts come 200 ms early", &["deferred-start"], |_, passing| shifted(passing, -200.0)),
         // Without the time of the start neither it nor the script's length can be judged.
-        mutant("starts are told without their time", &["deferred-start", "script-timing"], |_, passing| {
-            edit_response(passing, |response| {
-                if response["status"] == "Started" {
-                    remove(response, "event_timestamp");
-                }
-            })
+        mutant(
+            "starts are reported without their time",
+            &["deferred-start", "script-start", "script-timing"],
+            |_, passing| {
+                edit_response(passing, |response| {
+                    if response["status"] == "Started" {
+                        remove(response, "event_timestamp");
+                    }
+                })
+            },
+        ),
+        mutant("a linear movement to the first value is no start", &["script-start"], |memory, passing| {
+            start_of_later_scripts(memory, passing, 300)
         }),
+        Mutant {
+            robot: Robot::Rover,
+            ..mutant(
+                "a script is reported as started before its first value",
+                &["script-start"],
+                |memory, passing| start_of_later_scripts(memory, passing, -300),
+            )
+        },
         mutant("at once means in half a second", &["immediate-start"], |_, passing| {
             edit(passing, |request| {
                 if request.get("time_offset_to_start").is_none() && !is_cancel(request) {

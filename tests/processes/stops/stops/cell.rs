@@ -26,7 +26,7 @@ const FIRST_BYTE_MAX: Duration = Duration::from_millis(500);
 const GIVEN_UP: Duration = Duration::from_secs(1);
 /// The time after which the test no longer waits for the end of a process, or for the rest of a robot.
 const ENDS_WITHIN: Duration = Duration::from_secs(20);
-/// The time during which a robot at rest may not move again. Its steps are 20 ms apart.
+/// The time during which a robot at rest must not move again. The steps of its script are 50 ms apart.
 const STAYS_AT_REST: Duration = Duration::from_millis(300);
 /// A robot whose last value is this old at the stop was at rest before.
 const RESTED_BEFORE_NS: i64 = 1_000_000_000;

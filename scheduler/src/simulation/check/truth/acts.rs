@@ -1,7 +1,7 @@
 //! What a report says of acts and scripts.
 
 use downbeat_robot::set_log::LogEntry;
-use urrcp::{Span, Timestamp};
+use urrcp::Span;
 
 use super::{GRAIN, Said};
 use crate::mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, Record};
@@ -110,7 +110,7 @@ impl Said<'_> {
         for device in &said.devices {
             let same = |script: &&SentScript<'_>| {
                 script.promised.device == device.device
-                    && Some(act.start_as_told(script)) == device.planned_start
+                    && Some(act.start_as_told(script) + script.starts_after) == device.planned_start
             };
             match act.of(robot).find(same) {
                 Some(script) => self.script(act, script, device, wrong),
@@ -169,11 +169,8 @@ impl Said<'_> {
 /// A start is what the robot logged, by its own clock.
 fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) -> Option<String> {
     let started = said.started_at?;
-    let Some(first) = script.log.first().filter(|_| script.first_offset() == Span::ZERO) else {
-        return script
-            .log
-            .is_empty()
-            .then(|| format!("said to have started at {started}, and it did not move"));
+    let Some(first) = script.log.first() else {
+        return Some(format!("said to have started at {started}, and it did not move"));
     };
     if (first.set_at - started).abs() > GRAIN {
         return Some(format!("said to have started at {started}, it did at {}", first.set_at));
@@ -185,8 +182,8 @@ fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) 
 
 /// Actual minus planned start, by the robot's own clock.
 pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
-    let planned: Timestamp<urrcp::Robot> = (act.start_as_told(script) + script.promised.shift).assume_clock();
-    first.set_at - planned
+    let planned = act.start_as_told(script) + script.starts_after + script.promised.shift;
+    first.set_at - planned.assume_clock()
 }
 
 /// The first script of every device: those start together.

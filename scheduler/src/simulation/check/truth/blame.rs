@@ -5,6 +5,8 @@ use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;
 use crate::mission::{FailureKind, Progress};
+use crate::simulation::check::movements::jumps_of;
+use crate::simulation::draw::BEGINS_AT;
 use crate::simulation::{Happened, Network};
 
 impl Said<'_> {
@@ -23,7 +25,7 @@ impl Said<'_> {
         }
         for row in self.report.robots.iter().filter(|row| row.standing == "out") {
             let failed = self.report.failures.iter().any(|failure| failure.robot == row.robot);
-            if !failed && !self.resumed {
+            if !failed {
                 wrong.push(format!("{} is out, and the report does not say why", row.robot));
             }
         }
@@ -42,7 +44,7 @@ impl Said<'_> {
             let measured =
                 matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
-            if self.had_no_time(robot, &failure.kind) {
+            if self.had_no_time(robot, &failure.kind) || self.would_jump(robot, &failure.kind) {
                 continue;
             }
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
@@ -51,6 +53,17 @@ impl Said<'_> {
             }
         }
     }
+
+    /// Whether the robot states its positions, and a device is not at its first position in the first act, or in another act at
+    /// which the robot may join.
+    fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
+        let FailureKind::Position { device, reading, .. } = kind else { return false };
+        let drawn = self.facts.drawn();
+        let acts = if drawn.joins(robot) { drawn.choreography.acts.len() } else { 1 };
+        let jumps = |act: usize| jumps_of(self.facts, robot, act).contains(device);
+        *reading == BEGINS_AT && (0..acts).any(jumps)
+    }
+
     /// A script came late for which its device has room for a shorter time than an exchange may take on this link: the few of the
     /// greeting did not show that.
     fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {

@@ -1,0 +1,82 @@
+//! `--approach`: where the robots are, and the act that moves them to their first positions.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use downbeat_scripts::{Approach, Choreography, Fleet};
+use urrcp::{DeviceId, RobotId, Span};
+
+use super::{Place, Work, finish, parse_span};
+use crate::cli::metrics::MetricsArgs;
+use crate::cli::traces::TracesArgs;
+use crate::cli::{Exit, choice, console};
+use crate::fleet;
+use crate::mission::{Check, Failure, FailureKind, Greeting, Verdict};
+use crate::report::Outcome;
+
+/// How long an approach may take.
+pub(super) fn parse(text: &str) -> Result<Span, String> {
+    let over = parse_span(text)?;
+    let fits = over >= Span::from_millis(100) && over <= Span::from_millis(600_000);
+    if fits { Ok(over) } else { Err("expected 100ms to 600s".to_owned()) }
+}
+
+impl Work<'_> {
+    /// The choreography with an act ahead that moves all devices to their first positions, and that act's index.
+    pub(super) async fn approached(
+        &mut self,
+        over: Span,
+        choreography: Choreography,
+        first_act: usize,
+        fleet: &Fleet,
+        fleet_path: &Path,
+    ) -> Result<(Choreography, usize), Exit> {
+        let from = self.positions(choreography.clone(), first_act, fleet, fleet_path).await?;
+        let approach = self.asked.approach.insert(Approach { over, from });
+        choice::approached(choreography, first_act, fleet, approach)
+    }
+
+    /// Asks the robots for the positions of their devices. Nothing moves.
+    async fn positions(
+        &self,
+        choreography: Choreography,
+        first_act: usize,
+        fleet: &Fleet,
+        fleet_path: &Path,
+    ) -> Result<BTreeMap<RobotId, BTreeMap<DeviceId, f64>>, Exit> {
+        if fleet::greeting(fleet) == Greeting::Skip {
+            console::error(
+                "--approach asks robots for the positions of their devices when they are greeted, and this fleet file says `handshake: skip`; expected `handshake: full`",
+            );
+            return Err(Exit::Usage);
+        }
+        let asking = Work {
+            metrics: MetricsArgs::default(),
+            traces: TracesArgs::default(),
+            verify_motion: false,
+            approach: None,
+            record: None,
+            journal: false,
+            preflight_only: true,
+            place: Place::Asking,
+            ..self.clone()
+        };
+        let played = asking.play(choreography, first_act, fleet, fleet_path).await;
+        let report = played.map_err(|(message, exit)| {
+            console::error(&message);
+            exit
+        })?;
+        let is_position = |failure: &Failure| matches!(failure.kind, FailureKind::Position { .. });
+        if !report.failures.iter().all(is_position) || report.outcome == Outcome::Stopped {
+            return Err(finish(&report, self.format));
+        }
+        let rows: Vec<_> = report.preflight.into_iter().flat_map(|preflight| preflight.rows).collect();
+        for row in &rows {
+            let unknown = row.checks.iter().find(|(check, _)| *check == Check::Position);
+            if let Some((_, Verdict::Warning(unknown))) = unknown {
+                console::warn(&format!("{}: {unknown}", row.robot));
+            }
+        }
+        Ok(rows.into_iter().map(|row| (row.robot, row.positions)).collect())
+    }
+}

@@ -1,0 +1,346 @@
+//! The state of a mission according to its journal.
+
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Deserialize;
+use serde_json::Value;
+use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
+
+use super::read::{Torn, begins_with, sound, whole_length};
+use super::{Opened, OpenedRobot};
+use crate::mission::{
+    ActFate, ActFlaws, ActOver, Failure, OutOfTolerance, Outcome, Promise, Rest, StepsLate,
+};
+
+/// The state of a mission according to its journal.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    /// Its first line.
+    pub opened: Opened,
+    /// When the first line was written.
+    pub opened_at: Timestamp<Server>,
+    /// Acts that were promised and have not ended, in order, each with its progress.
+    pub promises: Vec<(Promise, Progressed)>,
+    /// Number of acts that have ended, without attempts that were repeated.
+    pub ended_acts: u32,
+    /// The fates of the acts that are over, in order.
+    pub course: Vec<ActOver>,
+    /// The flaws of the acts that ended, which rule out the outcome `done`.
+    pub flaws: Vec<ActFlaws>,
+    /// The failures of robots, in order.
+    pub failures: Vec<Failure>,
+    /// Robots that were left out.
+    pub dropped: Vec<RobotId>,
+    /// Robots that do not know requests by their names.
+    pub unnamed: Vec<RobotId>,
+    /// The latest stop that was being sent; `None` also after the stop of an attempt that was repeated.
+    pub stopping: Option<Stopping>,
+    /// When the first stop after the latest promise was sent; `None` if none was. No lease has been renewed since then.
+    pub stopping_since: Option<Timestamp<Server>>,
+    /// Robots that have confirmed their stop.
+    pub stopped: Vec<RobotId>,
+    /// The outcome as in the report; `None` if the mission was cut off.
+    pub outcome: Option<Value>,
+    /// The rest of the journal from the first line that is not whole, if any.
+    pub torn: Option<Torn>,
+    /// Every robot that was ever sent anything, with its devices.
+    pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
+    /// The offset that was last added to timestamps for a robot's clock.
+    shifts: BTreeMap<RobotId, Span>,
+    /// Bytes of its whole lines at the beginning.
+    whole: usize,
+}
+
+/// A stop that was being sent.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct Stopping {
+    /// The outcome that the mission was going to have.
+    pub outcome: Outcome,
+    /// How the stop brings robots to rest.
+    #[serde(default)]
+    pub rest: Rest,
+}
+
+/// What a mission left on its robots, which another process withdraws.
+#[derive(Clone, Debug, Default)]
+pub struct Left {
+    /// The robots that were sent anything.
+    pub robots: BTreeMap<RobotId, LeftOn>,
+    /// The ids by which robots call themselves, if these differ from their ids in the fleet file.
+    pub own_ids: BTreeMap<RobotId, RobotId>,
+    /// No lease was renewed after this instant; `None` if leases may have been renewed until now.
+    pub renewed_until: Option<Timestamp<Server>>,
+    /// Whether robots may have moved.
+    pub moved: bool,
+    /// The failures of robots.
+    pub failures: Vec<Failure>,
+}
+
+/// What a mission left on a robot.
+#[derive(Clone, Debug, Default)]
+pub struct LeftOn {
+    /// The devices that were sent anything.
+    pub devices: BTreeSet<DeviceId>,
+    /// The offset that was added to timestamps for its clock.
+    pub shift: Span,
+    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
+    pub leases: Vec<Option<Millis>>,
+}
+
+/// The progress of an act that was promised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progressed {
+    /// Its requests were sent, or were about to be.
+    Prepared,
+    /// All robots had accepted.
+    Decided,
+    /// Leases were carried over its start, or were about to be.
+    Committed,
+}
+
+/// The fields that are read of most lines. The reports of acts, which fill most of a long journal, are skipped.
+#[derive(Deserialize)]
+struct Head {
+    at: Option<Timestamp<Server>>,
+    record: String,
+    number: Option<u32>,
+    robot: Option<RobotId>,
+    #[serde(default)]
+    unnamed: Vec<RobotId>,
+    report: Option<Numbered>,
+    outcome: Option<Value>,
+    #[serde(default)]
+    rest: Rest,
+    #[serde(default)]
+    unaccounted: Vec<RobotId>,
+    out_of_tolerance: Option<OutOfTolerance>,
+    steps_late: Option<StepsLate>,
+    #[serde(default)]
+    again: bool,
+}
+
+#[derive(Deserialize)]
+struct Numbered {
+    number: u32,
+}
+
+/// The fields of a promise that a stop needs.
+#[derive(Deserialize)]
+struct Touching<'a> {
+    number: u32,
+    #[serde(borrow)]
+    scripts: Vec<Touched<'a>>,
+}
+
+#[derive(Deserialize)]
+struct Touched<'a> {
+    #[serde(borrow)]
+    robot: Cow<'a, str>,
+    #[serde(borrow)]
+    device: Cow<'a, str>,
+    #[serde(rename = "shift_ms")]
+    shift: Span,
+}
+
+/// What `resume` does with a mission that was cut off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// It plays the mission to its end, because the promised acts were decided.
+    Resume,
+    /// It withdraws the promised acts, for this reason.
+    Withdraw(&'static str),
+}
+
+impl Kept {
+    /// Reads the state from the bytes of a journal; `None` if the first line is not whole.
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        let (believed, rest) = bytes.split_at(whole_length(bytes));
+        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(sound);
+        let first: Value = serde_json::from_slice(lines.next()?).ok()?;
+        let opened = Opened::deserialize(&first).ok()?;
+        let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
+        let mut count = 1;
+        kept.whole = believed.len();
+        let mut under_way = Vec::new();
+        for json in lines {
+            kept.take(json, &mut under_way);
+            count += 1;
+        }
+        let promise = |(_, json, progressed)| Some((serde_json::from_slice(json).ok()?, progressed));
+        kept.promises = under_way.into_iter().filter_map(promise).collect();
+        if !rest.is_empty() {
+            let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
+            // Of the records after the damage, only this is used: these robots may hold scripts.
+            let promises = after.iter().filter_map(|json| serde_json::from_slice::<Touching<'_>>(json).ok());
+            promises.for_each(|promise| kept.touch(&promise));
+            kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
+        }
+        Some(kept)
+    }
+
+    /// The state after the first line of the journal.
+    fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
+        Self {
+            opened,
+            opened_at,
+            promises: Vec::new(),
+            ended_acts: 0,
+            course: Vec::new(),
+            flaws: Vec::new(),
+            failures: Vec::new(),
+            dropped: Vec::new(),
+            unnamed: Vec::new(),
+            stopping: None,
+            stopping_since: None,
+            stopped: Vec::new(),
+            outcome: None,
+            torn: None,
+            touched: BTreeMap::new(),
+            shifts: BTreeMap::new(),
+            whole: 0,
+        }
+    }
+
+    /// Bytes of its whole lines at the beginning.
+    pub(crate) const fn whole(&self) -> usize {
+        self.whole
+    }
+
+    /// What `resume` does with the mission, if it was cut off here.
+    #[must_use]
+    pub fn fate(&self) -> Fate {
+        if self.stopping.is_some() {
+            return Fate::Withdraw("it was being stopped");
+        }
+        if self.torn.is_some_and(|torn| torn.whole_after > 0) {
+            return Fate::Withdraw("its journal is damaged");
+        }
+        if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
+            return Fate::Withdraw("an act was sent and not decided");
+        }
+        match self.promises.is_empty() {
+            true => Fate::Withdraw("no act was under way"),
+            false => Fate::Resume,
+        }
+    }
+
+    /// The outcome that the mission gets if `resume` withdraws it, and its reason for people: the outcome of the stop that was
+    /// being sent, otherwise a failure. `why` is the reason of [`Fate::Withdraw`].
+    #[must_use]
+    pub fn ending(&self, why: &str) -> (Outcome, String) {
+        let outcome = self.stopping.as_ref().map_or(Outcome::Failed, |stopping| stopping.outcome.clone());
+        let reason = match outcome {
+            Outcome::Stopped => outcome.to_string(),
+            _ => format!("the process of the mission died: {why}"),
+        };
+        (outcome, reason)
+    }
+
+    /// Whether robots may have moved. Only an act whose commitment is on the disk can start, but damage may hide a commitment.
+    fn may_have_moved(&self) -> bool {
+        let in_act =
+            |over: &ActOver| matches!(over.fate, ActFate::Played | ActFate::Stopped | ActFate::Unknown);
+        self.course.iter().any(in_act)
+            || self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Committed)
+            || self.torn.is_some_and(|torn| torn.whole_after > 0)
+    }
+
+    /// What the mission left on its robots.
+    #[must_use]
+    pub fn left(&self) -> Left {
+        let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
+        let own_ids = self.opened.robots.iter().filter_map(own_id).collect();
+        let mut left = Left {
+            own_ids,
+            renewed_until: self.stopping_since,
+            moved: self.may_have_moved(),
+            failures: self.failures.clone(),
+            ..Left::default()
+        };
+        for (robot, devices) in &self.touched {
+            let shift = self.shifts.get(robot).copied().unwrap_or_default();
+            let on = LeftOn { devices: devices.clone(), shift, leases: Vec::new() };
+            left.robots.insert(robot.clone(), on);
+        }
+        for script in self.promises.iter().flat_map(|(promise, _)| &promise.scripts) {
+            if let Some(on) = left.robots.get_mut(&script.robot) {
+                on.leases.push(script.running);
+            }
+        }
+        left
+    }
+
+    fn touch(&mut self, promise: &Touching<'_>) {
+        for script in &promise.scripts {
+            let (Ok(robot), Ok(device)) = (script.robot.parse::<RobotId>(), script.device.parse()) else {
+                continue;
+            };
+            self.shifts.insert(robot.clone(), script.shift);
+            self.touched.entry(robot).or_default().insert(device);
+        }
+    }
+
+    /// Takes a line. A promise is parsed in full only later, if its act has not ended.
+    fn take<'a>(&mut self, json: &'a [u8], under_way: &mut Vec<UnderWay<'a>>) {
+        if is_promise(json) {
+            let Ok(promise) = serde_json::from_slice::<Touching<'_>>(json) else { return };
+            self.touch(&promise);
+            self.stopping_since = None;
+            return under_way.push((promise.number, json, Progressed::Prepared));
+        }
+        let Ok(head) = serde_json::from_slice::<Head>(json) else { return };
+        let mut came_to = |reached| {
+            let of_number = under_way.iter_mut().find(|(number, ..)| Some(*number) == head.number);
+            of_number.into_iter().for_each(|(.., progressed)| *progressed = reached);
+        };
+        match head.record.as_str() {
+            "decided" => {
+                came_to(Progressed::Decided);
+                self.unnamed.extend(head.unnamed);
+            }
+            "committed" => came_to(Progressed::Committed),
+            // Its robots drop it. If another act continues to play, this act is prepared again after that one has ended.
+            "lapsing" => came_to(Progressed::Prepared),
+            "act_ended" => {
+                let ended = head.report.map(|report| report.number);
+                under_way.retain(|(number, ..)| Some(*number) != ended);
+                if head.again {
+                    // All robots have confirmed the stop of this attempt, and the mission continues.
+                    (self.stopping, self.stopping_since) = (None, None);
+                    return;
+                }
+                self.ended_acts += 1;
+                self.course.extend(serde_json::from_slice::<ActOver>(json));
+                let Head { unaccounted, out_of_tolerance, steps_late, .. } = head;
+                let flaws = ActFlaws { unaccounted, out_of_tolerance, steps_late };
+                self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
+            }
+            "act_skipped" => self.course.extend(serde_json::from_slice::<ActOver>(json)),
+            // Failures that only a later version knows are ignored.
+            "failed" => self.failures.extend(serde_json::from_slice::<Failure>(json)),
+            "dropped" => {
+                // An earlier confirmation belongs to an earlier stop.
+                self.stopped.retain(|robot| head.robot.as_ref() != Some(robot));
+                self.dropped.extend(head.robot);
+            }
+            "stopping" => {
+                // An outcome that only a later version knows is read as a failure.
+                let unknown = Stopping { outcome: Outcome::Failed, rest: head.rest };
+                self.stopping = Some(serde_json::from_slice(json).unwrap_or(unknown));
+                self.stopping_since = self.stopping_since.or(head.at);
+            }
+            "stop_confirmed" => self.stopped.extend(head.robot),
+            "ended" => self.outcome = head.outcome.or(Some(Value::Null)),
+            _ => {}
+        }
+    }
+}
+
+/// A promise that has not ended: its number, its line, and how far it came.
+type UnderWay<'a> = (u32, &'a [u8], Progressed);
+
+/// Whether a line is a promise.
+fn is_promise(json: &[u8]) -> bool {
+    begins_with(json, br#","record":"prepared","#)
+}

@@ -1,0 +1,268 @@
+//! Start poses: the positions of devices before the first act that their robot plays, and the positions that the first steps
+//! of that act expect.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::{DeviceScript, DeviceUse, RobotPlan};
+use urrcp::{
+    ControlType, DeviceId, DeviceReport, InitializationBlock, Inquiry, Interpolation, Message, Server, Span,
+    Timestamp,
+};
+
+use super::act::Act;
+use super::failure_kind::FailureKind;
+use super::robot_state::{Reading, RobotState};
+use super::{Greeting, Mission, Phase, lead};
+
+/// The position that the first step of a device expects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Expected {
+    pub(super) position: f64,
+    /// Largest permitted distance from `position`.
+    pub(super) within: f64,
+}
+
+/// Maximum number of sensors per robot that are read only for display.
+const SHOWN_MAX: usize = 64;
+
+/// Maximum number of devices in one inquiry, so that small robots can accept it.
+const NAMES_MAX: usize = 100;
+
+/// The time that a robot has to state positions before an act, in addition to three round trips. After that, they are unknown.
+const STATED_WITHIN: Span = Span::from_millis(200);
+
+impl RobotState {
+    /// Twice the error of a position: the one that the device declares, or its granularity if that is larger.
+    fn error_of(&self, device: &DeviceId) -> Option<f64> {
+        let described = self.block.as_ref()?.device(device.as_str())?;
+        let limits = described.available_control_types.limits(ControlType::Position)?;
+        Some(2.0 * limits.granularity.max(limits.max_error.unwrap_or(0.0)))
+    }
+
+    /// Whether the robot has answered all questions for readings and positions of its devices.
+    pub(super) fn has_shown_its_pose(&self) -> bool {
+        self.reads.is_empty() && self.positions_owed == 0
+    }
+
+    /// The known positions of devices: the reading of the sensor, or else the commanded position.
+    pub(super) fn known_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
+        let is_read = |device: &DeviceId| self.positions.iter().any(|(read, _)| read == device);
+        let commanded = self.commanded.iter().filter(move |(device, _)| !is_read(device));
+        let read = self.positions.iter().map(|(device, reading)| (device, *reading));
+        read.chain(commanded.map(|(device, position)| (device, *position)))
+    }
+
+    /// Discards the known positions of its devices.
+    pub(super) fn forget_positions(&mut self) {
+        self.positions.clear();
+        self.commanded.clear();
+    }
+}
+
+impl Mission {
+    /// Asks for the positions of devices before the first act: the readings of their sensors, and the commanded positions.
+    pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+        let mut devices = self.devices_of_first_act(robot);
+        let state = &self.robots[robot];
+        let Some(block) = &state.block else { return };
+        devices.retain(|id| {
+            let device = block.device(id.as_str());
+            device.is_some_and(|device| device.available_control_types.sensor().is_some())
+        });
+        let shown =
+            if self.options.preflight_only { others_that_read(state, block, &devices) } else { Vec::new() };
+        for device in devices {
+            self.read(now, robot, device.clone(), Reading::Position(device));
+        }
+        for device in shown {
+            self.read(now, robot, device.clone(), Reading::Shown(device));
+        }
+    }
+
+    /// Asks a robot for the commanded positions of its devices.
+    pub(super) fn ask_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        if self.options.greeting == Greeting::Skip || !state.takes_inquiries() || state.is_of_another() {
+            return;
+        }
+        self.ask_positions_of(now, robot, &self.devices_of_first_act(robot));
+    }
+
+    fn ask_positions_of(&mut self, now: Timestamp<Server>, robot: usize, devices: &[DeviceId]) {
+        let parts: Vec<_> = devices.chunks(NAMES_MAX).map(<[DeviceId]>::to_vec).collect();
+        self.robots[robot].positions_owed = parts.len();
+        if parts.is_empty() {
+            return;
+        }
+        self.robots[robot].exchanges.asked(now, parts.len());
+        let session = self.options.session_on_the_wire();
+        for devices in parts {
+            let inquiry =
+                Inquiry { timestamp: Some(now), session: session.clone(), devices, ..Inquiry::default() };
+            self.post(now, robot, Message::Inquiry(inquiry));
+        }
+    }
+
+    /// Handles the answer to an inquiry, which may state positions. Availability is checked separately.
+    pub(super) fn positions_stated(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        devices: &[DeviceReport],
+    ) {
+        let state = &mut self.robots[robot];
+        state.positions_owed = state.positions_owed.saturating_sub(1);
+        let stated = devices.iter().filter_map(|device| Some((device.device_id.clone(), device.position?)));
+        state.commanded.extend(stated);
+        match self.phase {
+            Phase::Greeting { .. } => self.greeting_progress(now),
+            _ => self.acts.iter_mut().for_each(|act| act.look_again_at(None)),
+        }
+    }
+
+    /// Asks members of an act for the positions of their devices if the greeting has not checked them. Returns the time by which
+    /// answers are due, if answers are still expected.
+    pub(super) fn await_positions(
+        &mut self,
+        now: Timestamp<Server>,
+        index: usize,
+    ) -> Option<Timestamp<Server>> {
+        let number = self.acts[index].number();
+        let mut due = None;
+        for robot in self.unplaced(&self.acts[index]) {
+            let asked = self.robots[robot].positions_asked.filter(|(act, _)| *act == number);
+            let at = asked.map_or(now, |(_, at)| at);
+            if asked.is_none() {
+                let member = self.acts[index].member(robot);
+                let devices = member.into_iter().flat_map(|member| member.firsts());
+                let devices: Vec<_> = devices.map(|script| script.plan.device.clone()).collect();
+                self.robots[robot].forget_positions();
+                self.robots[robot].positions_asked = Some((number, now));
+                self.ask_positions_of(now, robot, &devices);
+            }
+            let until = at + lead::counted(self.robots[robot].round_trip()) * 3 + STATED_WITHIN;
+            if self.robots[robot].positions_owed > 0 && now < until {
+                due = due.max(Some(until));
+            }
+        }
+        due
+    }
+
+    /// Members that were asked and would have to jump at their first step. Unknown positions do not count.
+    pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
+        let act = &self.acts[index];
+        let jump = |robot: usize, script: &DeviceScript| {
+            let reading = *self.robots[robot].commanded.get(&script.device)?;
+            let id = &self.robots[robot].id;
+            let is_used = |used: &&DeviceUse| used.robot == *id && used.device == script.device;
+            let speed = || act.written().devices.iter().find(is_used)?.speed_max;
+            let expected = self.expected_of(robot, script, speed)?;
+            let device = script.device.clone();
+            let kind = FailureKind::Position { device, reading, expected: expected.position };
+            ((reading - expected.position).abs() > expected.within).then_some((robot, kind))
+        };
+        let members = self.unplaced(act).into_iter().filter_map(|robot| act.member(robot));
+        let firsts = members.flat_map(|member| member.firsts().map(|script| (member.robot, &script.plan)));
+        firsts.filter_map(|(robot, script)| jump(robot, script)).collect()
+    }
+
+    /// Members of an act whose positions the greeting has not checked: robots that joined late and, in the first act, robots on
+    /// a new link. They have not been sent anything that moves a device. With `handshake: skip`, there are none.
+    fn unplaced(&self, act: &Act) -> Vec<usize> {
+        let counts = |robot: &usize| {
+            let robot = &self.robots[*robot];
+            let is_unplaced = robot.unplaced && (robot.joined_late || act.number() == 0);
+            is_unplaced && robot.touched.is_empty() && robot.takes_inquiries()
+        };
+        let asks = self.options.greeting == Greeting::Full;
+        act.present().filter(|_| asks).map(|member| member.robot).filter(counts).collect()
+    }
+
+    /// Devices that would have to jump at their first step.
+    pub(super) fn misplaced(&self, index: usize) -> Vec<FailureKind> {
+        let failure = |(device, reading): (&DeviceId, f64)| {
+            let expected = self.expected_position(index, device)?;
+            let jumps = (reading - expected.position).abs() > expected.within;
+            let kind =
+                || FailureKind::Position { device: device.clone(), reading, expected: expected.position };
+            jumps.then(kind)
+        };
+        self.robots[index].known_positions().filter_map(failure).collect()
+    }
+
+    /// Devices that may have to jump, because their positions are unknown.
+    pub(super) fn unknown_positions(&self, index: usize) -> Vec<DeviceId> {
+        let robot = &self.robots[index];
+        let is_known = |device: &DeviceId| robot.known_positions().any(|(known, _)| known == device);
+        let devices = self.devices_of_first_act(index).into_iter();
+        devices.filter(|id| !is_known(id) && self.expected_position(index, id).is_some()).collect()
+    }
+
+    /// Where an act ahead has to begin: where the last command has left a device, unless its sensor shows that it is elsewhere.
+    pub(super) fn positions_to_leave(&self, index: usize) -> BTreeMap<DeviceId, f64> {
+        let robot = &self.robots[index];
+        let mut positions = robot.commanded.clone();
+        for (device, reading) in &robot.positions {
+            let error = robot.error_of(device).unwrap_or_default();
+            if positions.get(device).is_none_or(|commanded| (commanded - reading).abs() > error) {
+                positions.insert(device.clone(), *reading);
+            }
+        }
+        positions
+    }
+
+    /// The devices of a robot that the first act drives.
+    fn devices_of_first_act(&self, robot: usize) -> Vec<DeviceId> {
+        let scripts = self.first_plan(robot).into_iter().flat_map(|planned| &planned.scripts);
+        let mut devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
+        devices.dedup();
+        devices
+    }
+
+    /// The plan of a robot in the first act.
+    fn first_plan(&self, robot: usize) -> Option<&RobotPlan> {
+        let place = self.first_robots.iter().position(|index| *index == Some(robot))?;
+        self.choreography.acts[self.options.first_act].plan.robots.get(place)
+    }
+
+    /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may
+    /// be anywhere: a lamp, or a device that has the time to get there from any position.
+    ///
+    /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
+    /// before its first step.
+    pub(super) fn expected_position(&self, index: usize, device: &DeviceId) -> Option<Expected> {
+        let script = self.first_plan(index)?.scripts.iter().find(|script| script.device == *device)?;
+        self.expected_of(index, script, || self.first_speeds.get(&(index, device.clone())).copied())
+    }
+
+    /// The same for the first script of a device in an act, in which the device has this largest speed.
+    fn expected_of(
+        &self,
+        index: usize,
+        script: &DeviceScript,
+        speed: impl FnOnce() -> Option<f64>,
+    ) -> Option<Expected> {
+        let (robot, device) = (&self.robots[index], &script.device);
+        let step = script.script.steps().first()?;
+        if step.setpoint.control_type != ControlType::Position {
+            return None;
+        }
+        let block = robot.block.as_ref()?.device(device.as_str())?;
+        let error = robot.error_of(device)?;
+        let way = match block.interpolation {
+            Interpolation::Linear if step.offset.span() == Span::ZERO => 0.0,
+            Interpolation::Linear => speed()? * step.offset.get() / 1_000.0,
+            Interpolation::Hold => speed().map(|_| 0.0)?,
+        };
+        Some(Expected { position: step.setpoint.value, within: error + way })
+    }
+}
+
+/// Devices with sensors whose readings are only shown.
+fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
+    let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
+    let others = sensors.map(|device| &device.id).filter(|id| {
+        !read.contains(id) && !robot.settings.require.iter().any(|required| required.sensor == **id)
+    });
+    others.take(SHOWN_MAX).cloned().collect()
+}

@@ -1,0 +1,281 @@
+//! Devices that would have to jump: from cue to cue, and on each way that leads into an act.
+
+use std::collections::HashMap;
+
+use urrcp::{ControlType, Device, Interpolation, RobotId, Span};
+
+use super::acts::Ways;
+use super::cast::Cast;
+use super::segment::{Segment, Steps};
+use super::together::{Together, Told};
+use crate::duration::seconds;
+use crate::fields::Reader;
+use crate::finding::Code;
+use crate::motion::Value;
+use crate::plan::Way;
+use crate::scenario::{Act, Items};
+
+/// The position of a device when a cue begins.
+pub(super) struct Position {
+    pub(super) value: f64,
+    /// Time from which the device is there.
+    pub(super) since: Span,
+    pub(super) whence: String,
+    /// Whether a movement has left it there. Otherwise, only its description states the position.
+    pub(super) is_sure: bool,
+}
+
+/// A device that moves.
+pub(super) struct Mover<'a> {
+    pub(super) robot: &'a RobotId,
+    pub(super) device: &'a Device,
+    /// Its largest speed, driven by position.
+    pub(super) speed: Option<f64>,
+}
+
+/// The first segment of a device in an act.
+pub(super) struct First {
+    pub(super) robot: usize,
+    /// Index of the device among those of the robot.
+    pub(super) index: usize,
+    pub(super) segment: Segment,
+}
+
+impl Mover<'_> {
+    /// Checks the beginning of a movement against the position of the device.
+    pub(super) fn arrives(&self, together: &mut Together, segment: &Segment, from: &Position) {
+        let Steps::One(values) = &segment.part.steps else { return };
+        let Some(first) = values.first() else { return };
+        // A segment that overlaps the previous one is reported already.
+        if segment.start() < from.since {
+            return;
+        }
+        let way = (first.to - from.value).abs();
+        match segment.part.moves_from_anywhere {
+            true => self.check_way_there(together, segment, from, first),
+            false if way > segment.part.tolerance.max(1e-9) => self.jump(together, segment, from, first),
+            false => {}
+        }
+    }
+
+    /// `elbow` of `left`, as a name in a list.
+    fn who(&self) -> String {
+        format!("{}` of `{}", self.device.id, self.robot)
+    }
+
+    /// A jump of a device with a limited speed is an error, but a warning if only the description of the device states its
+    /// position, as at the beginning of the mission.
+    fn code_of(&self, from: &Position) -> Code {
+        match from.is_sure && self.speed.is_some() {
+            true => Code::TooFast,
+            false => Code::Jump,
+        }
+    }
+
+    fn jump(&self, together: &mut Together, segment: &Segment, position: &Position, first: &Value) {
+        let at = segment.begin + first.at;
+        let (device, robot, to, from) = (&self.device.id, self.robot, first.to, position.value);
+        let whence = &position.whence;
+        let needed = self.speed.map(|speed| seconds((to - from).abs() / speed));
+        let items = match self.device.interpolation {
+            Interpolation::Linear => segment.part.items,
+            Interpolation::Hold => Items::Whole,
+        };
+        let hint = match (items, needed) {
+            (Items::Keyframes, Some(needed)) => {
+                format!("put the first keyframe at {needed} or later: it is reached by moving there")
+            }
+            (Items::Keyframes, None) => {
+                "a first keyframe later than 0s is reached by moving there".to_owned()
+            }
+            (_, Some(needed)) => format!("let a cue before it move there, which takes {needed} or more"),
+            (_, None) => "let a cue before it move there".to_owned(),
+        };
+        let expected = match items {
+            Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
+            _ => format!("a movement that begins at {from}"),
+        };
+        together.add(Told {
+            code: self.code_of(position),
+            cause: format!("{:?}\n{from} {to} {whence}", segment.part.place),
+            size: (to - from).abs(),
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}"),
+            expected,
+            hint: Some(hint),
+        });
+    }
+
+    /// Checks the way from the position of the device to a first keyframe later than 0s.
+    fn check_way_there(
+        &self,
+        together: &mut Together,
+        segment: &Segment,
+        position: &Position,
+        first: &Value,
+    ) {
+        let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
+        let needed = (first.to - from).abs() / length;
+        let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
+        together.add(Told {
+            code: self.code_of(position),
+            cause: format!("{:?}\n{from} {} way", segment.part.place, first.to),
+            size: needed,
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!(
+                "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
+                self.device.id, self.robot, first.at, first.to
+            ),
+            expected: format!("at most {speed}"),
+            hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
+        });
+    }
+}
+
+/// A way from one act to another.
+struct Passage {
+    to: usize,
+    by: By,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum By {
+    /// The act has ended.
+    Next,
+    /// The wait of the act timed out, and the act moved nothing.
+    Timeout,
+    /// The act failed, and all devices went to their default state.
+    Home,
+}
+
+/// All ways for which something is known about the positions of devices.
+pub(super) struct Passages(Vec<Vec<Passage>>);
+
+impl Passages {
+    pub(super) fn of(ways: &[Ways]) -> Self {
+        let of = |ways: &Ways| {
+            let home = ways.on_failure.then.filter(|_| ways.on_failure.sends_home());
+            let to = |way: &Way| if let Way::Act(to) = way { Some(*to) } else { None };
+            let known = [(to(&ways.next), By::Next), (to(&ways.on_timeout), By::Timeout), (home, By::Home)];
+            known.into_iter().filter_map(|(to, by)| Some(Passage { to: to?, by })).collect()
+        };
+        Self(ways.iter().map(of).collect())
+    }
+}
+
+/// Where an act leaves the devices that it moves: `None` for those that it does not leave at a position.
+pub(super) type Moved = HashMap<(usize, usize), Option<f64>>;
+
+/// A possible position of a device when an act begins, and its cause.
+#[derive(Clone, Copy, PartialEq)]
+struct Place {
+    value: f64,
+    left_by: LeftBy,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum LeftBy {
+    /// Nothing has moved it yet.
+    Beginning,
+    Act(usize),
+    /// A failure of this act.
+    Failure(usize),
+}
+
+/// Checks the beginning of each act against each way that leads into it, including ways back from a later act.
+pub(super) fn check_entries(
+    findings: &mut Reader,
+    cast: &Cast<'_>,
+    acts: &[Act],
+    passages: &Passages,
+    (first, moved): (&[Vec<First>], &[Moved]),
+) {
+    let mut together = Together::default();
+    let mut by_device: HashMap<(usize, usize), Vec<(usize, &Segment)>> = HashMap::new();
+    for (act, first) in first.iter().enumerate() {
+        for First { robot, index, segment } in first {
+            by_device.entry((*robot, *index)).or_default().push((act, segment));
+        }
+    }
+    let mut devices: Vec<_> = by_device.into_iter().collect();
+    devices.sort_unstable_by_key(|(device, _)| *device);
+    for ((robot, index), entries) in devices {
+        let device = &cast.devices(robot)[index];
+        let speed = cast.limits(robot, device, ControlType::Position).speed;
+        let mover = Mover { robot: cast.id(robot), device, speed };
+        let is_linear = device.interpolation == Interpolation::Linear;
+        if !is_linear && speed.is_none() {
+            continue;
+        }
+        let places = places(device, passages, moved, (robot, index));
+        for (act, segment) in entries {
+            if segment.part.control_type != ControlType::Position {
+                continue;
+            }
+            for place in &places[act] {
+                let whence = match place.left_by {
+                    LeftBy::Beginning => "where it is when the act begins".to_owned(),
+                    LeftBy::Act(by) => format!("where act `{}` leaves it", acts[by].name),
+                    LeftBy::Failure(of) => {
+                        format!("its default state after a failure of act `{}`", acts[of].name)
+                    }
+                };
+                let is_sure = place.left_by != LeftBy::Beginning;
+                let from = Position { value: place.value, since: Span::ZERO, whence, is_sure };
+                mover.arrives(&mut together, segment, &from);
+            }
+        }
+    }
+    together.tell(findings);
+}
+
+/// The number of positions that are distinguished at the beginning of one act.
+const PLACES_MAX: usize = 16;
+
+/// The possible positions of a device at the beginning of each act.
+fn places(
+    device: &Device,
+    Passages(passages): &Passages,
+    moved: &[Moved],
+    key: (usize, usize),
+) -> Vec<Vec<Place>> {
+    let mut places: Vec<Vec<Place>> = vec![Vec::new(); moved.len()];
+    let default = |left_by| device.default_value.map(|value| Place { value, left_by });
+    if let Some(first) = places.first_mut() {
+        first.extend(default(LeftBy::Beginning));
+    }
+    let mut changed: Vec<usize> = (0..moved.len()).rev().collect();
+    while let Some(act) = changed.pop() {
+        for passage in &passages[act] {
+            let left: Vec<Place> = match (passage.by, moved[act].get(&key)) {
+                (By::Home, _) => default(LeftBy::Failure(act)).into_iter().collect(),
+                (By::Next, Some(left)) => {
+                    left.map(|value| Place { value, left_by: LeftBy::Act(act) }).into_iter().collect()
+                }
+                (By::Next | By::Timeout, _) => places[act].clone(),
+            };
+            for place in left {
+                if add(&mut places[passage.to], place) && !changed.contains(&passage.to) {
+                    changed.push(passage.to);
+                }
+            }
+        }
+    }
+    places
+}
+
+/// Adds a place; `false` if it is known. One finding for each value is enough: the one about a movement, if there is one.
+fn add(places: &mut Vec<Place>, place: Place) -> bool {
+    let Some(known) = places.iter_mut().find(|known| known.value == place.value) else {
+        let has_room = places.len() < PLACES_MAX;
+        places.extend(has_room.then_some(place));
+        return has_room;
+    };
+    let is_surer = known.left_by == LeftBy::Beginning && place.left_by != LeftBy::Beginning;
+    if is_surer {
+        *known = place;
+    }
+    is_surer
+}

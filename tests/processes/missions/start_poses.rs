@@ -1,0 +1,91 @@
+//! Devices that are not where an act expects them: the start is refused, or they move there first.
+
+use stage::{Stage, Via, with_devices};
+
+/// Two robots with a joint that moves linearly, at most 60 degrees per second.
+fn stage() -> Stage {
+    let mut stage = Stage::new();
+    let joint = "  - id: joint
+    name: joint
+    interpolation: linear
+    default_value: 0
+    available_control_types:
+      position: {min_value: -180, max_value: 180, granularity: 0.5}
+      speed: {min_value: -60, max_value: 60, granularity: 1}
+      script: {min_value: -180, max_value: 180, granularity: 0.5, max_number_of_steps: 200}
+";
+    stage.file("arm.yaml", with_devices(joint));
+    for (name, from, to) in [("out", 0, 80), ("back", 0, 40)] {
+        let track = format!("[{{at: 0s, to: {from}}}, {{at: 3s, to: {to}, ease: smooth}}]");
+        let cue = format!("{{at: 0s, robots: all, tracks: {{joint: {track}}}}}");
+        stage
+            .file(&format!("{name}.yaml"), format!("scenario: {name}\nstart_tolerance: 1s\ncues: [{cue}]\n"));
+    }
+    stage.robot("arm.yaml", Via::Direct);
+    stage.robot("arm.yaml", Via::Direct);
+    stage
+}
+
+/// Plays the scenario that leaves both joints at 80 degrees.
+#[track_caller]
+fn left_at_80(stage: &Stage) -> Vec<usize> {
+    let played = stage.run(&["run", "out.yaml"]);
+    assert_eq!(played.code, Some(0), "{played}");
+    let ends_at_80 = |robot: &stage::Robot| robot.log().last().is_some_and(|entry| entry.value == 80.0);
+    stage::quiet::await_that("the last value", || stage.robots.iter().all(ends_at_80));
+    stage.robots.iter().map(|robot| robot.log().len()).collect()
+}
+
+#[test]
+fn a_start_at_which_a_device_would_jump_is_refused_and_moves_nothing() {
+    let stage = stage();
+    let before = left_at_80(&stage);
+    for command in ["preflight", "run"] {
+        let refused = stage.run(&[command, "back.yaml"]);
+        assert_eq!(refused.code, Some(1), "{refused}");
+        let said = format!("{}{}", refused.out, refused.told);
+        assert!(said.contains("`joint` is at 80, its first keyframe expects 0"), "{refused}");
+        assert!(said.contains("--approach"), "{refused}");
+    }
+    for (robot, before) in stage.robots.iter().zip(before) {
+        assert_eq!(robot.log().len(), before, "{} moved", robot.id);
+    }
+}
+
+#[test]
+fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_speed() {
+    let stage = stage();
+    let before = left_at_80(&stage);
+    let too_fast = stage.run(&["run", "back.yaml", "--approach", "1s"]);
+    assert_eq!(too_fast.code, Some(1), "{too_fast}");
+    assert!(too_fast.told.contains("cannot get to their first positions in 1 s"), "{too_fast}");
+    let played = stage.run(&["run", "back.yaml", "--approach", "3s", "--record", "back.mcap"]);
+    assert_eq!(played.code, Some(0), "{played}");
+    let page = stage.run(&["report", "back.mcap", "--html", "back.html", "--scenario", "back.yaml"]);
+    assert_eq!(page.code, Some(0), "the approach is no other scenario: {page}");
+    for (robot, before) in stage.robots.iter().zip(before) {
+        let moved = robot.log_since(before);
+        let sets: Vec<_> = moved.iter().filter(|entry| entry.motion == "set").collect();
+        assert_eq!(sets.first().map(|entry| entry.value), Some(80.0), "{}: {moved:?}", robot.id);
+        assert!(sets.iter().any(|entry| entry.value == 0.0), "{}: {moved:?}", robot.id);
+        assert_eq!(sets.last().map(|entry| entry.value), Some(40.0), "{}: {moved:?}", robot.id);
+        for pair in sets.windows(2) {
+            let seconds = (pair[1].due - pair[0].due) as f64 / 1e9;
+            let way = (pair[1].value - pair[0].value).abs();
+            assert!(way <= 60.0 * seconds + 1.0, "{} jumps: {pair:?}", robot.id);
+        }
+    }
+}
+
+#[test]
+fn a_mission_that_was_killed_while_it_approached_goes_on_after_resume() {
+    let stage = stage();
+    left_at_80(&stage);
+    let mut running = stage.start(&["run", "back.yaml", "--approach", "3s"]);
+    stage::sleep_until(running.start() + 1_000_000_000);
+    running.process.kill();
+    let resumed = stage.run(&["resume"]);
+    assert_eq!(resumed.code, Some(0), "{resumed}");
+    let is_there = |robot: &stage::Robot| robot.log().last().is_some_and(|entry| entry.value == 40.0);
+    stage::quiet::await_that("the last value", || stage.robots.iter().all(is_there));
+}
