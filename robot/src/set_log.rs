@@ -7,22 +7,6 @@ use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
-/// What of it is kept.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Kept {
-    /// Everything.
-    #[default]
-    All,
-    /// The first values of scripts, and the linear movements to them.
-    FirstSteps,
-}
-
-impl Kept {
-    pub(crate) fn keeps(self, set: &SetValue) -> bool {
-        self == Self::All || set.step == Some(0)
-    }
-}
-
 /// One value set.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]

@@ -11,7 +11,7 @@ use urrcp::{
 use crate::device::MotionLimits;
 use crate::hardware::{ReadingId, SILENCE_MAX};
 use crate::robot::{Input, LinkId, Output, Robot};
-use crate::set_log::{Kept, LogEntry};
+use crate::set_log::LogEntry;
 #[cfg(all(test, feature = "host"))]
 use crate::tolerance::Tolerance;
 
@@ -133,7 +133,6 @@ pub struct SimulatedRobot {
     /// A few: only those on which something travels.
     lanes: Vec<(LaneId, Lane)>,
     log: Vec<LogEntry>,
-    kept: Kept,
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
@@ -162,7 +161,6 @@ impl SimulatedRobot {
             in_flight: VecDeque::new(),
             lanes: Vec::new(),
             log: Vec::new(),
-            kept: Kept::default(),
             outputs: Vec::new(),
             gone: false,
             hands: None,
@@ -249,7 +247,6 @@ impl SimulatedRobot {
         let mut robot = Self::new(self.robot.block().clone(), settings);
         robot.ntp_residue = self.ntp_residue;
         robot.rng = self.rng.clone();
-        robot.kept = self.kept;
         robot.bodies.clone_from(&self.bodies);
         for (sensor, reading) in self.robot.readings() {
             robot.robot.set_reading(sensor.clone(), reading);
@@ -267,11 +264,6 @@ impl SimulatedRobot {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
         self.forget_times();
-    }
-
-    /// What of its log is kept from now on.
-    pub fn keep(&mut self, kept: Kept) {
-        self.kept = kept;
     }
 
     /// What was set since the last call.
@@ -456,9 +448,6 @@ impl SimulatedRobot {
                     let mut bodies = self.bodies.iter_mut();
                     if let Some(body) = bodies.find(|body| body.moves.device == set.device) {
                         body.told(now, &set);
-                    }
-                    if !self.kept.keeps(&set) {
-                        continue;
                     }
                     let at = self.robot_from_true(now);
                     self.log.push(LogEntry::new(now.assume_clock(), at, set));

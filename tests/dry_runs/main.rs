@@ -3,6 +3,7 @@
 
 mod certificates;
 mod compare;
+mod drift;
 mod local_times;
 mod page;
 mod picture;

@@ -410,18 +410,6 @@ fn simulated_hardware_that_is_lost_ends_what_runs_and_answers_no_reading_until_i
 }
 
 #[test]
-fn of_a_log_all_is_kept_or_the_first_steps_of_scripts() {
-    for (kept, expected) in [(Kept::All, 3), (Kept::FirstSteps, 1)] {
-        let mut robot = robot(Settings::default());
-        robot.keep(kept);
-        let mut robot = robot.restarted(at(0));
-        robot.receive(at(0), LINK, paper(1_000.0, "a"));
-        run(&mut robot, at(9_000));
-        assert_eq!(robot.take_log().len(), expected);
-    }
-}
-
-#[test]
 fn a_delay_lies_between_its_bounds_and_is_never_negative() {
     for (least, largest, expected) in [(30, 30, 30..=30), (30, 10, 30..=30), (-20, -10, 0..=0), (5, 9, 5..=9)]
     {

@@ -191,7 +191,11 @@ fn not_written(path: &Path, error: &std::io::Error) -> Exit {
 
 /// What one run says of what is required.
 fn figures(choreography: &Choreography, played: &Played) -> Figures {
-    Figures { spread_max: played.report.true_spread, closest: closest_of(choreography), ..Figures::default() }
+    Figures {
+        spread_max: played.report.largest_true_spread(),
+        closest: closest_of(choreography),
+        ..Figures::default()
+    }
 }
 
 /// Plays a whole scenario, for a page.

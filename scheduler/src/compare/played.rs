@@ -58,7 +58,7 @@ pub(super) fn acts(history: &History) -> Vec<PlayedAct<'_>> {
                     name,
                     fate: fate(ended),
                     report: ended.map(|ended| &ended["report"]),
-                    scripts: scripts(record),
+                    scripts: scripts(history, record),
                 });
             }
             Some("act_skipped") => {
@@ -107,12 +107,15 @@ fn fate(record: Option<&Value>) -> String {
     }
 }
 
-fn scripts(record: &Value) -> BTreeMap<(String, String), Vec<SentScript>> {
+fn scripts(history: &History, record: &Value) -> BTreeMap<(String, String), Vec<SentScript>> {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let start: Option<Timestamp<urrcp::Server>> = serde_json::from_value(record["start"].clone()).ok();
+    let translated: Vec<_> = history.of_kind("translated").collect();
     let mut scripts: BTreeMap<_, Vec<SentScript>> = BTreeMap::new();
     for script in record["scripts"].as_array().into_iter().flatten() {
-        let shift = Span::from_millis_f64(script["shift_ms"].as_f64().unwrap_or_default());
+        let translated = translated.iter().rfind(|(_, record)| record["request_id"] == script["request_id"]);
+        let shift = translated.map_or(script, |(_, record)| record)["shift_ms"].as_f64();
+        let shift = Span::from_millis_f64(shift.unwrap_or_default());
         scripts.entry((text(&script["robot"]), text(&script["device"]))).or_default().push(SentScript {
             start: script["start"].as_f64().unwrap_or_default(),
             content_hash: text(&script["content_hash"]),

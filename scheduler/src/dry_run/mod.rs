@@ -182,6 +182,7 @@ impl Rehearsal {
         // A virtual process is not killed.
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();
+        report.true_end_spread = world.true_end_spread();
         let starts = world.take_starts();
         let (logs, cut) = world.end();
         Played { report, logs, starts, cut }

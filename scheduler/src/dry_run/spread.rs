@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use downbeat_robot::set_log::LogEntry;
-use urrcp::{DeviceId, RobotId, Span};
+use urrcp::{DeviceId, Robot, RobotId, Span, Timestamp};
 
 use super::act_of;
 use crate::report::ActReport;
@@ -15,16 +15,34 @@ pub(super) struct TrueSpread {
     /// A map for each robot, by the number of the act and the device.
     firsts: Vec<HashMap<(u32, DeviceId), Starts>>,
     largest: Option<Span>,
+    largest_of_ends: Option<Span>,
     starts: Vec<ActStarts>,
 }
 
-/// The starts of a device's scripts: the instants at which it set their first values or began to move linearly to them.
+/// The scripts of a device, in order.
 #[derive(Clone, Debug, Default)]
 struct Starts {
-    /// The true times, in order.
-    times: Vec<i64>,
+    scripts: Vec<Seen>,
     /// The request of the latest script.
     latest: Option<String>,
+}
+
+/// A script that has begun: it set its first value, or began to move linearly to it.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// When it began, by the true clock.
+    began: i64,
+    /// When it was to begin, by the robot's clock.
+    due: Timestamp<Robot>,
+    /// True time that its latest step came after its start, minus the planned one.
+    gained: Span,
+}
+
+/// The errors of the scripts of an act.
+#[derive(Clone, Debug, Default)]
+struct Errors {
+    starts: Vec<Span>,
+    ends: Vec<Span>,
 }
 
 /// How many scripts of an act really started, counted by the first movements of devices.
@@ -44,11 +62,16 @@ impl TrueSpread {
     pub(super) fn new(ids: Vec<RobotId>) -> Self {
         let firsts = vec![HashMap::new(); ids.len()];
         let index_of = ids.into_iter().enumerate().map(|(index, id)| (id, index)).collect();
-        Self { index_of, firsts, largest: None, starts: Vec::new() }
+        Self { index_of, firsts, largest: None, largest_of_ends: None, starts: Vec::new() }
     }
 
     pub(super) const fn largest(&self) -> Option<Span> {
         self.largest
+    }
+
+    /// Of the last steps of scripts.
+    pub(super) const fn largest_of_ends(&self) -> Option<Span> {
+        self.largest_of_ends
     }
 
     pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
@@ -56,13 +79,17 @@ impl TrueSpread {
     }
 
     pub(super) fn see(&mut self, robot: usize, entry: &LogEntry) {
-        if entry.step != Some(0) {
+        if entry.step.is_none() {
             return;
         }
         if let Some(act) = entry.request_id.as_deref().and_then(act_of) {
             let starts = self.firsts[robot].entry((act, entry.device.clone())).or_default();
-            if starts.latest != entry.request_id {
-                starts.times.push(entry.true_ns);
+            if starts.latest == entry.request_id {
+                if let Some(script) = starts.scripts.last_mut() {
+                    script.gained = Span::from_nanos(entry.true_ns - script.began) - (entry.due - script.due);
+                }
+            } else if entry.step == Some(0) {
+                starts.scripts.push(Seen { began: entry.true_ns, due: entry.due, gained: Span::ZERO });
                 starts.latest.clone_from(&entry.request_id);
             }
         }
@@ -70,8 +97,10 @@ impl TrueSpread {
 
     /// An act has ended: largest minus smallest error of the starts of its scripts.
     pub(super) fn act_ended(&mut self, act: &ActReport) {
-        let spread = self.spread(act);
+        let errors = self.errors(act);
+        let spread = errors.as_ref().and_then(|errors| width(&errors.starts));
         self.largest = self.largest.max(spread);
+        self.largest_of_ends = self.largest_of_ends.max(errors.and_then(|errors| width(&errors.ends)));
         self.starts.push(self.starts_of(act, spread));
         self.firsts.iter_mut().for_each(|firsts| firsts.retain(|(number, _), _| *number > act.number));
     }
@@ -82,26 +111,31 @@ impl TrueSpread {
             let firsts = self.index_of.get(&robot.robot).map(|index| &self.firsts[*index]);
             planned += robot.devices.len();
             let of_act = firsts.into_iter().flatten().filter(|((number, _), _)| *number == act.number);
-            begun += of_act.map(|(_, starts)| starts.times.len()).sum::<usize>().min(robot.devices.len());
+            begun += of_act.map(|(_, starts)| starts.scripts.len()).sum::<usize>().min(robot.devices.len());
         }
         ActStarts { act: act.act.clone(), planned, begun, spread }
     }
 
     /// `None` where a robot that was not left out did not start a script.
-    fn spread(&self, act: &ActReport) -> Option<Span> {
-        let mut errors = Vec::new();
+    fn errors(&self, act: &ActReport) -> Option<Errors> {
+        let mut errors = Errors::default();
         for robot in act.robots.iter().filter(|robot| !robot.left_out) {
             let firsts = &self.firsts[*self.index_of.get(&robot.robot)?];
             // A device's scripts begin in the order of the plan.
             let mut begun: HashMap<&DeviceId, usize> = HashMap::new();
             for device in &robot.devices {
                 let nth = begun.entry(&device.device).or_default();
-                let first = firsts.get(&(act.number, device.device.clone()))?.times.get(*nth)?;
-                let planned = device.planned_start?;
-                errors.push(Span::from_nanos(first - planned.as_nanos()));
+                let script = firsts.get(&(act.number, device.device.clone()))?.scripts.get(*nth)?;
+                let start = Span::from_nanos(script.began - device.planned_start?.as_nanos());
+                errors.starts.push(start);
+                errors.ends.push(start + script.gained);
                 *nth += 1;
             }
         }
-        Some(*errors.iter().max()? - *errors.iter().min()?)
+        Some(errors)
     }
+}
+
+fn width(errors: &[Span]) -> Option<Span> {
+    Some(*errors.iter().max()? - *errors.iter().min()?)
 }

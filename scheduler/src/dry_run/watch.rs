@@ -72,6 +72,7 @@ impl Rehearsal {
         let report = at_once(drive(&mut mission, &mut world));
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();
+        report.true_end_spread = world.true_end_spread();
         let busy = world.settle(lease + acts + AFTERWARDS);
         for (watched, busy) in watcher.0.iter_mut().zip(busy) {
             watched.still_moves = busy && watched.moved();

@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
 
-use downbeat_robot::set_log::{Kept, LogEntry};
+use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Fault, Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId};
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
@@ -79,7 +79,7 @@ pub(super) struct VirtualWorld<'a, A> {
 
 impl<'a, A: Audience> VirtualWorld<'a, A> {
     pub(super) fn new(
-        mut robots: Vec<SimulatedRobot>,
+        robots: Vec<SimulatedRobot>,
         ids: Vec<RobotId>,
         begin: Timestamp<Server>,
         (mut operator, circumstances): (VirtualOperator, Circumstances),
@@ -87,9 +87,6 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         audience: &'a mut A,
     ) -> Self {
         let count = robots.len();
-        if keeps == Logs::Dropped {
-            robots.iter_mut().for_each(|robot| robot.keep(Kept::FirstSteps));
-        }
         let Circumstances { links, incidents, readings, operator: manner } = circumstances;
         let still = readings.iter().map(|(at, ..)| *at).max().unwrap_or(begin);
         operator.behaves(manner, still);
@@ -139,6 +136,10 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
 
     pub(super) const fn true_spread(&self) -> Option<Span> {
         self.spread.largest()
+    }
+
+    pub(super) const fn true_end_spread(&self) -> Option<Span> {
+        self.spread.largest_of_ends()
     }
 
     /// How many scripts of the acts that have ended really began.

@@ -1,11 +1,11 @@
 //! The state of a mission according to its journal.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::read::{Torn, begins_with, sound, whole_length};
 use super::{Opened, OpenedRobot};
@@ -48,6 +48,8 @@ pub struct Kept {
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
     /// The offset that was last added to timestamps for a robot's clock.
     shifts: BTreeMap<RobotId, Span>,
+    /// The offsets of scripts that were not sent with the offset of their promise.
+    translated: HashMap<RequestId, Span>,
     /// Bytes of its whole lines at the beginning.
     whole: usize,
 }
@@ -108,6 +110,9 @@ struct Head {
     robot: Option<RobotId>,
     #[serde(default)]
     unnamed: Vec<RobotId>,
+    request_id: Option<RequestId>,
+    #[serde(rename = "shift_ms")]
+    shift: Option<Span>,
     report: Option<Numbered>,
     outcome: Option<Value>,
     #[serde(default)]
@@ -167,7 +172,7 @@ impl Kept {
             kept.take(json, &mut under_way);
             count += 1;
         }
-        let promise = |(_, json, progressed)| Some((serde_json::from_slice(json).ok()?, progressed));
+        let promise = |(_, json, progressed)| Some((kept.promise(json)?, progressed));
         kept.promises = under_way.into_iter().filter_map(promise).collect();
         if !rest.is_empty() {
             let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
@@ -198,6 +203,7 @@ impl Kept {
             torn: None,
             touched: BTreeMap::new(),
             shifts: BTreeMap::new(),
+            translated: HashMap::new(),
             whole: 0,
         }
     }
@@ -271,6 +277,15 @@ impl Kept {
         left
     }
 
+    /// A promise with the offsets with which its scripts were sent.
+    fn promise(&self, json: &[u8]) -> Option<Promise> {
+        let mut promise: Promise = serde_json::from_slice(json).ok()?;
+        for script in &mut promise.scripts {
+            script.shift = self.translated.get(&script.request_id).copied().unwrap_or(script.shift);
+        }
+        Some(promise)
+    }
+
     fn touch(&mut self, promise: &Touching<'_>) {
         for script in &promise.scripts {
             let (Ok(robot), Ok(device)) = (script.robot.parse::<RobotId>(), script.device.parse()) else {
@@ -330,6 +345,7 @@ impl Kept {
                 self.stopping = Some(serde_json::from_slice(json).unwrap_or(unknown));
                 self.stopping_since = self.stopping_since.or(head.at);
             }
+            "translated" => self.translated.extend(head.request_id.zip(head.shift)),
             "stop_confirmed" => self.stopped.extend(head.robot),
             "ended" => self.outcome = head.outcome.or(Some(Value::Null)),
             _ => {}

@@ -367,7 +367,10 @@ impl Mission {
         let ended = if performs { act.is_over() } else { self.has_ended_before_the_stop(act) };
         match (act.was_sent(), moved) {
             (true, _) if ended && act.is_done_by_one() => ActFate::Played,
-            (true, true) if ended && !deserted && !act.was_cut_short() => ActFate::Unknown,
+            // A script that was never sent did not play: that is known.
+            (true, true) if ended && !deserted && !act.was_cut_short() && act.is_unaccounted() => {
+                ActFate::Unknown
+            }
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,
@@ -396,7 +399,8 @@ impl Mission {
 
     pub(super) fn keep_report(&mut self, act: &Act, report: ActReport) {
         let tolerance = act.written().plan.start_tolerance;
-        let spread = spread(act, act.present()).into_iter().chain(report.off_plan()).max();
+        let spread = spread(act, act.present()).into_iter().chain(report.off_plan());
+        let spread = spread.chain(act.drifted_apart(&self.robots)).max();
         let out_of_tolerance =
             spread.filter(|spread| *spread > tolerance).map(|spread| OutOfTolerance { spread, tolerance });
         let late = report.late_max().filter(|late| *late > tolerance);

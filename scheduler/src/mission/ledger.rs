@@ -5,8 +5,9 @@
 
 use std::collections::HashMap;
 
-use urrcp::DeviceId;
+use urrcp::{DeviceId, Span};
 
+use super::ClockMode;
 use super::act::Act;
 use super::robot_state::RobotState;
 use super::script::{Script, ScriptRef};
@@ -18,9 +19,16 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     for act in acts {
         let Some(place) = act.place_of(robot) else { continue };
         for chain in act.members()[place].chains() {
-            for (index, script) in chain.filter(|(_, script)| script.is_planned()) {
+            let corrected = state.settings.clock == ClockMode::Measured;
+            let mut ahead = Vec::new();
+            for (index, script) in chain {
+                let waits = corrected && waits_for_its_clock(&ahead);
+                ahead.push(script);
+                if !script.is_planned() {
+                    continue;
+                }
                 let Some(room) = room.get_mut(&script.plan.device) else { break };
-                if *room == 0 || !act.is_open() || !act.lets_follow(place, index) {
+                if waits || *room == 0 || !act.is_open() || !act.lets_follow(place, index) {
                     // Nothing overtakes a script that waits.
                     *room = 0;
                     break;
@@ -32,6 +40,16 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     }
     sendable
 }
+
+/// Whether a script is sent later, when it is known how far its robot's clock has drifted, because its device holds two others that
+/// end by a lease without this machine anyway.
+fn waits_for_its_clock(ahead: &[&Script]) -> bool {
+    let [.., _, last] = ahead else { return false };
+    last.duration() >= LONG_ENOUGH && last.longest_lease().is_some()
+}
+
+/// While a script of this length plays, the next one is surely sent.
+const LONG_ENOUGH: Span = Span::from_millis(5_000);
 
 /// Places that are free on each device for which there is anything to send.
 fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {

@@ -22,7 +22,8 @@ pub enum Outcome {
         /// The names of these acts.
         acts: Vec<String>,
     },
-    /// It was played to its end, and starts were further apart, or further from their plan, than the scenario tolerates.
+    /// It was played to its end, and starts were further apart, or further from their plan, than the scenario tolerates, or clocks
+    /// drifted so far while it played.
     OutOfTolerance {
         /// How far apart the starts of an act were, or how far one was from its plan, by the robots' own clocks.
         #[serde(rename = "spread_ms")]
@@ -142,7 +143,7 @@ impl fmt::Display for Outcome {
             }
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
-                "played to its end, but out of tolerance: starts were {spread} apart or off their plan, start_tolerance is {tolerance}"
+                "played to its end, but out of tolerance: robots were {spread} apart or off their plan, start_tolerance is {tolerance}"
             ),
             Self::StepsLate { late, tolerance } => write!(
                 f,

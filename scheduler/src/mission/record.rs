@@ -47,6 +47,14 @@ pub enum Record {
         /// The number of the act.
         number: u32,
     },
+    /// A script is about to be sent with another offset for its robot's clock than the promise states, because that clock drifts.
+    Translated {
+        /// The request's id.
+        request_id: RequestId,
+        /// The offset that is added to its timestamp.
+        #[serde(rename = "shift_ms")]
+        shift: Span,
+    },
     /// A robot has failed.
     Failed(Failure),
     /// A robot is left out.
@@ -107,6 +115,7 @@ impl Record {
             | Self::Go { .. }
             | Self::Decided { .. }
             | Self::Lapsing { .. }
+            | Self::Translated { .. }
             | Self::Failed(_)
             | Self::Dropped { .. }
             | Self::StopConfirmed { .. }

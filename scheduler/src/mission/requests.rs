@@ -7,7 +7,7 @@ use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{SentStop, Stop};
 use super::script::{Script, ScriptRef, ScriptState};
-use super::{Action, Mission, Phase, StoppedBy, ledger};
+use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
 
 /// What a durable record is expected to take at least.
 const RECORDING: Span = Span::from_millis(30);
@@ -119,14 +119,26 @@ impl Mission {
     pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         let robot = act.robot_of(script);
+        let state = &self.robots[robot];
+        let measured = state.settings.clock == ClockMode::Measured;
+        let offset_at = |at| Some(state.clock_at(at).filter(|_| measured)?.offset);
+        let translated = act.translate(script, offset_at);
+        let shift = act.members()[script.member].last_shift().filter(|_| translated.is_some());
         let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
         act.sent(now, script);
         let lease = act.shortest_lease_of(script);
+        let keeps_limit = act.is_committed() && act.script(script).came_again();
+        translated.into_iter().for_each(|record| self.record(record));
         let state = &mut self.robots[robot];
+        state.shift = shift.unwrap_or(state.shift);
         state.touched.insert(request.device_id.clone());
         state.at_rest = false;
         state.requests.extend(request.request_id.clone().map(|id| (id, script)));
         self.send(now, robot, Message::ControlRequest(request));
+        if keeps_limit {
+            // A robot that has it already keeps the limit of the earlier request, and only an inquiry extends that.
+            self.inquire_now(now, robot);
+        }
         // Under its lease it may begin before the next round that the scripts before it ask for.
         self.quicken_rounds(now, lease);
     }

@@ -73,6 +73,10 @@ pub(crate) struct Script {
     state: ScriptState,
     request_id: Option<RequestId>,
     content_hash: ContentHash,
+    /// What is added to the timestamp of its request, if that is not the offset of its act.
+    shift: Option<Span>,
+    /// Another process may have sent it with an offset that its journal has lost.
+    shift_is_lost: bool,
     /// Planned time from the start of the act until the script has started.
     starts: Span,
     duration: Span,
@@ -111,6 +115,8 @@ impl Script {
             plan: plan.clone(),
             state: ScriptState::Planned,
             request_id: None,
+            shift: None,
+            shift_is_lost: false,
             accepted: false,
             started_at: None,
             steps_done: 0,
@@ -138,6 +144,24 @@ impl Script {
 
     pub(crate) const fn content_hash(&self) -> ContentHash {
         self.content_hash
+    }
+
+    pub(super) const fn translate(&mut self, shift: Span) {
+        self.shift = Some(shift);
+        self.shift_is_lost = false;
+    }
+
+    pub(super) const fn lose_shift(&mut self) {
+        self.shift_is_lost = true;
+    }
+
+    /// Whether it is not known when it is to start by its robot's clock, to within the drift of that clock.
+    pub(super) const fn shift_is_lost(&self) -> bool {
+        self.shift_is_lost
+    }
+
+    pub(super) const fn shift(&self) -> Option<Span> {
+        self.shift
     }
 
     /// Its request was sent more than once, as far as is known.
@@ -262,6 +286,11 @@ impl Script {
     }
 
     /// Whether it was sent for the first time at an instant or later.
+    /// It was sent, or another process may have sent it.
+    pub(super) const fn was_ever_sent(&self) -> bool {
+        self.first_sent_at.is_some() || self.perhaps_sent
+    }
+
     pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
         self.first_sent_at.is_some_and(|at| at >= since)
     }

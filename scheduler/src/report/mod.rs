@@ -71,6 +71,9 @@ pub struct Report {
     /// The same by the one true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
+    /// The same of the last steps of scripts: clocks drift while robots play.
+    #[serde(rename = "true_end_spread_ms", skip_serializing_if = "Option::is_none")]
+    pub true_end_spread: Option<Span>,
     /// What the scenario requires, judged by this dry run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub requirements: Vec<Judged>,
@@ -180,6 +183,12 @@ impl StopState {
 }
 
 impl Report {
+    /// How far apart steps that are planned for one instant were, by the one true clock, which only a dry run has.
+    #[must_use]
+    pub fn largest_true_spread(&self) -> Option<Span> {
+        self.true_spread.max(self.true_end_spread)
+    }
+
     /// The report of a mission that has ended; `None` before.
     #[must_use]
     pub fn of(mission: &Mission) -> Option<Self> {
@@ -208,6 +217,7 @@ impl Report {
             lead: acts.front().map(|act| act.lead),
             spread: acts.iter().filter_map(|act| act.spread).max(),
             true_spread: None,
+            true_end_spread: None,
             requirements: Vec::new(),
             course: mission.fates().to_vec(),
             acts: acts.iter().cloned().collect(),

@@ -393,6 +393,9 @@ fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
     if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
+/// The last steps of scripts are mentioned if they are further apart than the starts by more than this.
+const NOTABLE_DRIFT: Span = Span::from_millis(1);
+
 fn closing_sentences(report: &Report) -> Vec<String> {
     let mut sentences = Vec::new();
     let told: Vec<_> = report.robots.iter().filter(|robot| robot.start_error.is_some()).collect();
@@ -426,6 +429,10 @@ fn closing_sentences(report: &Report) -> Vec<String> {
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
     }
+    let apart = report.true_end_spread.filter(|ends| Some(*ends - NOTABLE_DRIFT) > report.true_spread);
+    sentences.extend(apart.map(|ends| {
+        format!("the last steps of scripts are {ends} apart by that clock, because the robots' clocks drift")
+    }));
     sentences.extend(late_steps(report));
     sentences.extend(report.robots.iter().filter_map(unaccounted));
     sentences.extend(report.robots.iter().filter_map(stop));

@@ -105,8 +105,8 @@ impl<'a> Witness<'a> {
             },
             (None, None) => Why { robot: None, kind: outcome.clone(), text: report.outcome.to_string() },
         });
-        let trial =
-            Trial { trial, outcome, started: started(&played.starts), spread: report.true_spread, why };
+        let (started, spread) = (started(&played.starts), report.largest_true_spread());
+        let trial = Trial { trial, outcome, started, spread, why };
         (trial, self.evidence)
     }
 }

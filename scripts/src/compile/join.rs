@@ -2,9 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use urrcp::{
-    ControlType, Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition,
-};
+use urrcp::{ControlType, Device, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
 
 use super::cast::{Cast, Left, Rest};
 use super::conflict::told;
@@ -16,6 +14,7 @@ use crate::budget::Budget;
 use crate::duration::written;
 use crate::fields::Reader;
 use crate::finding::Code;
+use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
@@ -54,7 +53,9 @@ pub(super) fn join(
         segments.sort_by_key(Segment::start);
         let device = &cast.devices(robot)[index];
         let speed = cast.limits(robot, device, ControlType::Position).speed;
-        let lane = Lane { scenario, robot: cast.id(robot), device, speed, segments: &segments };
+        let corrected = cast.fleet.robots[robot].mission.clock == ClockMode::Measured;
+        let longest = (corrected && device.script_queue > 1).then_some(CORRECTED_EVERY);
+        let lane = Lane { scenario, robot: cast.id(robot), device, speed, longest, segments: &segments };
         lane.check_overlaps(&mut together);
         lane.check_jumps(&mut together);
         joined.first.extend(lane.segments.first().map(|first| First {
@@ -110,6 +111,8 @@ struct Lane<'a> {
     device: &'a Device,
     /// Its largest speed, driven by position.
     speed: Option<f64>,
+    /// The longest scripts, if the next one can be sent while one plays.
+    longest: Option<Span>,
     segments: &'a [Segment],
 }
 
@@ -288,7 +291,7 @@ impl Lane<'_> {
         own + held.count()
     }
 
-    /// As many scripts as needed, each beginning where the one before ends.
+    /// As many scripts as needed.
     fn scripts(&self, findings: &mut Reader) -> Option<(Vec<DeviceScript>, DeviceUse)> {
         let start = self.segments.first()?.start();
         let script = self.device.available_control_types.script()?;
@@ -298,16 +301,52 @@ impl Lane<'_> {
         let queue = self.device.script_queue.max(1) as usize;
         if count <= queue || queue > 1 {
             let all = self.steps();
-            let used = self.used(all.len(), count, most);
-            let scripts = split(&self.device.id, all, most, start, self.stop_condition())?;
-            if can_be_refilled(&scripts, queue) {
-                return Some((scripts, used));
+            for cuts in [cuts(&all, most, self.moves(), self.longest), every(most, all.len())] {
+                let scripts = self.split(&all, &cuts, start)?;
+                if can_be_refilled(&scripts, queue) {
+                    let used = self.used(all.len(), scripts.len(), most);
+                    return Some((scripts, used));
+                }
             }
         }
         self.too_many(findings, steps, most, count);
         let last = self.last_step();
         let used = self.used(last.len(), count, most);
-        Some((split(&self.device.id, last, most, start, self.stop_condition())?, used))
+        Some((self.split(&last, &[last.len()], start)?, used))
+    }
+
+    /// Cuts steps into scripts that end before these steps.
+    fn split(&self, steps: &[Step], cuts: &[usize], start: Span) -> Option<Vec<DeviceScript>> {
+        let mut scripts = Vec::with_capacity(cuts.len());
+        let mut from = 0;
+        for &to in cuts {
+            let begin = match from {
+                0 => start,
+                from => self.begin_after(&steps[from - 1], &steps[from]),
+            };
+            let relative =
+                |step: &Step| Step { offset: Millis::from_span(step.offset.span() - begin), ..step.clone() };
+            // Times out of order have been found already; then there is no plan.
+            let script = Script::new(steps[from..to].iter().map(relative).collect()).ok()?;
+            scripts.push(DeviceScript {
+                device: self.device.id.clone(),
+                start: Millis::from_span(begin),
+                stop_condition: self.stop_condition(),
+                script,
+            });
+            from = to;
+        }
+        Some(scripts)
+    }
+
+    /// When a script begins that continues after `last` with `next`. If the value does not change until then, it begins with
+    /// that step: the pause leaves room for a start that is corrected because the robot's clock has drifted. Otherwise it begins
+    /// where the script before it ends.
+    fn begin_after(&self, last: &Step, next: &Step) -> Span {
+        match rests(last, next, self.moves()) {
+            true => next.offset.span(),
+            false => last.offset.span(),
+        }
     }
 
     fn used(&self, steps: usize, scripts: usize, most: usize) -> DeviceUse {
@@ -369,39 +408,36 @@ fn can_be_refilled(scripts: &[DeviceScript], queue: usize) -> bool {
         || scripts.windows(queue + 1).all(|held| held[queue].start.span() - end(&held[0]) >= REFILL)
 }
 
-/// Cuts steps into scripts without a gap: each begins when the one before ends.
-fn split(
-    device: &DeviceId,
-    steps: Vec<Step>,
-    most: usize,
-    start: Span,
-    stop_condition: StopCondition,
-) -> Option<Vec<DeviceScript>> {
-    let mut scripts = Vec::with_capacity(steps.len().div_ceil(most));
-    let mut begin = start;
-    let mut add = |mut steps: Vec<Step>| {
-        let end = steps.last().map_or(begin, |step| step.offset.span());
-        for step in &mut steps {
-            step.offset = Millis::from_span(step.offset.span() - begin);
+/// Whether a device keeps its value from one step to the next one.
+fn rests(last: &Step, next: &Step, moves: bool) -> bool {
+    let is_position = |step: &Step| step.setpoint.control_type == ControlType::Position;
+    is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
+}
+
+/// A robot's clock that is measured may drift by 50 ppm, as quartz does: by 1.5 ms in this time. Scripts that are not longer are
+/// corrected for it one after the other.
+const CORRECTED_EVERY: Span = Span::from_millis(30_000);
+
+/// Where to cut steps into scripts of at most `most` steps: at the last rest in the second half of a script, if there is one.
+fn cuts(steps: &[Step], most: usize, moves: bool, longest: Option<Span>) -> Vec<usize> {
+    let mut cuts = Vec::with_capacity(steps.len().div_ceil(most));
+    let mut from = 0;
+    loop {
+        let rest = &steps[from..(from + most).min(steps.len())];
+        let in_time =
+            |step: &Step| longest.is_none_or(|longest| step.offset.span() - rest[0].offset.span() <= longest);
+        let last = from + rest.partition_point(in_time);
+        if last == steps.len() {
+            cuts.push(last);
+            return cuts;
         }
-        // Times out of order have been found already; then there is no plan.
-        let script = Script::new(steps).ok()?;
-        scripts.push(DeviceScript {
-            device: device.clone(),
-            start: Millis::from_span(begin),
-            stop_condition,
-            script,
-        });
-        begin = end;
-        Some(())
-    };
-    if steps.len() <= most {
-        add(steps)?;
-        return Some(scripts);
+        let is_rest = |cut: &usize| rests(&steps[cut - 1], &steps[*cut], moves);
+        from = (from + (last - from).div_ceil(2)..=last).rev().find(is_rest).unwrap_or(last);
+        cuts.push(from);
     }
-    let mut steps = steps.into_iter();
-    while steps.len() > 0 {
-        add(steps.by_ref().take(most).collect())?;
-    }
-    Some(scripts)
+}
+
+/// The same after every `most` steps.
+fn every(most: usize, steps: usize) -> Vec<usize> {
+    (1..=steps.div_ceil(most).max(1)).map(|count| (count * most).min(steps)).collect()
 }

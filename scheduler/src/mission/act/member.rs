@@ -5,6 +5,7 @@ use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
 
 use super::timing::{Leases, Timing};
 use super::{NamedScripts, Question};
+use crate::mission::ClockMode;
 use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::{Script, ScriptState};
 
@@ -27,6 +28,8 @@ pub(crate) struct Member {
     pub(super) part: Part,
     /// What is added to the act's timestamp so that it is right by the robot's own clock.
     pub(super) shift: Span,
+    /// How often its robot's clock had been set when the act was sent.
+    pub(super) clock_steps: u32,
     scripts: Vec<Script>,
     /// One for each device, in order of their scripts.
     chains: Vec<Chain>,
@@ -61,7 +64,7 @@ impl Member {
                 None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
             }
         }
-        Self { robot, part: Part::Taking, shift: Span::ZERO, scripts, chains, asked: None }
+        Self { robot, part: Part::Taking, shift: Span::ZERO, clock_steps: 0, scripts, chains, asked: None }
     }
 
     /// Changes one of its scripts.
@@ -83,9 +86,19 @@ impl Member {
         self.scripts[script].name(id);
     }
 
-    /// Another process named it, and may have sent it.
-    pub(super) fn taken_up(&mut self, script: usize, id: RequestId) {
-        self.scripts[script].name(Some(id));
+    /// Another process named it, and may have sent it with this offset. The record of another offset for a later script may be
+    /// lost if the clock of the robot is measured.
+    pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
+        let follows = self.before(script).is_some();
+        if !follows {
+            self.shift = shift;
+        }
+        let taken_up = &mut self.scripts[script];
+        taken_up.name(Some(id));
+        match follows && shift == self.shift && clock == ClockMode::Measured {
+            true => taken_up.lose_shift(),
+            false => taken_up.translate(shift),
+        }
         self.scripts[script].taken_up();
     }
 
@@ -112,6 +125,26 @@ impl Member {
 
     pub(crate) const fn shift(&self) -> Span {
         self.shift
+    }
+
+    /// What is added to the timestamp of this script's request.
+    pub(crate) fn shift_of(&self, script: &Script) -> Span {
+        script.shift().unwrap_or(self.shift)
+    }
+
+    /// The largest offset with which the last script of a device was sent, or is to be sent.
+    pub(crate) fn last_shift(&self) -> Option<Span> {
+        self.chains.iter().map(|chain| self.shift_of(&self.scripts[chain.end - 1])).max()
+    }
+
+    /// The offset for a script that is sent for the first time, from the offset of the robot's clock in its course: a script that
+    /// follows another one begins when that one has ended by the same clock, or later. A larger change than `at_most` is no drift.
+    pub(super) fn translation(&self, script: usize, offset: Span, at_most: Span) -> Option<Span> {
+        let (before, follows) = (self.before(script)?, &self.scripts[script]);
+        let known = self.shift_of(before);
+        let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();
+        let drifts = (offset - known).abs() <= at_most;
+        Some(if drifts { offset.max(known - pause) } else { known })
     }
 
     /// The first script of every device and every other one that was sent in time is accepted.
@@ -186,15 +219,16 @@ impl Member {
     /// The instant of the robot's clock until which a script may wait for its start while its act is not committed.
     pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
+        let shift = self.shift_of(&self.scripts[script]);
         // A clock that was set forward since the script was sent brings its start forward, and not this limit.
-        let ahead = ahead.unwrap_or(self.shift).min(self.shift + timing.early());
+        let ahead = ahead.unwrap_or(shift).min(shift + timing.early());
         (timing.brink() + offset + ahead).assume_clock()
     }
 
     /// The same instant for a committed act: it lies after the start of the script.
     pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
         let offset = self.scripts[script].plan.start.span();
-        (timing.start + offset + self.shift + BEYOND_START).assume_clock()
+        (timing.start + offset + self.shift_of(&self.scripts[script]) + BEYOND_START).assume_clock()
     }
 
     /// The requests that the robot may have, grouped by the lease that an inquiry gives them.

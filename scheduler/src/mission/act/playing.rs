@@ -99,7 +99,7 @@ impl Act {
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start =
-            self.timing.as_ref().map(|timing| timing.start + planned.plan.start.span() + member.shift);
+            self.timing.as_ref().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
         let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
         let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
         due && untold && *planned.state() == ScriptState::Held
@@ -116,7 +116,13 @@ impl Act {
         if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
             return noted;
         }
+        let start = self.timing.as_ref().map(|timing| timing.start + self.script(script).plan.start.span());
         let member = &mut self.members[script.member];
+        if let Some((told, start)) = report.start_timestamp.zip(start)
+            && member.scripts()[script.script].shift_is_lost()
+        {
+            member.change(script.script, |script| script.translate(told - start.assume_clock()));
+        }
         let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
         let begins = self
             .timing
@@ -151,11 +157,12 @@ impl Act {
 
     fn possible(&self, member: &Member, script: &Script, robot: &RobotState, told: &Told) -> Possible {
         let reading = robot.clock_at(told.arrived());
+        let shift = member.shift_of(script);
         let times = self.timing.as_ref().map(|timing| Times {
             sent: timing.timestamp,
-            start: (timing.start + script.plan.start.span() + member.shift).assume_clock(),
+            start: (timing.start + script.plan.start.span() + shift).assume_clock(),
             duration: script.duration(),
-            offset: reading.map_or(member.shift, |reading| reading.offset),
+            offset: reading.map_or(shift, |reading| reading.offset),
             uncertainty: reading.map_or(CLOCK_UNKNOWN, |reading| reading.uncertainty),
             tolerance: self.written().plan.start_tolerance,
         });
@@ -212,14 +219,18 @@ impl Act {
 
     /// Actual minus planned start, both by the robot's own clock.
     pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
-        let planned = self.timing.as_ref()?.start + script.starts() + member.shift;
+        if script.shift_is_lost() {
+            return None;
+        }
+        let planned = self.timing.as_ref()?.start + script.starts() + member.shift_of(script);
         Some(script.started_at()? - planned.assume_clock())
     }
 
     /// Whether a script can have come to its end when its robot's clock shows this, as far as clocks go.
     pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
-        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + member.shift);
+        let shift = member.shift_of(planned);
+        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + shift);
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
@@ -231,7 +242,7 @@ impl Act {
             urrcp::Status::Started => start + planned.starts(),
             _ => planned_end(start, planned),
         };
-        Some((response.timestamp - (due + member.shift).assume_clock()).abs())
+        Some((response.timestamp - (due + member.shift_of(planned)).assume_clock()).abs())
     }
 
     /// Nobody knows any more what becomes of a script.

@@ -79,6 +79,7 @@ impl Act {
         let mut names = Vec::new();
         for (m, member) in self.members.iter_mut().enumerate() {
             member.shift = shift_of(&robots[member.robot]);
+            member.clock_steps = robots[member.robot].clock.steps();
             for s in 0..member.scripts().len() {
                 // Sessions are named by this program, far below the limit.
                 let id =
@@ -145,6 +146,28 @@ impl Act {
     }
 
     /// A script's request is on its way.
+    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` is the time
+    /// by which that clock is ahead of the server's.
+    pub(crate) fn translate(
+        &mut self,
+        script: ScriptRef,
+        offset_at: impl FnOnce(Timestamp<Server>) -> Option<Span>,
+    ) -> Option<Record> {
+        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        if planned.was_ever_sent() {
+            return None;
+        }
+        // In the middle of the script the offset is right, so that it is off by half of its drift at both ends.
+        let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
+        let at_most = self.written().plan.start_tolerance;
+        let shift = member.translation(script.script, offset_at(middle)?, at_most)?;
+        let shift = Some(shift).filter(|shift| *shift != member.shift)?;
+        let request_id = planned.request_id()?.clone();
+        self.members[script.member].change(script.script, |script| script.translate(shift));
+        Some(Record::Translated { request_id, shift })
+    }
+
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         self.members[script.member].change(script.script, |script| script.sent(now));
     }
@@ -208,8 +231,8 @@ impl Act {
         std::iter::once(ActAction::Record(record)).chain(tell).collect()
     }
 
-    /// What the operator is told at the decision.
-    pub(super) fn decided(&self) -> Option<Progress> {
+    /// Progress that is reported at the decision, and by a process that takes the act up before its commitment.
+    pub(crate) fn decided(&self) -> Option<Progress> {
         let timing = self.timing.as_ref()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
         let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
@@ -254,7 +277,7 @@ pub(super) fn request(
     let script = &member.scripts()[index];
     let offset = timing.start - timing.timestamp + script.plan.start.span();
     ControlRequest {
-        timestamp: Some(timing.timestamp + member.shift),
+        timestamp: Some(timing.timestamp + member.shift_of(script)),
         time_offset_to_start: Some(Millis::from_span(offset)),
         device_id: script.plan.device.clone(),
         stop_condition: Some(StopCondition {

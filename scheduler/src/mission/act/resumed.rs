@@ -67,9 +67,8 @@ impl Act {
                         what: format!("`{robot}` device `{device}` was promised another script"),
                     });
                 };
-                let (shift, id) = (promised.shift, promised.request_id.clone());
-                member.shift = shift;
-                member.taken_up(index, id);
+                let id = promised.request_id.clone();
+                member.taken_up(index, id, (promised.shift, robot.settings.clock));
             }
         }
         act.timing = Some(act.timing_of(promise));

@@ -3,7 +3,7 @@
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
-use super::{Act, ActAction, Stage};
+use super::{Act, ActAction, Member, Stage};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::RobotState;
 use crate::mission::script::{Script, ScriptState};
@@ -70,6 +70,23 @@ impl Act {
         self.by_index(early, robots)
     }
 
+    /// How far the robots that played it to its end were surely apart, or off the plan, because their clocks drifted. The plan of a
+    /// robot whose clock was set meanwhile is not judged: it may not follow that clock.
+    pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
+        let range = |member: &Member| {
+            let clock = &robots[member.robot].clock;
+            let reading = clock.reading().filter(|_| clock.steps() == member.clock_steps)?;
+            let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;
+            let off = reading.offset - member.shift_of(last);
+            Some((off - reading.uncertainty, off + reading.uncertainty))
+        };
+        let played = self.present().filter(|member| member.is_done());
+        let ranges: Vec<_> = played.filter_map(range).collect();
+        let (least, most) =
+            (ranges.iter().map(|(_, to)| *to).min()?, ranges.iter().map(|(from, _)| *from).max()?);
+        Some((most - least).max(most).max(Span::ZERO - least))
+    }
+
     /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for
     /// longer than its lease. It may not be able to say so. Later than the last instant for a withdrawal it is let be.
     pub(crate) fn ran_out(
@@ -100,7 +117,8 @@ impl Act {
         let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
         member.under_way().filter(|(_, script)| script.is_unaccounted()).find_map(|(_, script)| {
             let lease = script.longest_lease()?;
-            let begins = (timing.start + script.plan.start.span() + member.shift).assume_clock();
+            let begins = timing.start + script.plan.start.span() + member.shift_of(script);
+            let begins = begins.assume_clock();
             let over = before + lease;
             let broken = begins <= over && over < begins + script.duration() && over + GRAIN < at;
             broken.then(|| link_lost(script, at - before, ("running", lease)))

@@ -90,8 +90,7 @@ fn was_confirmed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let beyond = |inquiry: &urrcp::Inquiry| {
         let Some((until, named)) = inquiry.pending_until.zip(inquiry.requests.first()) else { return false };
         let of_act = act.of(robot).find(|script| script.promised.request_id == *named);
-        of_act
-            .is_some_and(|script| until > (act.start_as_told(script) + script.promised.shift).assume_clock())
+        of_act.is_some_and(|script| until > (act.start_as_told(script) + script.shift).assume_clock())
     };
     facts.between(act.at, Timestamp::from_nanos(i64::MAX)).iter().any(|(_, happened)| match happened {
         Happened::AtRobot(r, Message::Inquiry(inquiry)) => *r == robot && beyond(inquiry),

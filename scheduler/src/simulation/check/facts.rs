@@ -61,6 +61,8 @@ pub(super) struct Decision {
 pub(super) struct SentScript<'a> {
     pub(super) robot: usize,
     pub(super) promised: &'a PromisedScript,
+    /// What was added to its timestamp for its robot's clock.
+    pub(super) shift: Span,
     /// `None` where the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
     /// Time from its start to its first movement: zero if its device moves linearly to the first value.
@@ -95,7 +97,8 @@ impl<'a> Facts<'a> {
     fn take(&mut self, at: Timestamp<Server>, record: &'a Record, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         match record {
             Record::Prepared(promise) => {
-                let before = self.acts.iter_mut().filter(|act| act.promise.number == promise.number);
+                // Numbers ascend, unless the disk of a process that died has lost promises.
+                let before = self.acts.iter_mut().filter(|act| act.promise.number >= promise.number);
                 before.for_each(|act| act.superseded = true);
                 let scripts = promise.scripts.iter().filter_map(|script| self.sent(promise, script, logs));
                 self.acts.push(SentAct {
@@ -117,6 +120,11 @@ impl<'a> Facts<'a> {
             Record::ActEnded { report, again: true, .. } => {
                 let act = self.acts.iter_mut().rfind(|act| act.promise.number == report.number);
                 act.into_iter().for_each(|act| act.repeated = true);
+            }
+            Record::Translated { request_id, shift } => {
+                let scripts = self.acts.iter_mut().flat_map(|act| &mut act.scripts);
+                let named = scripts.filter(|script| script.promised.request_id == *request_id);
+                named.for_each(|script| script.shift = *shift);
             }
             Record::Dropped { robot } => {
                 if let Some(robot) = self.index_of(robot) {
@@ -147,6 +155,7 @@ impl<'a> Facts<'a> {
         Some(SentScript {
             robot,
             promised,
+            shift: promised.shift,
             written,
             starts_after: written.map_or(Span::ZERO, |written| written.script.until_started(interpolation)),
             log: logs.get(promised.request_id.as_str()).cloned().unwrap_or_default(),
@@ -172,6 +181,22 @@ impl<'a> Facts<'a> {
                 _ => {}
             }
         }
+    }
+
+    /// Whether a process that took the act up may not know the offset with which this script was sent: it is a later one of its
+    /// device, and the robot's clock is measured.
+    pub(super) fn offset_may_be_lost(&self, act: &SentAct<'_>, script: &SentScript<'_>) -> bool {
+        let is_before = |other: &SentScript<'_>| {
+            other.robot == script.robot
+                && other.promised.device == script.promised.device
+                && other.promised.start < script.promised.start
+        };
+        let taken_up = |(at, happened): &(Timestamp<Server>, Happened)| {
+            *at >= act.at && matches!(happened, Happened::TakenUp(_))
+        };
+        script.promised.shift != Span::ZERO
+            && act.scripts.iter().any(is_before)
+            && self.ran.history.iter().any(taken_up)
     }
 
     /// The clock of the scheduler's process minus the true time.

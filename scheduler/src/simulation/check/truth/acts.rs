@@ -160,14 +160,20 @@ impl Said<'_> {
         }
         // An answer without a name counts for the next script that it fits; where one is lost it is the wrong one.
         let named = self.facts.counts_steps(robot);
-        if let Some(what) = wrong_start(act, script, said).filter(|_| named) {
+        let lost = self.facts.offset_may_be_lost(act, script);
+        if let Some(what) = wrong_start(act, script, said, lost).filter(|_| named) {
             wrongly(what);
         }
     }
 }
 
-/// A start is what the robot logged, by its own clock.
-fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) -> Option<String> {
+/// A start is what the robot logged, by its own clock. If the offset of the script may be lost, its error may be unknown.
+fn wrong_start(
+    act: &SentAct<'_>,
+    script: &SentScript<'_>,
+    said: &DeviceReport,
+    lost: bool,
+) -> Option<String> {
     let started = said.started_at?;
     let Some(first) = script.log.first() else {
         return Some(format!("said to have started at {started}, and it did not move"));
@@ -176,13 +182,13 @@ fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) 
         return Some(format!("said to have started at {started}, it did at {}", first.set_at));
     }
     let error = error_by_its_clock(act, script, first);
-    let differs = said.start_error.is_none_or(|said| (said - error).abs() > GRAIN);
+    let differs = said.start_error.map_or(!lost, |said| (said - error).abs() > GRAIN);
     differs.then(|| format!("said to have started {:?} from its plan, it did {error}", said.start_error))
 }
 
 /// Actual minus planned start, by the robot's own clock.
 pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
-    let planned = act.start_as_told(script) + script.starts_after + script.promised.shift;
+    let planned = act.start_as_told(script) + script.starts_after + script.shift;
     first.set_at - planned.assume_clock()
 }
 

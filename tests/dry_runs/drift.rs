@@ -1,0 +1,114 @@
+//! Robots whose clocks drift while they play, by the one clock of the virtual world.
+
+use serde_json::Value;
+
+use stage::session::Session;
+
+/// Ten minutes of nods, one a second.
+const NODS: &str = "cues:
+  - cue: nod
+    at: 0s
+    robots: [one, two]
+    repeat: {times: 600, every: 1s}
+    tracks: {rail: [{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}]}
+";
+
+/// Ten minutes without a pause: a new value every second, on the way to which the device moves all the time.
+const SLIDES: &str = "cues:
+  - cue: slide
+    at: 0s
+    robots: [one, two]
+    repeat: {times: 300, every: 2s}
+    tracks: {rail: [{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 0}]}
+";
+
+struct Rail {
+    interpolation: &'static str,
+    queue: u32,
+    steps: u32,
+    inquiry: bool,
+}
+
+const RAIL: Rail = Rail { interpolation: "linear", queue: 2, steps: 250, inquiry: true };
+
+/// Two robots with clocks of ±20 ppm, which are measured.
+fn fleet(rail: &Rail) -> Session {
+    let Rail { interpolation, queue, steps, inquiry } = rail;
+    let init = |id: &str| {
+        format!(
+            "id: {id}\napi_version: \"1\"\nreports: true\ninquiry: {inquiry}\ndevices:
+  - id: rail
+    name: rail
+    interpolation: {interpolation}
+    script_queue: {queue}
+    available_control_types:
+      position: {{min_value: -2000, max_value: 2000, granularity: 0.1, max_error: 0.5}}
+      script: {{min_value: -2000, max_value: 2000, granularity: 0.1, max_error: 0.5, max_number_of_steps: {steps}}}\n"
+        )
+    };
+    let robot = |id: &str, offset: &str, drift: &str| {
+        format!(
+            "  {id}: {{init: {id}.yaml, address: sim, clock: measured, \
+             simulate: {{clock_offset: {offset}, drift: {drift}, ntp_error: none}}}}\n"
+        )
+    };
+    let robots = robot("one", "50ms", "20ppm") + &robot("two", "-20ms", "-20ppm");
+    let session = Session::new();
+    session.file("one.yaml", init("one")).file("two.yaml", init("two"));
+    session.file("fleet.yaml", format!("robots:\n{robots}"));
+    session
+}
+
+fn played(scenario: &str, rail: &Rail) -> (i32, Value) {
+    let session = fleet(rail);
+    session.file("show.yaml", format!("scenario: ten minutes\n{scenario}"));
+    let ran = session.run(&["dry-run", "show.yaml", "--format", "json"]);
+    (ran.code(), ran.json())
+}
+
+/// Largest of the true spreads of starts and of last steps, in milliseconds.
+fn spread(report: &Value) -> f64 {
+    let of = |key: &str| report[key].as_f64().unwrap_or_else(|| unreachable!("no {key}: {report}"));
+    of("true_spread_ms").max(of("true_end_spread_ms"))
+}
+
+#[test]
+fn robots_whose_clocks_are_measured_stay_together_for_ten_minutes() {
+    for rail in [
+        RAIL,
+        Rail { inquiry: false, ..RAIL },
+        Rail { interpolation: "hold", ..RAIL },
+        Rail { queue: 8, ..RAIL },
+        // All steps fit into one script.
+        Rail { steps: 5_000, ..RAIL },
+    ] {
+        let (code, report) = played(NODS, &rail);
+        let Rail { interpolation, queue, steps, inquiry } = rail;
+        let what = format!("{interpolation}, queue {queue}, {steps} steps, inquiry {inquiry}");
+        assert_eq!((code, &report["outcome"]), (0, &"done".into()), "{what}");
+        assert!(spread(&report) < 2.5, "{what}: {} ms", spread(&report));
+    }
+}
+
+/// How far the report says that robots were apart, in milliseconds.
+fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
+    assert_eq!(*code, 6, "{report}");
+    report["outcome"]["out_of_tolerance"]["spread_ms"].as_f64().unwrap()
+}
+
+#[test]
+fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
+    // The device holds one script, so that nothing can be corrected.
+    let played = played(NODS, &Rail { queue: 1, steps: 5_000, ..RAIL });
+    let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
+    assert!((23.5..24.1).contains(&true_spread), "{true_spread} ms");
+    assert!((true_spread - 1.0..true_spread).contains(&told), "{told} ms of {true_spread} ms");
+}
+
+#[test]
+fn without_a_rest_only_the_clock_that_is_fast_is_corrected() {
+    let played = played(SLIDES, &RAIL);
+    let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
+    assert!((11.0..13.5).contains(&true_spread), "{true_spread} ms");
+    assert!((true_spread - 1.5..true_spread).contains(&told), "{told} ms of {true_spread} ms");
+}
