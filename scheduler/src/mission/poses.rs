@@ -11,8 +11,8 @@ use urrcp::{
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
-use super::robot_state::{Reading, RobotState};
-use super::{Greeting, Mission, Phase, lead};
+use super::robot_state::{Reading, RobotState, Standing};
+use super::{Greeting, Join, Mission, Phase, lead};
 
 /// The position that the first step of a device expects.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -121,14 +121,14 @@ impl Mission {
     }
 
     /// Asks members of an act for the positions of their devices if the greeting has not checked them. Returns the time by which
-    /// answers are due, if answers are still expected.
+    /// answers are due, if answers are still expected. A robot that joined late and does not answer by then is absent again.
     pub(super) fn await_positions(
         &mut self,
         now: Timestamp<Server>,
         index: usize,
     ) -> Option<Timestamp<Server>> {
         let number = self.acts[index].number();
-        let mut due = None;
+        let (mut due, mut silent) = (None, Vec::new());
         for robot in self.unplaced(&self.acts[index]) {
             let asked = self.robots[robot].positions_asked.filter(|(act, _)| *act == number);
             let at = asked.map_or(now, |(_, at)| at);
@@ -141,9 +141,23 @@ impl Mission {
                 self.ask_positions_of(now, robot, &devices);
             }
             let until = at + lead::counted(self.robots[robot].round_trip()) * 3 + STATED_WITHIN;
-            if self.robots[robot].positions_owed > 0 && now < until {
-                due = due.max(Some(until));
+            if self.robots[robot].positions_owed > 0 {
+                match now < until {
+                    true => due = due.max(Some(until)),
+                    false => silent.push(robot),
+                }
             }
+        }
+        for robot in silent.into_iter().filter(|_| self.options.join == Join::NextAct) {
+            let robot = &mut self.robots[robot];
+            if robot.joined_late && robot.standing == Standing::In {
+                robot.standing = Standing::Absent;
+                // The act may have no robots left.
+                due = Some(now);
+            }
+        }
+        if due == Some(now) {
+            self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
         }
         due
     }

@@ -9,7 +9,7 @@ use urrcp::{RobotId, Server, Timestamp};
 use super::act::{Act, Reached};
 use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
-use super::{ActReport, Failure, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
+use super::{ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 use crate::journal::{Kept, Left, Progressed};
 
 /// A promise does not fit the choreography as it is now.
@@ -98,7 +98,7 @@ impl Mission {
         self.robots.iter().enumerate().map(|(index, robot)| (robot.id.clone(), index)).collect()
     }
 
-    /// The robots of an act that were not among its members have joined late, or may join.
+    /// The robots of an act that were not among its members were absent, and may join.
     fn note_late_joiners(
         &mut self,
         act: usize,
@@ -107,9 +107,17 @@ impl Mission {
     ) {
         let members: HashSet<usize> = members.collect();
         let planned = self.choreography.acts[act].plan.robots.iter();
-        for robot in planned.filter_map(|planned| index_of.get(&planned.robot)) {
-            if !members.contains(robot) {
-                (self.robots[*robot].joined_late, self.robots[*robot].unplaced) = (true, true);
+        for index in planned.filter_map(|planned| index_of.get(&planned.robot)) {
+            let robot = &mut self.robots[*index];
+            let is_member = members.contains(index);
+            match robot.standing {
+                Standing::In if !is_member => {
+                    // Otherwise the mission would not have begun without it.
+                    self.options.join = Join::NextAct;
+                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::Absent, true, true);
+                }
+                Standing::Absent if is_member => robot.standing = Standing::In,
+                _ => {}
             }
         }
     }
@@ -217,6 +225,10 @@ impl Mission {
         }
         let members = act.members().iter().map(|member| member.robot);
         self.note_late_joiners(promise.act, members, &self.indices());
+        // This process does not know the round trips of the links, so its instants differ from those of the other one.
+        if !act.is_committed() {
+            act.decided().into_iter().for_each(|decided| self.tell(decided));
+        }
         self.acts_begun = self.acts_begun.max(promise.number + 1);
         self.acts.push(act);
         Ok(())
