@@ -216,8 +216,8 @@ pub enum Exit {
     Unconfirmed = 4,
     /// Done, without robots that failed on the way, or without acts whose wait ran out.
     DoneWithout = 5,
-    /// Played to its end, and not all of it is known to be as promised: robots were too far apart, or cannot say what they
-    /// did.
+    /// Played to its end, but not everything is known to have gone as promised: robots were too far apart, or cannot say what
+    /// they did.
     Uncertain = 6,
     /// Done, and what was to be written could not be: standard output, or the recording.
     Unwritten = 7,

@@ -34,7 +34,7 @@ struct Seen {
     began: i64,
     /// When it was to begin, by the robot's clock.
     due: Timestamp<Robot>,
-    /// True time that its latest step came after its start, minus the planned one.
+    /// True time from its start to its latest step, minus the planned time.
     gained: Span,
 }
 

@@ -41,8 +41,8 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     sendable
 }
 
-/// Whether a script is sent later, when it is known how far its robot's clock has drifted, because its device holds two others that
-/// end by a lease without this machine anyway.
+/// Whether a script is sent later, when the drift of its robot's clock is known. It can wait because its device holds two others,
+/// which a lease would end anyway without this machine.
 fn waits_for_its_clock(ahead: &[&Script]) -> bool {
     let [.., _, last] = ahead else { return false };
     last.duration() >= LONG_ENOUGH && last.longest_lease().is_some()

@@ -22,8 +22,8 @@ pub enum Outcome {
         /// The names of these acts.
         acts: Vec<String>,
     },
-    /// It was played to its end, and starts were further apart, or further from their plan, than the scenario tolerates, or clocks
-    /// drifted so far while it played.
+    /// It was played to its end, but starts were further apart, or further from their plan, than the scenario tolerates, or clocks
+    /// drifted by more than that while it played.
     OutOfTolerance {
         /// How far apart the starts of an act were, or how far one was from its plan, by the robots' own clocks.
         #[serde(rename = "spread_ms")]

@@ -73,7 +73,7 @@ pub(crate) struct Script {
     state: ScriptState,
     request_id: Option<RequestId>,
     content_hash: ContentHash,
-    /// What is added to the timestamp of its request, if that is not the offset of its act.
+    /// The offset that is added to the timestamp of its request, if it differs from the offset of its act.
     shift: Option<Span>,
     /// Another process may have sent it with an offset that its journal has lost.
     shift_is_lost: bool,
@@ -155,7 +155,7 @@ impl Script {
         self.shift_is_lost = true;
     }
 
-    /// Whether it is not known when it is to start by its robot's clock, to within the drift of that clock.
+    /// Whether its planned start by its robot's clock is known only to within the drift of that clock.
     pub(super) const fn shift_is_lost(&self) -> bool {
         self.shift_is_lost
     }

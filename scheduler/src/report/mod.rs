@@ -71,7 +71,7 @@ pub struct Report {
     /// The same by the one true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
-    /// The same of the last steps of scripts: clocks drift while robots play.
+    /// The same for the last steps of scripts, because clocks drift while robots play.
     #[serde(rename = "true_end_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_end_spread: Option<Span>,
     /// What the scenario requires, judged by this dry run.

@@ -315,7 +315,7 @@ impl Lane<'_> {
         Some((self.split(&last, &[last.len()], start)?, used))
     }
 
-    /// Cuts steps into scripts that end before these steps.
+    /// Cuts steps into scripts. Each index in `cuts` is that of the first step after a script.
     fn split(&self, steps: &[Step], cuts: &[usize], start: Span) -> Option<Vec<DeviceScript>> {
         let mut scripts = Vec::with_capacity(cuts.len());
         let mut from = 0;
@@ -414,8 +414,8 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
     is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
 }
 
-/// A robot's clock that is measured may drift by 50 ppm, as quartz does: by 1.5 ms in this time. Scripts that are not longer are
-/// corrected for it one after the other.
+/// A robot's clock that is measured may drift by 50 ppm, like any quartz clock: by 1.5 ms in this time. Scripts no longer than
+/// this are corrected for the drift one after the other.
 const CORRECTED_EVERY: Span = Span::from_millis(30_000);
 
 /// Where to cut steps into scripts of at most `most` steps: at the last rest in the second half of a script, if there is one.

@@ -127,7 +127,7 @@ impl Member {
         self.shift
     }
 
-    /// What is added to the timestamp of this script's request.
+    /// The offset that is added to the timestamp of this script's request.
     pub(crate) fn shift_of(&self, script: &Script) -> Span {
         script.shift().unwrap_or(self.shift)
     }
@@ -137,8 +137,9 @@ impl Member {
         self.chains.iter().map(|chain| self.shift_of(&self.scripts[chain.end - 1])).max()
     }
 
-    /// The offset for a script that is sent for the first time, from the offset of the robot's clock in its course: a script that
-    /// follows another one begins when that one has ended by the same clock, or later. A larger change than `at_most` is no drift.
+    /// The offset for a script that is sent for the first time, given the offset of the robot's clock while the script plays. A
+    /// script that follows another one begins when that one has ended by the same clock, or later. A change larger than `at_most`
+    /// is not drift.
     pub(super) fn translation(&self, script: usize, offset: Span, at_most: Span) -> Option<Span> {
         let (before, follows) = (self.before(script)?, &self.scripts[script]);
         let known = self.shift_of(before);

@@ -158,7 +158,7 @@ impl Act {
         if planned.was_ever_sent() {
             return None;
         }
-        // In the middle of the script the offset is right, so that it is off by half of its drift at both ends.
+        // The offset is right for the middle of the script, so it is off by half of the drift at either end.
         let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
         let at_most = self.written().plan.start_tolerance;
         let shift = member.translation(script.script, offset_at(middle)?, at_most)?;

@@ -70,8 +70,8 @@ impl Act {
         self.by_index(early, robots)
     }
 
-    /// How far the robots that played it to its end were surely apart, or off the plan, because their clocks drifted. The plan of a
-    /// robot whose clock was set meanwhile is not judged: it may not follow that clock.
+    /// How far apart, or off the plan, the robots that played it to its end certainly were, because their clocks drifted. A robot
+    /// whose clock was set meanwhile is not judged: its plan may not follow that clock.
     pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
         let range = |member: &Member| {
             let clock = &robots[member.robot].clock;

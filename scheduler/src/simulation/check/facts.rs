@@ -183,8 +183,8 @@ impl<'a> Facts<'a> {
         }
     }
 
-    /// Whether a process that took the act up may not know the offset with which this script was sent: it is a later one of its
-    /// device, and the robot's clock is measured.
+    /// Whether a process that took the act up may not know the offset with which this script was sent. That is possible if the
+    /// robot's clock is measured and an earlier script of the act is for the same device.
     pub(super) fn offset_may_be_lost(&self, act: &SentAct<'_>, script: &SentScript<'_>) -> bool {
         let is_before = |other: &SentScript<'_>| {
             other.robot == script.robot

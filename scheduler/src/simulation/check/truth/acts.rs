@@ -167,7 +167,7 @@ impl Said<'_> {
     }
 }
 
-/// A start is what the robot logged, by its own clock. If the offset of the script may be lost, its error may be unknown.
+/// The start is the one that the robot logged, by its own clock. If the script's offset may be lost, its error may be unknown.
 fn wrong_start(
     act: &SentAct<'_>,
     script: &SentScript<'_>,
