@@ -13,7 +13,7 @@ const NODS: &str = "cues:
     tracks: {rail: [{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}]}
 ";
 
-/// Ten minutes without a pause: a new value every second, on the way to which the device moves all the time.
+/// Ten minutes in which the device moves all the time.
 const SLIDES: &str = "cues:
   - cue: slide
     at: 0s
@@ -111,4 +111,18 @@ fn without_a_rest_only_the_clock_that_is_fast_is_corrected() {
     let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
     assert!((11.0..13.5).contains(&true_spread), "{true_spread} ms");
     assert!((true_spread - 1.5..true_spread).contains(&told), "{told} ms of {true_spread} ms");
+}
+
+#[test]
+fn a_robot_whose_part_is_over_is_judged_by_its_clock_at_that_time() {
+    let nod = "{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}";
+    let scenario = format!(
+        "cues:
+  - {{cue: wave, at: 0s, robots: [one], repeat: {{times: 5, every: 1s}}, tracks: {{rail: [{nod}]}}}}
+  - {{cue: nods, at: 0s, robots: [two], repeat: {{times: 600, every: 1s}}, tracks: {{rail: [{nod}]}}}}
+"
+    );
+    let (code, report) = played(&scenario, &RAIL);
+    assert_eq!((code, &report["outcome"]), (0, &"done".into()));
+    assert!(spread(&report) < 2.5, "{} ms", spread(&report));
 }

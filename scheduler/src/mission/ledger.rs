@@ -23,7 +23,9 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
             let mut ahead = Vec::new();
             for (index, script) in chain {
                 let waits = corrected && waits_for_its_clock(&ahead);
-                ahead.push(script);
+                if script.is_out() || script.is_planned() {
+                    ahead.push(script);
+                }
                 if !script.is_planned() {
                     continue;
                 }
@@ -45,7 +47,7 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
 /// which a lease would end anyway without this machine.
 fn waits_for_its_clock(ahead: &[&Script]) -> bool {
     let [.., _, last] = ahead else { return false };
-    last.duration() >= LONG_ENOUGH && last.longest_lease().is_some()
+    last.duration() >= LONG_ENOUGH && last.longest_lease().is_some_and(|lease| lease <= last.duration())
 }
 
 /// While a script of this length plays, the next one is surely sent.
@@ -76,6 +78,11 @@ pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
         let mut taken: HashMap<&DeviceId, usize> = HashMap::new();
         let earlier = before.iter().filter_map(|act| act.member(member.robot));
         let left = |script: &&Script| script.is_out() || script.is_planned();
+        let mut waiting = earlier.clone().flat_map(|member| member.scripts());
+        if robot.settings.clock == ClockMode::Measured && waiting.any(Script::is_planned) {
+            // Its start may still be corrected, and this act begins after it by the same clock.
+            return false;
+        }
         for script in earlier.flat_map(|member| member.scripts()).filter(left) {
             *taken.entry(&script.plan.device).or_default() += 1;
         }

@@ -122,7 +122,7 @@ impl Mission {
         let state = &self.robots[robot];
         let measured = state.settings.clock == ClockMode::Measured;
         let offset_at = |at| Some(state.clock_at(at).filter(|_| measured)?.offset);
-        let translated = act.translate(script, offset_at);
+        let translated = act.translate(script, state.clock.steps(), offset_at);
         let shift = act.members()[script.member].last_shift().filter(|_| translated.is_some());
         let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
         act.sent(now, script);
@@ -137,7 +137,7 @@ impl Mission {
         self.send(now, robot, Message::ControlRequest(request));
         if keeps_limit {
             // A robot that has it already keeps the limit of the earlier request, and only an inquiry extends that.
-            self.inquire_now(now, robot);
+            self.inquire(now, robot);
         }
         // Under its lease it may begin before the next round that the scripts before it ask for.
         self.quicken_rounds(now, lease);

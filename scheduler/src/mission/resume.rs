@@ -116,7 +116,9 @@ impl Mission {
                     self.options.join = Join::NextAct;
                     (robot.standing, robot.joined_late, robot.unplaced) = (Standing::Absent, true, true);
                 }
-                Standing::Absent if is_member => robot.standing = Standing::In,
+                Standing::Absent if is_member => {
+                    (robot.standing, robot.joined_late, robot.unplaced) = (Standing::In, false, false);
+                }
                 _ => {}
             }
         }
@@ -221,7 +223,8 @@ impl Mission {
             robot.touched.insert(act.script(script).plan.device.clone());
         }
         for member in act.members() {
-            self.robots[member.robot].shift = member.shift();
+            let robot = &mut self.robots[member.robot];
+            robot.shift = member.last_shift().unwrap_or(robot.shift);
         }
         let members = act.members().iter().map(|member| member.robot);
         self.note_late_joiners(promise.act, members, &self.indices());

@@ -244,9 +244,11 @@ impl Mission {
         if known {
             self.stopped(now);
         } else if all {
-            // What became of their scripts is asked for at once, once.
+            // A robot that still does not know the fate of a script is asked again after an interval, not at each answer.
+            let lately = now - self.stop_interval();
             for robot in 0..self.robots.len() {
-                if self.owes_a_fate(robot) && self.robots[robot].questions.last_unanswered().is_none() {
+                let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
+                if self.owes_a_fate(robot) && !asked {
                     self.inquire_now(now, robot);
                 }
             }

@@ -301,7 +301,8 @@ impl Lane<'_> {
         let queue = self.device.script_queue.max(1) as usize;
         if count <= queue || queue > 1 {
             let all = self.steps();
-            for cuts in [cuts(&all, most, self.moves(), self.longest), every(most, all.len())] {
+            let at_rests = self.longest.map(|longest| cuts(&all, most, self.moves(), longest));
+            for cuts in at_rests.into_iter().chain([every(most, all.len())]) {
                 let scripts = self.split(&all, &cuts, start)?;
                 if can_be_refilled(&scripts, queue) {
                     let used = self.used(all.len(), scripts.len(), most);
@@ -322,6 +323,8 @@ impl Lane<'_> {
         for &to in cuts {
             let begin = match from {
                 0 => start,
+                // Two scripts of a device never begin at the same instant.
+                from if self.moves() && to - from == 1 => steps[from - 1].offset.span(),
                 from => self.begin_after(&steps[from - 1], &steps[from]),
             };
             let relative =
@@ -418,17 +421,23 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
 /// this are corrected for the drift one after the other.
 const CORRECTED_EVERY: Span = Span::from_millis(30_000);
 
-/// Where to cut steps into scripts of at most `most` steps: at the last rest in the second half of a script, if there is one.
-fn cuts(steps: &[Step], most: usize, moves: bool, longest: Option<Span>) -> Vec<usize> {
+/// Where to cut steps into scripts of at most `most` steps and about this length: at the last rest in the second half of a script,
+/// if there is one.
+fn cuts(steps: &[Step], most: usize, moves: bool, longest: Span) -> Vec<usize> {
     let mut cuts = Vec::with_capacity(steps.len().div_ceil(most));
-    let mut from = 0;
+    let mut from: usize = 0;
     loop {
-        let rest = &steps[from..(from + most).min(steps.len())];
-        let in_time =
-            |step: &Step| longest.is_none_or(|longest| step.offset.span() - rest[0].offset.span() <= longest);
-        let last = from + rest.partition_point(in_time);
-        if last == steps.len() {
-            cuts.push(last);
+        // A script begins where the one before ends.
+        let begin = steps.get(from.saturating_sub(1)).map_or(Span::ZERO, |step| step.offset.span());
+        // All scripts that are left are of about the same length, so that the last one is not a short one.
+        let left = steps.last().map_or(Span::ZERO, |last| last.offset.span() - begin);
+        let length =
+            left / (left + longest - Span::from_nanos(1)).as_nanos().div_euclid(longest.as_nanos()).max(1);
+        let end = (from + most).min(steps.len());
+        let in_time = steps[from..end].partition_point(|step| step.offset.span() - begin <= length);
+        let last = from + in_time.max(1);
+        if last >= steps.len() {
+            cuts.push(steps.len());
             return cuts;
         }
         let is_rest = |cut: &usize| rests(&steps[cut - 1], &steps[*cut], moves);
@@ -440,4 +449,38 @@ fn cuts(steps: &[Step], most: usize, moves: bool, longest: Option<Span>) -> Vec<
 /// The same after every `most` steps.
 fn every(most: usize, steps: usize) -> Vec<usize> {
     (1..=steps.div_ceil(most).max(1)).map(|count| (count * most).min(steps)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn steps(of: &[(i64, f64)]) -> Vec<Step> {
+        let step = |&(seconds, value): &(i64, f64)| Step {
+            offset: Millis::from_span(Span::from_millis(seconds * 1_000)),
+            setpoint: Setpoint::new(ControlType::Position, value),
+            stop_condition: None,
+        };
+        of.iter().map(step).collect()
+    }
+
+    fn lengths(of: &[(i64, f64)], most: usize, moves: bool) -> Vec<usize> {
+        let cuts = cuts(&steps(of), most, moves, Span::from_millis(30_000));
+        cuts.iter().scan(0, |before, cut| Some(cut - std::mem::replace(before, *cut))).collect()
+    }
+
+    #[test]
+    fn movements_are_cut_at_rests_into_scripts_of_about_one_length() {
+        let ramp: Vec<_> = (0..=60).map(|at| (at, at as f64)).collect();
+        assert_eq!(lengths(&ramp, 100, true), [31, 30], "without a rest");
+        assert_eq!(lengths(&ramp[..32], 100, true), [16, 16], "the last script is not a short one");
+        assert_eq!(lengths(&ramp, 20, true), [20, 20, 20, 1], "as many steps as a script takes");
+        let mut rests = ramp.clone();
+        rests[20].1 = rests[19].1;
+        assert_eq!(lengths(&rests, 100, true), [20, 20, 21], "at a rest");
+        assert_eq!(lengths(&ramp, 100, false), [31, 30], "a device that holds rests everywhere");
+        assert_eq!(lengths(&ramp[..1], 100, true), [1]);
+        assert_eq!(lengths(&[], 100, true), [0]);
+        assert_eq!(lengths(&[(0, 0.0), (100, 1.0), (200, 0.0)], 100, true), [1, 1, 1], "long steps");
+    }
 }

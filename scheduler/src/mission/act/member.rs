@@ -28,8 +28,8 @@ pub(crate) struct Member {
     pub(super) part: Part,
     /// What is added to the act's timestamp so that it is right by the robot's own clock.
     pub(super) shift: Span,
-    /// How often its robot's clock had been set when the act was sent.
-    pub(super) clock_steps: u32,
+    /// How often its robot's clock had been set when the act was sent; `None` if another process sent it.
+    pub(super) clock_steps: Option<u32>,
     scripts: Vec<Script>,
     /// One for each device, in order of their scripts.
     chains: Vec<Chain>,
@@ -64,7 +64,7 @@ impl Member {
                 None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
             }
         }
-        Self { robot, part: Part::Taking, shift: Span::ZERO, clock_steps: 0, scripts, chains, asked: None }
+        Self { robot, part: Part::Taking, shift: Span::ZERO, clock_steps: None, scripts, chains, asked: None }
     }
 
     /// Changes one of its scripts.

@@ -36,6 +36,9 @@ impl Preparing {
     }
 }
 
+/// A clock that has changed by more was set: 50 ppm take more than five hours for it.
+const DRIFT_MAX: Span = Span::from_millis(1_000);
+
 impl Act {
     /// The instant at which it should start, once it is ready: the end of the act before, or the time that it waits for.
     pub(crate) const fn target(&self) -> Option<Timestamp<Server>> {
@@ -79,7 +82,7 @@ impl Act {
         let mut names = Vec::new();
         for (m, member) in self.members.iter_mut().enumerate() {
             member.shift = shift_of(&robots[member.robot]);
-            member.clock_steps = robots[member.robot].clock.steps();
+            member.clock_steps = Some(robots[member.robot].clock.steps());
             for s in 0..member.scripts().len() {
                 // Sessions are named by this program, far below the limit.
                 let id =
@@ -151,21 +154,33 @@ impl Act {
     pub(crate) fn translate(
         &mut self,
         script: ScriptRef,
+        clock_steps: u32,
         offset_at: impl FnOnce(Timestamp<Server>) -> Option<Span>,
     ) -> Option<Record> {
         let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
         let (member, planned) = (&self.members[script.member], self.script(script));
-        if planned.was_ever_sent() {
+        let lost = planned.shift_is_lost();
+        if planned.was_ever_sent() && !lost {
             return None;
         }
         // The offset is right for the middle of the script, so it is off by half of the drift at either end.
         let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
-        let at_most = self.written().plan.start_tolerance;
+        // After a clock was set, or after another process took over, a script only continues with the offset of the one before.
+        let at_most = match member.clock_steps == Some(clock_steps) {
+            true => DRIFT_MAX,
+            false => Span::ZERO,
+        };
         let shift = member.translation(script.script, offset_at(middle)?, at_most)?;
-        let shift = Some(shift).filter(|shift| *shift != member.shift)?;
         let request_id = planned.request_id()?.clone();
-        self.members[script.member].change(script.script, |script| script.translate(shift));
-        Some(Record::Translated { request_id, shift })
+        let member = &mut self.members[script.member];
+        member.change(script.script, |script| {
+            script.translate(shift);
+            if lost {
+                // Its robot may have it with another offset.
+                script.lose_shift();
+            }
+        });
+        (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
     }
 
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {

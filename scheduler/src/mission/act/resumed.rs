@@ -1,6 +1,6 @@
 //! An act that another process promised before it died.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
 use downbeat_scripts::Choreography;
@@ -50,18 +50,19 @@ impl Act {
         act.place = places(&act.members);
         let is_out = |member: &&mut Member| robots[member.robot].standing == Standing::Out;
         act.members.iter_mut().filter(is_out).for_each(|member| member.part = Part::Dropped);
-        let promised: HashMap<_, _> = promise
-            .scripts
-            .iter()
-            .map(|script| ((&script.robot, &script.device, script.start.get().to_bits()), script))
-            .collect();
+        let mut promised: HashMap<_, VecDeque<&PromisedScript>> = HashMap::new();
+        for script in &promise.scripts {
+            promised.entry((script.robot.clone(), script.device.clone())).or_default().push_back(script);
+        }
         for member in &mut act.members {
             let robot = &robots[member.robot];
             for index in 0..member.scripts().len() {
                 let script = &member.scripts()[index];
-                let key = (&robot.id, &script.plan.device, script.plan.start.get().to_bits());
-                let same = |promised: &&&PromisedScript| promised.content_hash == script.content_hash();
-                let Some(promised) = promised.get(&key).filter(same) else {
+                let same = |promised: &&PromisedScript| {
+                    promised.start == script.plan.start && promised.content_hash == script.content_hash()
+                };
+                let of_device = promised.get_mut(&(robot.id.clone(), script.plan.device.clone()));
+                let Some(promised) = of_device.and_then(VecDeque::pop_front).filter(same) else {
                     let (robot, device) = (&robot.id, &script.plan.device);
                     return Err(Changed {
                         what: format!("`{robot}` device `{device}` was promised another script"),

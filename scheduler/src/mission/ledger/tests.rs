@@ -1,6 +1,7 @@
 //! The room of a device, compared with a device that is played through by brute force.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use proptest::prelude::*;
 use urrcp::{Span, Status};
@@ -24,12 +25,14 @@ fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]
         .iter()
         .flat_map(|(device, count)| (0..*count).map(move |index| (*device, 10 * index as i64, 10)))
         .collect();
-    let mut act = Act::new(bench::played(&[&planned]), 0, number, robots, at(0), None);
-    if open == Open::Yes {
-        let _ = act.advance(at(0), robots, &crate::mission::MissionOptions::default());
-        let _ = act.promise(timing(at(0)), robots, None, |_| Span::ZERO);
-        let _ = act.recorded();
-    }
+    let act = Act::new(bench::played(&[&planned]), 0, number, robots, at(0), None);
+    if open == Open::Yes { opened(act, robots) } else { act }
+}
+
+fn opened(mut act: Act, robots: &[RobotState]) -> Act {
+    let _ = act.advance(at(0), robots, &crate::mission::MissionOptions::default());
+    let _ = act.promise(timing(at(0)), robots, None, |_| Span::ZERO);
+    let _ = act.recorded();
     act
 }
 
@@ -97,6 +100,35 @@ fn nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open() {
     let mut acts =
         [act(0, &[("a", 1), ("b", 1)], Open::No, &robots), act(1, &[("a", 1), ("c", 1)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots), [(1, 1)], "only where nothing is ahead of it");
+}
+
+#[test]
+fn with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent() {
+    let mut robots = robots(8);
+    for (clock, lease, length, expected) in [
+        (ClockMode::Ntp, 2_000, 6_000, 4),
+        (ClockMode::Measured, 2_000, 6_000, 2),
+        // The device could go on without this machine for longer than that script.
+        (ClockMode::Measured, 8_000, 6_000, 4),
+        (ClockMode::Measured, 2_000, 4_000, 4),
+    ] {
+        robots[0].settings.clock = clock;
+        let planned: Vec<Planned> = (0..4).map(|index| ("a", length * index, length)).collect();
+        let mut choreography = bench::played(&[&planned]);
+        let scripts = &mut Arc::make_mut(&mut choreography).acts[0].plan.robots[0].scripts;
+        let lease = Some(urrcp::Millis::from_span(ms(lease)));
+        scripts.iter_mut().for_each(|script| script.stop_condition.running = lease);
+        let mut acts = [opened(Act::new(choreography, 0, 0, &robots, at(0), None), &robots)];
+        let sent = send_all(&mut acts, &robots);
+        assert_eq!(sent.len(), expected, "{clock:?}, lease {lease:?}, scripts of {length} ms");
+        if expected < 4 {
+            ends(&mut acts, 0, 0, &robots);
+            assert_eq!(send_all(&mut acts, &robots), [(0, 2)]);
+            // What became of the next one is never known: nothing waits for it.
+            acts[0].lose_sight_of(ScriptRef { act: 0, member: 0, script: 1 });
+            assert_eq!(send_all(&mut acts, &robots), [(0, 3)]);
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What happened in a run, ordered by act, robot and script, as the invariants look at it.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::DeviceScript;
@@ -61,8 +61,10 @@ pub(super) struct Decision {
 pub(super) struct SentScript<'a> {
     pub(super) robot: usize,
     pub(super) promised: &'a PromisedScript,
-    /// What was added to its timestamp for its robot's clock.
+    /// What was added to its timestamp for its robot's clock, by the journal.
     pub(super) shift: Span,
+    /// The same by the request that first arrived, for a later script of a device whose robot's clock is measured.
+    pub(super) arrived_shift: Option<Span>,
     /// `None` where the choreography has no such script.
     pub(super) written: Option<&'a DeviceScript>,
     /// Time from its start to its first movement: zero if its device moves linearly to the first value.
@@ -91,6 +93,7 @@ impl<'a> Facts<'a> {
             facts.take(*at, record, &logs);
         }
         facts.take_words();
+        facts.take_shifts();
         facts
     }
 
@@ -156,10 +159,35 @@ impl<'a> Facts<'a> {
             robot,
             promised,
             shift: promised.shift,
+            arrived_shift: None,
             written,
             starts_after: written.map_or(Span::ZERO, |written| written.script.until_started(interpolation)),
             log: logs.get(promised.request_id.as_str()).cloned().unwrap_or_default(),
         })
+    }
+
+    /// The offsets with which scripts first arrived, where they may differ from that of their act: of the later ones of a device.
+    fn take_shifts(&mut self) {
+        let mut sent: HashMap<_, _> = HashMap::new();
+        for (_, happened) in &self.ran.history {
+            if let Happened::AtRobot(_, Message::ControlRequest(request)) = happened
+                && let Some((id, timestamp)) = request.request_id.as_ref().zip(request.timestamp)
+            {
+                sent.entry(id).or_insert(timestamp);
+            }
+        }
+        for act in &mut self.acts {
+            let mut devices = HashSet::new();
+            for script in &mut act.scripts {
+                if devices.insert((script.robot, &script.promised.device))
+                    || script.promised.shift == Span::ZERO
+                {
+                    continue;
+                }
+                let timestamp = sent.get(&script.promised.request_id);
+                script.arrived_shift = timestamp.map(|at| *at - act.promise.timestamp.assume_clock());
+            }
+        }
     }
 
     /// What the operator was told of the acts, by the clock of the process that told it.

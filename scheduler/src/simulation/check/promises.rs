@@ -254,11 +254,18 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
 /// within the doubt that was told. A process that takes an act up knows no shorter lease than that with which it was sent, so
 /// it is silent from a lease before the start on. Clocks and the way are in that lease as well.
 fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
-    let taken_up = facts.between(act.at, at).iter().any(|(_, what)| matches!(what, Happened::TakenUp(_)));
-    let committed = act.committed.is_some_and(|committed| committed <= by);
+    let history = facts.between(act.at, at);
+    let taken_up = history.iter().rfind(|(_, what)| matches!(what, Happened::TakenUp(_)));
+    let hushed_from = act.promise.start - act.promise.lease - HUSHED_AHEAD;
     match taken_up {
-        true => !committed && by >= act.promise.start - act.promise.lease - HUSHED_AHEAD,
-        false => act.decided.is_some() && by >= act.doubtful_from() && at < act.promise.start,
+        Some((taken_up, _)) => {
+            // A process that takes the act up before that leaves a commitment that was recorded ahead of time unsent.
+            let counts = |committed: Timestamp<Server>| {
+                committed <= by && (committed >= *taken_up || *taken_up >= hushed_from)
+            };
+            !act.committed.is_some_and(counts) && by >= hushed_from && at < act.promise.start
+        }
+        None => act.decided.is_some() && by >= act.doubtful_from() && at < act.promise.start,
     }
 }
 
