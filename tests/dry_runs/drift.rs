@@ -5,22 +5,17 @@ use serde_json::Value;
 use stage::session::Session;
 
 /// Ten minutes of nods, one a second.
-const NODS: &str = "cues:
-  - cue: nod
-    at: 0s
-    robots: [one, two]
-    repeat: {times: 600, every: 1s}
-    tracks: {rail: [{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}]}
-";
+const NODS: (u32, &str, &str) = (600, "1s", "{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}");
 
 /// Ten minutes in which the device moves all the time.
-const SLIDES: &str = "cues:
-  - cue: slide
-    at: 0s
-    robots: [one, two]
-    repeat: {times: 300, every: 2s}
-    tracks: {rail: [{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 0}]}
-";
+const SLIDES: (u32, &str, &str) = (300, "2s", "{at: 0s, to: 0}, {at: 1s, to: 10}, {at: 2s, to: 0}");
+
+/// A cue that repeats a movement of these robots.
+fn cue(robots: &str, (times, every, keyframes): (u32, &str, &str)) -> String {
+    format!(
+        "  - {{at: 0s, robots: [{robots}], repeat: {{times: {times}, every: {every}}}, tracks: {{rail: [{keyframes}]}}}}\n"
+    )
+}
 
 struct Rail {
     interpolation: &'static str,
@@ -59,9 +54,9 @@ fn fleet(rail: &Rail) -> Session {
     session
 }
 
-fn played(scenario: &str, rail: &Rail) -> (i32, Value) {
+fn played(cues: &str, rail: &Rail) -> (i32, Value) {
     let session = fleet(rail);
-    session.file("show.yaml", format!("scenario: ten minutes\n{scenario}"));
+    session.file("show.yaml", format!("scenario: ten minutes\ncues:\n{cues}"));
     let ran = session.run(&["dry-run", "show.yaml", "--format", "json"]);
     (ran.code(), ran.json())
 }
@@ -82,7 +77,7 @@ fn robots_whose_clocks_are_measured_stay_together_for_ten_minutes() {
         // All steps fit into one script.
         Rail { steps: 5_000, ..RAIL },
     ] {
-        let (code, report) = played(NODS, &rail);
+        let (code, report) = played(&cue("one, two", NODS), &rail);
         let Rail { interpolation, queue, steps, inquiry } = rail;
         let what = format!("{interpolation}, queue {queue}, {steps} steps, inquiry {inquiry}");
         assert_eq!((code, &report["outcome"]), (0, &"done".into()), "{what}");
@@ -99,7 +94,7 @@ fn out_of_tolerance((code, report): &(i32, Value)) -> f64 {
 #[test]
 fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
     // The device holds one script, so that nothing can be corrected.
-    let played = played(NODS, &Rail { queue: 1, steps: 5_000, ..RAIL });
+    let played = played(&cue("one, two", NODS), &Rail { queue: 1, steps: 5_000, ..RAIL });
     let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
     assert!((23.5..24.1).contains(&true_spread), "{true_spread} ms");
     assert!((true_spread - 1.0..true_spread).contains(&told), "{told} ms of {true_spread} ms");
@@ -107,7 +102,7 @@ fn a_mission_whose_clocks_drift_beyond_the_tolerance_is_not_done() {
 
 #[test]
 fn without_a_rest_only_the_clock_that_is_fast_is_corrected() {
-    let played = played(SLIDES, &RAIL);
+    let played = played(&cue("one, two", SLIDES), &RAIL);
     let (told, true_spread) = (out_of_tolerance(&played), spread(&played.1));
     assert!((11.0..13.5).contains(&true_spread), "{true_spread} ms");
     assert!((true_spread - 1.5..true_spread).contains(&told), "{told} ms of {true_spread} ms");
@@ -115,14 +110,9 @@ fn without_a_rest_only_the_clock_that_is_fast_is_corrected() {
 
 #[test]
 fn a_robot_whose_part_is_over_is_judged_by_its_clock_at_that_time() {
-    let nod = "{at: 0s, to: 0}, {at: 250ms, to: 10}, {at: 750ms, to: 0}";
-    let scenario = format!(
-        "cues:
-  - {{cue: wave, at: 0s, robots: [one], repeat: {{times: 5, every: 1s}}, tracks: {{rail: [{nod}]}}}}
-  - {{cue: nods, at: 0s, robots: [two], repeat: {{times: 600, every: 1s}}, tracks: {{rail: [{nod}]}}}}
-"
-    );
-    let (code, report) = played(&scenario, &RAIL);
+    let (_, every, nod) = NODS;
+    let cues = cue("one", (5, every, nod)) + &cue("two", NODS);
+    let (code, report) = played(&cues, &RAIL);
     assert_eq!((code, &report["outcome"]), (0, &"done".into()));
     assert!(spread(&report) < 2.5, "{} ms", spread(&report));
 }

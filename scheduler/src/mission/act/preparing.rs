@@ -4,6 +4,7 @@ use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span,
 
 use super::approaching::Approach;
 use super::{Act, ActAction, Member, Stage, Timing};
+use crate::clock::DRIFT_BOUND;
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::{Promise, PromisedScript, Record};
 use crate::mission::robot_state::RobotState;
@@ -165,10 +166,16 @@ impl Act {
         }
         // The offset is right for the middle of the script, so it is off by half of the drift at either end.
         let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
-        // After a clock was set, or after another process took over, a script only continues with the offset of the one before.
-        let at_most = match member.clock_steps == Some(clock_steps) {
-            true => DRIFT_MAX,
-            false => Span::ZERO,
+        let before = member.before(script.script)?;
+        let at_most = match member.clock_steps {
+            Some(steps) if steps == clock_steps => DRIFT_MAX,
+            // After a clock was set, a script continues with the offset of the one before.
+            Some(_) => Span::ZERO,
+            // A clock may have been set before this process took over: then the offset has changed by more than drift explains.
+            None => {
+                let since = (planned.plan.start.span() - before.plan.start.span()).as_millis_f64();
+                Span::from_millis_f64(since * DRIFT_BOUND)
+            }
         };
         let shift = member.translation(script.script, offset_at(middle)?, at_most)?;
         let request_id = planned.request_id()?.clone();
