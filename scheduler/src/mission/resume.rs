@@ -197,6 +197,9 @@ impl Mission {
 
     /// Sends nothing: what the robots have is asked once their links stand.
     fn note_as_sent(&mut self, now: Timestamp<Server>) {
+        for act in &mut self.acts {
+            act.note_as_sent_until(now);
+        }
         for robot in 0..self.robots.len() {
             // What was beyond a device's queue is sent once there is room; if it was sent already, its name tells.
             for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {

@@ -16,6 +16,7 @@ mod check_values;
 pub(crate) mod compensate;
 mod conflict;
 mod courses;
+mod cut;
 mod join;
 mod jumps;
 mod outline;

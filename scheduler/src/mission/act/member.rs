@@ -132,22 +132,6 @@ impl Member {
         script.shift().unwrap_or(self.shift)
     }
 
-    /// The largest offset with which the last script of a device was sent, or is to be sent.
-    pub(crate) fn last_shift(&self) -> Option<Span> {
-        self.chains.iter().map(|chain| self.shift_of(&self.scripts[chain.end - 1])).max()
-    }
-
-    /// The offset for a script that is sent for the first time, given the offset of the robot's clock while the script plays. A
-    /// script that follows another one begins when that one has ended by the same clock, or later. A change larger than `at_most`
-    /// is not drift.
-    pub(super) fn translation(&self, script: usize, offset: Span, at_most: Span) -> Option<Span> {
-        let (before, follows) = (self.before(script)?, &self.scripts[script]);
-        let known = self.shift_of(before);
-        let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();
-        let drifts = (offset - known).abs() <= at_most;
-        Some(if drifts { offset.max(known - pause) } else { known })
-    }
-
     /// The first script of every device and every other one that was sent in time is accepted.
     pub(super) fn has_accepted(&self, timing: &Timing) -> bool {
         self.unaccepted(timing).next().is_none()

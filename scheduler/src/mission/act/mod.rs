@@ -4,6 +4,7 @@
 //! file a stage. It reads of the robots what the mission knows of them.
 
 mod approaching;
+mod drift;
 mod elsewhere;
 mod member;
 mod motions;

@@ -4,7 +4,6 @@ use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span,
 
 use super::approaching::Approach;
 use super::{Act, ActAction, Member, Stage, Timing};
-use crate::clock::DRIFT_BOUND;
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::{Promise, PromisedScript, Record};
 use crate::mission::robot_state::RobotState;
@@ -36,9 +35,6 @@ impl Preparing {
         }
     }
 }
-
-/// A clock that has changed by more was set: 50 ppm take more than five hours for it.
-const DRIFT_MAX: Span = Span::from_millis(1_000);
 
 impl Act {
     /// The instant at which it should start, once it is ready: the end of the act before, or the time that it waits for.
@@ -150,46 +146,6 @@ impl Act {
     }
 
     /// A script's request is on its way.
-    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` is the time
-    /// by which that clock is ahead of the server's.
-    pub(crate) fn translate(
-        &mut self,
-        script: ScriptRef,
-        clock_steps: u32,
-        offset_at: impl FnOnce(Timestamp<Server>) -> Option<Span>,
-    ) -> Option<Record> {
-        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
-        let (member, planned) = (&self.members[script.member], self.script(script));
-        let lost = planned.shift_is_lost();
-        if planned.was_ever_sent() && !lost {
-            return None;
-        }
-        // The offset is right for the middle of the script, so it is off by half of the drift at either end.
-        let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
-        let before = member.before(script.script)?;
-        let at_most = match member.clock_steps {
-            Some(steps) if steps == clock_steps => DRIFT_MAX,
-            // After a clock was set, a script continues with the offset of the one before.
-            Some(_) => Span::ZERO,
-            // A clock may have been set before this process took over: then the offset has changed by more than drift explains.
-            None => {
-                let since = (planned.plan.start.span() - before.plan.start.span()).as_millis_f64();
-                Span::from_millis_f64(since * DRIFT_BOUND)
-            }
-        };
-        let shift = member.translation(script.script, offset_at(middle)?, at_most)?;
-        let request_id = planned.request_id()?.clone();
-        let member = &mut self.members[script.member];
-        member.change(script.script, |script| {
-            script.translate(shift);
-            if lost {
-                // Its robot may have it with another offset.
-                script.lose_shift();
-            }
-        });
-        (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
-    }
-
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         self.members[script.member].change(script.script, |script| script.sent(now));
     }

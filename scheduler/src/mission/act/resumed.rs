@@ -108,6 +108,19 @@ impl Act {
         Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
     }
 
+    /// Scripts that were to begin by now may have been sent: their robots are asked about all of them at once.
+    pub(crate) fn note_as_sent_until(&mut self, now: Timestamp<Server>) {
+        let Some(start) = self.timing.as_ref().map(|timing| timing.start) else { return };
+        for member in &mut self.members {
+            for index in 0..member.scripts().len() {
+                let script = &member.scripts()[index];
+                if script.is_planned() && start + script.plan.start.span() <= now {
+                    member.change(index, |script| script.sent(now));
+                }
+            }
+        }
+    }
+
     /// The names of all its requests.
     pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
         let of_member = |(m, member): (usize, &super::Member)| {

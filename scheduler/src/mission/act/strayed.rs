@@ -3,9 +3,7 @@
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
-use super::playing::planned_end;
-use super::{Act, ActAction, Member, Stage};
-use crate::mission::ClockMode;
+use super::{Act, ActAction, Stage};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::RobotState;
 use crate::mission::script::{Script, ScriptState};
@@ -70,29 +68,6 @@ impl Act {
         }
         let early = shown.earlier_than(timing.early_at_most());
         self.by_index(early, robots)
-    }
-
-    /// How far apart, or off the plan, the robots that played it to its end certainly were, because their clocks drifted. A robot
-    /// whose clock was set meanwhile is not judged: its plan may not follow that clock.
-    pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
-        let start = self.timing.as_ref()?.start;
-        let range = |member: &Member| {
-            let robot = &robots[member.robot];
-            let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;
-            let is_same = member.clock_steps == Some(robot.clock.steps());
-            let reading = robot.clock_at(planned_end(start, last)).filter(|_| is_same)?;
-            let off = reading.offset - member.shift_of(last);
-            let measured = robot.settings.clock == ClockMode::Measured;
-            Some((off - reading.uncertainty, off + reading.uncertainty, measured))
-        };
-        let played = self.present().filter(|member| member.is_done());
-        let ranges: Vec<_> = played.filter_map(range).collect();
-        let least = ranges.iter().map(|(_, to, _)| *to).min()?;
-        let most = ranges.iter().map(|(from, ..)| *from).max()?;
-        // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well.
-        let measured = ranges.iter().filter(|(.., measured)| *measured);
-        let off_plan = measured.map(|(from, to, _)| (*from).max(Span::ZERO - *to)).max();
-        off_plan.max(Some(most - least)).map(|apart| apart.max(Span::ZERO))
     }
 
     /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for

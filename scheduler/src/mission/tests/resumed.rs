@@ -225,6 +225,27 @@ fn an_act_whose_scripts_waited_in_vain_for_a_dead_process_was_withdrawn() {
     assert_eq!(fates(&resumed), [ActFate::Withdrawn]);
 }
 
+#[test]
+fn scripts_of_a_long_movement_that_have_ended_are_asked_for_at_once() {
+    let scripts: Vec<_> = (0..8).map(|index| ("a", 2_000 * index, 2_000)).collect();
+    let block = robot("r0", Everything, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography(&[&scripts])), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    // Six scripts have begun, and the robot holds two at a time.
+    played.run_until(played.now + ms(11_000));
+    let mut resumed = resumed_after(&played, 50);
+    assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.told);
+    assert_eq!(resumed.mission.robots[0].totals.steps_done, 16);
+    let first = resumed.sent.iter().find_map(|(_, _, message)| match message {
+        Message::Inquiry(inquiry) => Some(inquiry.requests.len()),
+        _ => None,
+    });
+    assert!(first >= Some(6), "{first:?}");
+}
+
 /// The outcome and the reason of a mission that is withdrawn with this outcome. Its robot confirms the stop.
 fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
