@@ -30,17 +30,17 @@ impl Act {
         // The offset is right for the middle of the script, so it is off by half of the drift at either end.
         let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
         let before = member.before(script.script)?;
-        let at_most = match member.clock_steps {
-            Some(steps) if steps == clock_steps => DRIFT_MAX,
+        let since = planned.plan.start.span() - before.plan.start.span();
+        let slewed = Span::from_millis_f64(since.as_millis_f64() * DRIFT_BOUND);
+        let change = offset_at(middle)? - member.shift_of(before);
+        let change = match member.clock_steps {
+            Some(steps) if steps == clock_steps && change.abs() <= DRIFT_MAX => change,
             // After a clock was set, a script continues with the offset of the one before.
             Some(_) => Span::ZERO,
-            // A clock may have been set before this process took over: then the offset has changed by more than drift explains.
-            None => {
-                let since = (planned.plan.start.span() - before.plan.start.span()).as_millis_f64();
-                Span::from_millis_f64(since * DRIFT_BOUND)
-            }
+            // A clock may have been set before this process took over: its offset is approached no faster than clocks drift.
+            None => change.clamp(Span::ZERO - slewed, slewed),
         };
-        let shift = member.translation(script.script, offset_at(middle)?, at_most)?;
+        let shift = member.translation(script.script, change)?;
         let request_id = planned.request_id()?.clone();
         let member = &mut self.members[script.member];
         member.change(script.script, |script| {
@@ -60,19 +60,20 @@ impl Act {
         let range = |member: &Member| {
             let robot = &robots[member.robot];
             let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;
-            let is_same = member.clock_steps == Some(robot.clock.steps());
+            let is_same = robot.clock.steps() == member.clock_steps.unwrap_or_default();
             let reading = robot.clock_at(planned_end(start, last)).filter(|_| is_same)?;
             let off = reading.offset - member.shift_of(last);
-            let measured = robot.settings.clock == ClockMode::Measured;
-            Some((off - reading.uncertainty, off + reading.uncertainty, measured))
+            // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well. The plan of an act
+            // that was taken up is that of the clock that this machine had before.
+            let by_plan = robot.settings.clock == ClockMode::Measured && member.clock_steps.is_some();
+            Some((off - reading.uncertainty, off + reading.uncertainty, by_plan))
         };
         let played = self.present().filter(|member| member.is_done());
         let ranges: Vec<_> = played.filter_map(range).collect();
         let least = ranges.iter().map(|(_, to, _)| *to).min()?;
         let most = ranges.iter().map(|(from, ..)| *from).max()?;
-        // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well.
-        let measured = ranges.iter().filter(|(.., measured)| *measured);
-        let off_plan = measured.map(|(from, to, _)| (*from).max(Span::ZERO - *to)).max();
+        let by_plan = ranges.iter().filter(|(.., by_plan)| *by_plan);
+        let off_plan = by_plan.map(|(from, to, _)| (*from).max(Span::ZERO - *to)).max();
         off_plan.max(Some(most - least)).map(|apart| apart.max(Span::ZERO))
     }
 }
@@ -85,14 +86,11 @@ impl Member {
         (0..scripts.len()).filter(is_last).map(|index| self.shift_of(&scripts[index])).max()
     }
 
-    /// The offset for a script that is sent for the first time, given the offset of the robot's clock while the script plays. A
-    /// script that follows another one begins when that one has ended by the same clock, or later. A change larger than `at_most`
-    /// is not drift.
-    pub(super) fn translation(&self, script: usize, offset: Span, at_most: Span) -> Option<Span> {
+    /// The offset for a script that is sent for the first time, given its change since the script before. A script that follows
+    /// another one begins when that one has ended by the same clock, or later.
+    fn translation(&self, script: usize, change: Span) -> Option<Span> {
         let (before, follows) = (self.before(script)?, &self.scripts()[script]);
-        let known = self.shift_of(before);
         let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();
-        let drifts = (offset - known).abs() <= at_most;
-        Some(if drifts { offset.max(known - pause) } else { known })
+        Some(self.shift_of(before) + change.max(Span::ZERO - pause))
     }
 }
