@@ -108,7 +108,7 @@ impl Act {
         Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
     }
 
-    /// Scripts that were to begin by now may have been sent: their robots are asked about all of them at once.
+    /// Scripts whose planned start has passed may have been sent: their robots are asked about all of them at once.
     pub(crate) fn note_as_sent_until(&mut self, now: Timestamp<Server>) {
         let Some(start) = self.timing.as_ref().map(|timing| timing.start) else { return };
         for member in &mut self.members {
