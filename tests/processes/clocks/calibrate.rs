@@ -233,7 +233,7 @@ fn a_mission_whose_motions_no_sensor_can_verify_is_refused_before_anything_moves
         .file("fleet.yaml", "robots: {arm: {init: robot.yaml, address: sim}}\n")
         .file(
             "show.yaml",
-            "scenario: show\ncues: [{at: 0s, robots: arm, tracks: {elbow: [{at: 0s, to: 0}]}}]\n",
+            "scenario: show\nstart_tolerance: 1s\ncues: [{at: 0s, robots: arm, tracks: {elbow: [{at: 0s, to: 0}]}}]\n",
         );
     session.run(&["run", "show.yaml", "--verify-motion"]).says(
         2,

@@ -8,6 +8,7 @@ use rustix::process::{Pid, Signal};
 use stage::session::{Ran, Session, arm_at, program};
 
 const SCENARIO: &str = "scenario: test
+start_tolerance: 1s
 cues: [{at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 100ms, to: 0}]}}]
 ";
 

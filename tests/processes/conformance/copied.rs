@@ -142,6 +142,8 @@ fn the_scheduler_to_copy_plays_a_show() {
     let (_operator, orders) = tokio::sync::mpsc::channel(1);
     let (fleet, scenario) = (root().join("fleet.yaml"), root().join("scripts/examples/swap.yaml"));
     let report = runtime.block_on(scheduler::play(&fleet, &scenario, orders)).unwrap();
-    let played = matches!(report.outcome, Outcome::Done | Outcome::OutOfTolerance { .. });
+    // Whether the steps are in time is up to this machine.
+    let played =
+        matches!(report.outcome, Outcome::Done | Outcome::OutOfTolerance { .. } | Outcome::StepsLate { .. });
     assert!(played && report.robots.iter().all(|robot| robot.steps_done > 0), "{report:#?}");
 }

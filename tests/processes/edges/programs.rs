@@ -102,7 +102,7 @@ fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_ano
     let session = session();
     session
         .file("drive.sh", DRIVE)
-        .file("tanks.yaml", "scenario: tanks\nstop_condition: {running: none}\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
+        .file("tanks.yaml", "scenario: tanks\nstart_tolerance: 1s\nstop_condition: {running: none}\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
         .file("fleet.yaml", "robots: {tank-1: {init: tank.json, address: 'program:sh drive.sh driven.txt'}}\ngroups: {tanks: [tank-1]}\n");
     let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
     let mut running = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();

@@ -7,6 +7,7 @@ use stage::session::{Ran, Session};
 use stage::site::Site;
 
 const WAITS: &str = "scenario: waits
+start_tolerance: 1s
 acts:
   - act: one
     wait: operator

@@ -11,10 +11,12 @@ use stage::site::Site;
 
 /// Anna's: the arms go up and stay there for a minute.
 const LONG: &str = "scenario: long
+start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 60s, to: 10}]}}]
 ";
 /// Eva's: to another place.
 const OTHER: &str = "scenario: other
+start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 100ms, to: 30}, {at: 400ms, to: 20}]}}]
 ";
 
@@ -121,7 +123,7 @@ fn robots_are_taken(scheme: &'static str) {
 fn where_nothing_is_proven_no_robot_is_seized() {
     let session = Session::new();
     session.file("fleet.yaml", "handshake: skip\nrobots: {left: {init: arm.yaml, address: sim}}\n");
-    let scenario = "scenario: s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 100ms, to: 45}]}}]\n";
+    let scenario = "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 100ms, to: 45}]}}]\n";
     session.file("s.yaml", scenario);
     session.run(&["run", "s.yaml", "--seize"]).says(2, &["--seize", "handshake: skip"]);
     // Robots of its own process are no other's.

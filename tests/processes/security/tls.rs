@@ -98,7 +98,7 @@ fn a_robot_that_listens_for_more_than_this_machine_needs_a_key_or_a_word() {
 fn a_fleet_with_open_robots_elsewhere_says_so_or_is_refused() {
     let session = Session::new();
     let fleet = "robots:\n  left: {init: arm.yaml, address: 'tcp://192.0.2.1:7401'}\n";
-    let scenario = "scenario: s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
+    let scenario = "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 45}]}}]\n";
     session.file("fleet.yaml", fleet).file("s.yaml", scenario);
     session.run(&["check", "s.yaml"]).says(1, &["DB0058", "fleet.yaml:2:", "insecure: true"]);
     session.file("fleet.yaml", format!("insecure: true\n{fleet}"));
@@ -169,7 +169,7 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
     );
     session.file("fleet.yaml", fleet).file(
         "s.yaml",
-        "scenario: s\ncues: [{at: 0s, robots: arm, tracks: {shoulder: [{at: 1s, to: 45}]}}]\n",
+        "scenario: s\nstart_tolerance: 1s\ncues: [{at: 0s, robots: arm, tracks: {shoulder: [{at: 1s, to: 45}]}}]\n",
     );
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "robot", "arm", "--days", "12"]).says(0, &[]);

@@ -2,6 +2,9 @@
 //!
 //! A test may play a mission again for these reasons and for no other: a failure that has another reason is a fault.
 
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
 /// A sentence or word of a report, and the outcome or failure that it stands for.
 const REASONS: [(&str, &str); 8] = [
     ("a late command is never started", "failure `late` of a robot on this machine"),
@@ -33,23 +36,45 @@ fn reason_of_no_start(report: &str) -> Option<&'static str> {
 /// Plays a mission, and plays it again if its report says that this machine was too slow. Prints each repetition to standard error.
 #[track_caller]
 pub fn played<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
-    played_unless(play, |played| reason(&report(played)))
+    played_unless(None, play, |played| reason(&report(played)))
 }
 
-/// Plays a mission, and plays it again only if its report says that this machine was too slow to start it.
+/// Like `played`, and removes the missions that are played again from this state folder.
 #[track_caller]
-pub fn begun<T>(play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
-    played_unless(play, |played| reason_of_no_start(&report(played)))
+pub fn played_in<T>(state: &Path, play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+    played_unless(Some(state), play, |played| reason(&report(played)))
+}
+
+/// Like `played_in`, but plays the mission again only if this machine was too slow to start it.
+#[track_caller]
+pub fn begun_in<T>(state: &Path, play: impl FnMut() -> T, report: impl Fn(&T) -> String) -> T {
+    played_unless(Some(state), play, |played| reason_of_no_start(&report(played)))
 }
 
 #[track_caller]
-fn played_unless<T>(mut play: impl FnMut() -> T, reason: impl Fn(&T) -> Option<&'static str>) -> T {
+fn played_unless<T>(
+    state: Option<&Path>,
+    mut play: impl FnMut() -> T,
+    reason: impl Fn(&T) -> Option<&'static str>,
+) -> T {
+    let before = state.map(missions).unwrap_or_default();
     for attempt in 2..=ATTEMPTS {
         let played = play();
         let Some(reason) = reason(&played) else { return played };
         eprintln!("attempt {attempt} of {ATTEMPTS} at {}: {reason}", std::panic::Location::caller());
+        let after = state.map(missions).unwrap_or_default();
+        after.difference(&before).for_each(|mission| std::fs::remove_dir_all(mission).unwrap());
     }
     play()
+}
+
+fn missions(state: &Path) -> BTreeSet<PathBuf> {
+    std::fs::read_dir(state)
+        .into_iter()
+        .flatten()
+        .map(|entry| entry.unwrap().path())
+        .filter(|entry| entry.is_dir())
+        .collect()
 }
 
 #[test]
@@ -70,4 +95,18 @@ fn only_a_machine_that_is_reported_as_too_slow_is_a_reason_to_play_again() {
     assert_eq!(attempts(&[slow; 9]), (ATTEMPTS, slow.to_owned()));
     assert!(reason("{\"outcome\": {\n  \"commitment_late\": {\n    \"by_ms\": 3}}}").is_some());
     assert!(reason("{\"failures\": [{\"robot\": \"r0\", \"failure\": \"silent\"}]}").is_none());
+}
+
+#[test]
+fn a_mission_that_is_played_again_leaves_only_its_last_attempt_behind() {
+    let state = tempfile::tempdir().unwrap();
+    std::fs::create_dir(state.path().join("earlier")).unwrap();
+    let mut count = 0;
+    let play = || {
+        count += 1;
+        std::fs::create_dir(state.path().join(count.to_string())).unwrap();
+        ["this machine was held up", "show: done"][count - 1]
+    };
+    assert_eq!(played_in(state.path(), play, |report| (*report).to_owned()), "show: done");
+    assert_eq!(missions(state.path()), ["2", "earlier"].map(|name| state.path().join(name)).into());
 }

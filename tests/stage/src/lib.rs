@@ -276,13 +276,17 @@ impl Stage {
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ended {
         let run = || self.start(args).ended();
-        if args.first() == Some(&"run") { held_up::begun(run, Ended::said) } else { run() }
+        if args.first() == Some(&"run") {
+            held_up::begun_in(&self.path("state"), run, Ended::said)
+        } else {
+            run()
+        }
     }
 
     /// Plays a mission to its end, and plays it again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ended {
-        held_up::played(|| self.start(args).ended(), Ended::said)
+        held_up::played_in(&self.path("state"), || self.start(args).ended(), Ended::said)
     }
 }
 

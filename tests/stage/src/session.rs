@@ -81,13 +81,17 @@ impl Session {
     #[track_caller]
     pub fn run(&self, args: &[&str]) -> Ran {
         let run = || Ran(self.command(args).output().unwrap());
-        if args.first() == Some(&"run") { held_up::begun(run, Ran::text) } else { run() }
+        if args.first() == Some(&"run") {
+            held_up::begun_in(&self.path("state"), run, Ran::text)
+        } else {
+            run()
+        }
     }
 
     /// Plays a mission to its end, and plays it again if this machine was too slow for it.
     #[track_caller]
     pub fn play(&self, args: &[&str]) -> Ran {
-        held_up::played(|| Ran(self.command(args).output().unwrap()), Ran::text)
+        held_up::played_in(&self.path("state"), || Ran(self.command(args).output().unwrap()), Ran::text)
     }
 }
 

@@ -8,6 +8,7 @@ use crate::{Process, free_port};
 
 /// Moves every robot of the site.
 pub const SCENARIO: &str = "scenario: test
+start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}, {at: 600ms, to: 45}]}}]
 ";
 
@@ -122,6 +123,7 @@ pub fn listens(child: &mut Child) -> String {
 
 /// A scenario whose scripts are the only long messages to a robot.
 pub const LONG_SCRIPT: &str = "scenario: test
+start_tolerance: 1s
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, to: 10}, {at: 200ms, to: 20}, {at: 300ms, to: 30},
 {at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 45}]}}]
 ";
