@@ -3,16 +3,12 @@
 use std::collections::{BTreeMap, HashSet};
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
-use urrcp::{ControlType, Device, DeviceId, Interpolation, RobotId, Span};
+use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
-use crate::compile::compile;
-use crate::duration::written;
-use crate::files::NoFiles;
-use crate::finding::{Code, Finding, Severity};
+use crate::finding::Finding;
 use crate::fleet::Fleet;
 use crate::plan::{Act, Choreography, Way};
-use crate::source::Source;
+use crate::poses::{self, DeviceWay, settable, unused_name};
 
 /// How devices are moved to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -53,16 +49,8 @@ impl Choreography {
         if ways.is_empty() {
             return Ok((self, first));
         }
-        let mut ahead = compiled(&ways, fleet, approach)?;
-        ahead.name = self.unused_name();
-        let plan = &act.plan;
-        ahead.plan.scenario = format!("{}, {}", self.scenario, ahead.name);
-        ahead.plan.start_tolerance = plan.start_tolerance;
-        ahead.plan.lead = plan.lead;
-        ahead.plan.stop_condition = plan.stop_condition;
-        for script in ahead.plan.robots.iter_mut().flat_map(|robot| &mut robot.scripts) {
-            script.stop_condition = plan.stop_condition;
-        }
+        let mut ahead = poses::compiled("--approach", &ways, fleet, approach)?;
+        poses::name_like(&mut ahead, unused_name(NAME, &self.acts), &self.scenario, &act.plan);
         for act in &mut self.acts {
             for way in [&mut act.next, &mut act.on_timeout] {
                 if let Way::Act(index) = way {
@@ -75,20 +63,6 @@ impl Choreography {
         self.acts.insert(0, ahead);
         Ok((self, 0))
     }
-
-    fn unused_name(&self) -> String {
-        let names = std::iter::once(NAME.to_owned()).chain((2..).map(|n| format!("{NAME}-{n}")));
-        let mut unused = names.filter(|name| !self.acts.iter().any(|act| act.name == *name));
-        unused.next().unwrap_or_default()
-    }
-}
-
-/// A device, its position, and the position that it has to reach.
-struct DeviceWay<'a> {
-    robot: &'a RobotId,
-    device: &'a DeviceId,
-    from: f64,
-    to: f64,
 }
 
 fn ways<'a>(act: &'a Act, fleet: &Fleet, approach: &Approach) -> Vec<DeviceWay<'a>> {
@@ -114,77 +88,14 @@ fn ways<'a>(act: &'a Act, fleet: &Fleet, approach: &Approach) -> Vec<DeviceWay<'
     ways
 }
 
-/// The nearest position to which scripts can set a device: it may have come to rest between two of them.
-fn settable(device: &Device, position: f64) -> f64 {
-    let types = &device.available_control_types;
-    let script = types.script().map(|script| &script.limits);
-    types.limits(ControlType::Position).into_iter().chain(script).fold(position, |position, limits| {
-        let within = position.clamp(limits.min_value, limits.max_value);
-        let nearest = limits.nearest(within);
-        match limits.contains(nearest) {
-            true => nearest,
-            false => nearest - limits.granularity.copysign(nearest - within),
-        }
-    })
-}
-
-/// Compiles the act from a scenario that is generated for it. Devices that take too few steps for a smooth movement get a linear one.
-fn compiled(ways: &[DeviceWay<'_>], fleet: &Fleet, approach: &Approach) -> Result<Act, Vec<Finding>> {
-    eased(ways, fleet, approach, "smooth").or_else(|findings| {
-        let few = [Code::TooManySteps, Code::QueueTooShort];
-        match findings.iter().all(|finding| few.contains(&finding.code)) {
-            true => eased(ways, fleet, approach, "linear"),
-            false => Err(findings),
-        }
-    })
-}
-
-fn eased(
-    ways: &[DeviceWay<'_>],
-    fleet: &Fleet,
-    approach: &Approach,
-    ease: &str,
-) -> Result<Act, Vec<Finding>> {
-    let mut tracks: BTreeMap<&RobotId, serde_json::Map<String, Value>> = BTreeMap::new();
-    let over = written(approach.over);
-    for DeviceWay { robot, device, from, to } in ways {
-        let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
-        tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
-    }
-    let cues: Vec<_> = tracks
-        .into_iter()
-        .map(|(robot, tracks)| json!({"at": "0s", "robots": robot, "tracks": tracks}))
-        .collect();
-    // Scenarios are YAML, and JSON is YAML.
-    let text = json!({"scenario": NAME, "cues": cues}).to_string();
-    let compiled = compile(&Source { name: "--approach".into(), text }, &moved(fleet, approach), &NoFiles);
-    let acts = compiled.choreography.map(|choreography| choreography.acts).unwrap_or_default();
-    let errors = || {
-        let findings = compiled.findings.into_iter();
-        findings.filter(|finding| finding.severity == Severity::Error).collect()
-    };
-    acts.into_iter().next().ok_or_else(errors)
-}
-
-/// The fleet, with the known positions of its devices as their default values.
-fn moved(fleet: &Fleet, approach: &Approach) -> Fleet {
-    let mut fleet = fleet.clone();
-    for robot in &mut fleet.robots {
-        let Some(from) = approach.from.get(&robot.id) else { continue };
-        for device in robot.init.iter_mut().flat_map(|block| block.devices.iter_mut()) {
-            if let Some(position) = from.get(&device.id) {
-                device.default_value = Some(settable(device, *position));
-            }
-        }
-    }
-    fleet
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::address::Address;
+    use crate::compile::compile;
+    use crate::files::NoFiles;
     use crate::fleet::FleetRobot;
+    use crate::source::Source;
 
     const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {

@@ -45,6 +45,7 @@ mod music;
 mod node;
 mod open;
 mod plan;
+mod poses;
 mod project;
 mod refill;
 mod refusal;

@@ -200,9 +200,8 @@ impl Mission {
         now: Timestamp<Server>,
     ) -> Self {
         let deadline = now + options.patience;
-        let course =
-            |act: &downbeat_scripts::Act| ActCourse { act: act.name.clone(), ..ActCourse::default() };
-        let fates = choreography.acts.iter().map(course).collect();
+        let course = |index| ActCourse { act: act::act_name(&choreography, index), ..ActCourse::default() };
+        let fates = (0..choreography.acts.len()).map(course).collect();
         let index_of: HashMap<_, _> =
             participants.iter().enumerate().map(|(index, participant)| (&participant.id, index)).collect();
         let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);

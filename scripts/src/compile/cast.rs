@@ -253,6 +253,11 @@ pub(super) struct Left {
 }
 
 impl Left {
+    /// On every way from act to act, if that is one value.
+    pub(super) const fn usually(self) -> Option<f64> {
+        self.usually
+    }
+
     /// By the last movement of an act.
     pub(super) const fn at(value: Option<f64>) -> Self {
         Self { usually: value, certainly: value }

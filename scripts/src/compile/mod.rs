@@ -5,6 +5,7 @@
 
 mod acts;
 mod ahead;
+mod at_end;
 mod cast;
 mod check_formations;
 mod check_motion;
@@ -37,7 +38,7 @@ use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
 use crate::identify::{self, Document};
 use crate::locate::locate;
-use crate::plan::{Act, Choreography, Plan};
+use crate::plan::{Act, Choreography, Plan, Way};
 use crate::scenario::{self, Documents, Scenario};
 use crate::source::Source;
 
@@ -105,7 +106,7 @@ impl Compiler {
         let horizon = scenario.horizon();
         let mut known = self.first_times(&scenario, &cast).into_iter();
         let mut fits = ahead::fits(&timed(&scenario, known.as_slice()), &cast, horizon);
-        let (mut rests, mut poses) = (HashMap::new(), HashMap::new());
+        let (mut rests, mut poses) = (at_end::Rests::default(), HashMap::new());
         let mut incomplete = HashSet::new();
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
@@ -114,7 +115,7 @@ impl Compiler {
         let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
-            let positions = cast::Positions::after(fleet, &before, &rests, index == 0, others[index]);
+            let positions = cast::Positions::after(fleet, &before, &rests.ended, index == 0, others[index]);
             let times = known.next().unwrap_or_else(|| self.times(act, &cast, horizon));
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
@@ -150,7 +151,10 @@ impl Compiler {
             };
             let (in_space, left) = check_space::check(&mut self.findings, &stage);
             poses.insert(index, left);
-            rests.insert(index, positions.left_by(rest));
+            if scenario.at_end.is_some() && ways.on_timeout == Way::End {
+                rests.timed_out.insert(index, positions.left_by(HashMap::new()));
+            }
+            rests.ended.insert(index, positions.left_by(rest));
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),
                 name => format!("{}, {name}", scenario.name),
@@ -188,6 +192,7 @@ impl Compiler {
         check_safety::check(&mut self.findings, &scenario, &acts);
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
         compensate::compensate(&mut acts, fleet);
+        at_end::go_home(&mut self.findings, &scenario, (&cast, fleet), &mut acts, &rests);
         let choreography = Choreography {
             scenario: scenario.name.clone(),
             acts,

@@ -29,7 +29,7 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 pub(super) const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 22] = [
+pub(crate) const SCENARIO_KEYS: [&str; 23] = [
     "scenario",
     "fleet",
     "include",
@@ -49,6 +49,7 @@ pub(crate) const SCENARIO_KEYS: [&str; 22] = [
     "stop_condition",
     "on_failure",
     "on_doubt",
+    "at_end",
     "require",
     "cues",
     "acts",

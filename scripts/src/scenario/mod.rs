@@ -77,6 +77,15 @@ pub(crate) struct Scenario {
     pub(crate) formations: HashMap<String, WrittenFormation>,
     pub(crate) paths: HashMap<String, WrittenPath>,
     pub(crate) acts: Vec<Act>,
+    pub(crate) at_end: Option<AtEnd>,
+}
+
+/// Devices move to their default values when the mission has ended well.
+#[derive(Clone, Debug)]
+pub(crate) struct AtEnd {
+    /// Duration of the movement; computed from the limits of the devices if none is given.
+    pub(crate) over: Option<Span>,
+    pub(crate) place: Place,
 }
 
 /// A name with its place.
@@ -358,6 +367,7 @@ pub(crate) fn read(
         stop_condition,
         on_failure,
         on_doubt,
+        at_end,
         require,
         cues,
         acts,
@@ -377,6 +387,7 @@ pub(crate) fn read(
         lease_place: stop_condition.map(|at| at.place()),
         requirements,
         closest_place,
+        at_end: at_end.and_then(|at| read_at_end(reader, &at)),
         ..Scenario::default()
     };
     let defaults = acts::Defaults {
@@ -397,6 +408,17 @@ pub(crate) fn read(
     scenario.roles = library.roles;
     (scenario.formations, scenario.paths) = (library.formations, library.paths);
     Some(scenario)
+}
+
+/// `home`, or `home` with a duration.
+fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
+    let place = at.place();
+    let Node::Map(_) = at.node else {
+        return reader.word(at, &[("home", ())]).map(|()| AtEnd { over: None, place });
+    };
+    let [over] = reader.map(at, "`at_end`", ["home"], &["home"])?;
+    let over = Some(reader.duration(&over?)?);
+    Some(AtEnd { over, place })
 }
 
 /// What cues share, of all files.

@@ -46,6 +46,7 @@ lead: 1s
 stop_condition: {pending: none, running: 2s}
 on_failure: {default: stop, then: end}
 on_doubt: start
+at_end: {home: 9s}
 require: {all_or_none: strict, spread_p50: below 1ms, spread_p99: at most 5ms, spread_max: below 9ms, starts: above 99.9%, finishes: at least 99%, closest: above 0.3m}
 acts:
   - act: one

@@ -89,3 +89,26 @@ fn a_mission_that_was_killed_while_it_approached_goes_on_after_resume() {
     let is_there = |robot: &stage::Robot| robot.log().last().is_some_and(|entry| entry.value == 40.0);
     stage::quiet::await_that("the last value", || stage.robots.iter().all(is_there));
 }
+
+#[test]
+fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
+    let stage = stage();
+    let show = std::fs::read_to_string(stage.path("out.yaml")).unwrap();
+    stage.file("home.yaml", show.replace("cues:", "at_end: home\ncues:"));
+    let played = stage.play(&["run", "home.yaml"]);
+    assert_eq!(played.code, Some(0), "{played}");
+    assert!(
+        ["out", "home"].iter().all(|act| played.out.contains(&format!("act `{act}`: played"))),
+        "{played}"
+    );
+    for robot in &stage.robots {
+        let log = robot.log();
+        assert!(log.iter().any(|entry| entry.value == 80.0), "{}: {log:?}", robot.id);
+        assert_eq!(log.last().map(|entry| entry.value), Some(0.0), "{}: {log:?}", robot.id);
+        let alone = |entry: &&stage::Logged| !matches!(entry.motion.as_str(), "set" | "ramp");
+        assert_eq!(log.iter().find(alone).map(|entry| &entry.motion), None, "{}", robot.id);
+    }
+    // The show leaves joints at 80 degrees.
+    let home = stage.play(&["run", "home.yaml", "--act", "home", "--approach", "3s"]);
+    assert_eq!(home.code, Some(0), "{home}");
+}

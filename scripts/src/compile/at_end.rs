@@ -1,0 +1,308 @@
+//! `at_end: home`: an act behind each way to the end that moves devices to their default values.
+
+use std::collections::{BTreeMap, HashMap};
+
+use urrcp::{ControlType, Device, Interpolation, RobotId, Span};
+
+use super::cast::{Cast, Rest};
+use crate::approach::Approach;
+use crate::duration::written;
+use crate::fields::Reader;
+use crate::finding::Code;
+use crate::fleet::Fleet;
+use crate::motion::Easing;
+use crate::plan::{Act, Way};
+use crate::poses::{self, DeviceWay, settable, unused_name};
+use crate::scenario::{AtEnd, Scenario};
+
+const NAME: &str = "home";
+/// The shortest duration that is chosen.
+const OVER_MIN: f64 = 1.0;
+/// What is chosen for movements without any limit.
+const OVER_WITHOUT_LIMITS: f64 = 5.0;
+/// The part by which a chosen duration exceeds that of the formula: steps on a grid are faster here and there.
+const SLACK: f64 = 0.02;
+
+/// Where acts leave devices.
+#[derive(Default)]
+pub(super) struct Rests {
+    /// When the act has ended.
+    pub(super) ended: HashMap<usize, Rest>,
+    /// When its wait has timed out, if the mission ends then.
+    pub(super) timed_out: HashMap<usize, Rest>,
+}
+
+/// Adds the acts, one for each set of positions in which the mission may end.
+pub(super) fn go_home(
+    findings: &mut Reader,
+    scenario: &Scenario,
+    (cast, fleet): (&Cast<'_>, &Fleet),
+    acts: &mut Vec<Act>,
+    rests: &Rests,
+) {
+    let Some(at_end) = &scenario.at_end else { return };
+    let written = acts.len();
+    let mut known: Vec<(Homecoming, usize)> = Vec::new();
+    for act in 0..written {
+        let ends = [(acts[act].next, &rests.ended), (acts[act].on_timeout, &rests.timed_out)];
+        let ways = ends.map(|(way, rests)| match (way, rests.get(&act)) {
+            (Way::End, Some(rest)) => {
+                let home = Homecoming::from(findings, at_end, (cast, &acts[act].name), rest)?;
+                home_act(findings, at_end, (scenario, fleet), acts, home, &mut known).map(Way::Act)
+            }
+            _ => None,
+        });
+        let [next, on_timeout] = ways;
+        acts[act].next = next.unwrap_or(acts[act].next);
+        acts[act].on_timeout = on_timeout.unwrap_or(acts[act].on_timeout);
+    }
+    if known.is_empty() && findings.found.is_empty() {
+        let message = "`at_end: home` moves nothing".to_owned();
+        let expected = "a device that the scenario moves and whose description has a `default_value`";
+        findings.add(Code::NothingToDo, at_end.place.clone(), message, expected, None);
+    }
+}
+
+/// The index of the act that moves devices like this, a new one if there is none yet.
+fn home_act(
+    findings: &mut Reader,
+    at_end: &AtEnd,
+    (scenario, fleet): (&Scenario, &Fleet),
+    acts: &mut Vec<Act>,
+    home: Homecoming,
+    known: &mut Vec<(Homecoming, usize)>,
+) -> Option<usize> {
+    if let Some((_, index)) = known.iter().find(|(other, _)| *other == home) {
+        return Some(*index);
+    }
+    let ways: Vec<_> = home
+        .devices
+        .iter()
+        .map(|(robot, device, [from, to])| DeviceWay { robot, device, from: *from, to: *to })
+        .collect();
+    let over = at_end.over.unwrap_or(home.over);
+    let poses = Approach { over, from: home.positions() };
+    match poses::compiled("at_end", &ways, fleet, &poses) {
+        Ok(mut act) => {
+            poses::name_like(&mut act, unused_name(NAME, acts), &scenario.name, &acts[0].plan);
+            known.push((home, acts.len()));
+            acts.push(act);
+            Some(acts.len() - 1)
+        }
+        Err(errors) => {
+            for error in errors {
+                let message = format!("on the way home, over {}: {}", written(over), error.message);
+                let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves there in turns";
+                findings.add(
+                    error.code,
+                    at_end.place.clone(),
+                    message,
+                    error.expected,
+                    Some(hint.to_owned()),
+                );
+            }
+            None
+        }
+    }
+}
+
+/// The devices that are moved, and the duration that their limits permit.
+#[derive(PartialEq)]
+struct Homecoming {
+    devices: Vec<(RobotId, urrcp::DeviceId, [f64; 2])>,
+    over: Span,
+}
+
+impl Homecoming {
+    /// `None` if nothing has to move, or if the position of a device is not known.
+    fn from(
+        findings: &mut Reader,
+        at_end: &AtEnd,
+        (cast, act): (&Cast<'_>, &str),
+        rest: &Rest,
+    ) -> Option<Self> {
+        let mut left: Vec<_> = rest.iter().collect();
+        left.sort_unstable_by_key(|(device, _)| **device);
+        let (mut devices, mut over, mut unknown) = (Vec::new(), OVER_MIN, Vec::new());
+        for ((robot, index), left) in left {
+            let device = &cast.devices(*robot)[*index];
+            let is_position = device.primary_control_type() == Some(ControlType::Position);
+            let Some(to) = device.default_value.filter(|_| is_position) else { continue };
+            let Some(from) = left.usually() else {
+                unknown.push(format!("`{}/{}`", cast.id(*robot), device.id));
+                continue;
+            };
+            let (from, to) = (settable(device, from), settable(device, to));
+            if from != to {
+                over = over.max(shortest(cast, *robot, device, (to - from).abs()));
+            }
+            devices.push((cast.id(*robot).clone(), device.id.clone(), [from, to]));
+        }
+        if let [first, others @ ..] = unknown.as_slice() {
+            let others =
+                if others.is_empty() { String::new() } else { format!(" and of {} others", others.len()) };
+            let message = format!("the position of {first}{others} after act `{act}` is not known");
+            let hint =
+                "move it in the last act: ways that part and meet again leave it at different positions"
+                    .to_owned();
+            findings.add(
+                Code::UnknownBeginning,
+                at_end.place.clone(),
+                message,
+                "one position for each device",
+                Some(hint),
+            );
+            return None;
+        }
+        let moves = devices.iter().any(|(.., [from, to])| from != to);
+        // Whole tenths of a second are easy to read.
+        let over = Span::from_millis_f64((over * 10.0).ceil() * 100.0);
+        moves.then_some(Self { devices, over })
+    }
+
+    fn positions(&self) -> BTreeMap<RobotId, BTreeMap<urrcp::DeviceId, f64>> {
+        let mut positions: BTreeMap<_, BTreeMap<_, _>> = BTreeMap::new();
+        for (robot, device, [from, _]) in &self.devices {
+            positions.entry(robot.clone()).or_default().insert(device.clone(), *from);
+        }
+        positions
+    }
+}
+
+/// The shortest smooth movement over a distance, in seconds, that the limits of a device permit.
+fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> f64 {
+    let limits = cast.limits(robot, device, ControlType::Position);
+    let by_speed = limits.speed.map(|speed| Easing::Smooth.slope_max() * distance / speed);
+    let by_acceleration = limits
+        .acceleration
+        .map(|acceleration| (Easing::Smooth.curvature_max() * distance / acceleration).sqrt());
+    let longest = by_speed.into_iter().chain(by_acceleration).reduce(f64::max);
+    match (longest, device.interpolation) {
+        (Some(seconds), _) => seconds * (1.0 + SLACK),
+        (None, Interpolation::Linear) => OVER_WITHOUT_LIMITS,
+        // A lamp.
+        (None, Interpolation::Hold) => OVER_MIN,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::address::Address;
+    use crate::compile::{Compiled, compile};
+    use crate::files::NoFiles;
+    use crate::fleet::FleetRobot;
+    use crate::source::Source;
+
+    const ROBOT: &str = r#"{"id": "arm", "api_version": "1", "devices": [
+  {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {
+     "position": {"min_value": -180, "max_value": 180, "granularity": 0.5},
+     "speed": {"min_value": -60, "max_value": 60, "granularity": 1},
+     "script": {"min_value": -180, "max_value": 180, "granularity": 0.5, "max_number_of_steps": 200}}},
+  {"id": "lamp", "name": "lamp", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}},
+  {"id": "still", "name": "still", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
+
+    fn compiled(text: &str) -> Compiled {
+        let block = serde_json::from_str(ROBOT).unwrap();
+        let robots = vec![FleetRobot::new("arm".parse().unwrap(), Address::Simulated, Some(block))];
+        let fleet = Fleet { robots, ..Fleet::default() };
+        compile(
+            &Source { name: "show.yaml".into(), text: format!("scenario: show\n{text}") },
+            &fleet,
+            &NoFiles,
+        )
+    }
+
+    fn acts(text: &str) -> Vec<Act> {
+        let compiled = compiled(text);
+        compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts
+    }
+
+    /// The first and the last value of a device in an act, and the offset of the last.
+    fn moved(act: &Act, device: &str) -> Option<([f64; 2], Span)> {
+        let script = act.plan.robots[0].scripts.iter().find(|script| script.device.as_str() == device)?;
+        let steps = script.script.steps();
+        Some(([&steps[0], &steps[steps.len() - 1]].map(|step| step.setpoint.value), script.script.duration()))
+    }
+
+    const CUES: &str = "cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 0s, to: 0}, {at: 4s, to: 80, ease: smooth}], lamp: [{at: 0s, to: 50}]}}]";
+
+    #[test]
+    fn what_the_scenario_has_moved_moves_home_and_nothing_else_does() {
+        let acts = acts(&format!("at_end: home\nstart_tolerance: 20ms\n{CUES}"));
+        assert_eq!(
+            acts.iter().map(|act| (act.name.as_str(), act.next)).collect::<Vec<_>>(),
+            [("", Way::Act(1)), ("home", Way::End)]
+        );
+        let home = &acts[1];
+        // 1.875 * 80 / 60 = 2.5 s, and 2 %.
+        assert_eq!(moved(home, "joint"), Some(([80.0, 0.0], Span::from_millis(2_600))));
+        assert_eq!(moved(home, "lamp").unwrap().0, [50.0, 0.0]);
+        assert_eq!(moved(home, "still"), None);
+        assert_eq!(home.plan.start_tolerance, Span::from_millis(20));
+    }
+
+    #[test]
+    fn a_duration_is_kept_and_one_that_is_too_short_is_refused_where_it_stands() {
+        let long = acts(&format!("at_end: {{home: 9s}}\n{CUES}"));
+        assert_eq!(moved(&long[1], "joint"), Some(([80.0, 0.0], Span::from_millis(9_000))));
+        let short = compiled(&format!("at_end: {{home: 1s}}\n{CUES}")).findings;
+        let [finding] = short.as_slice() else { panic!("{short:#?}") };
+        assert_eq!((finding.code, finding.line), (Code::TooFast, 2));
+        assert!(finding.message.contains("on the way home, over 1s: "), "{}", finding.message);
+    }
+
+    const WAYS: &str = "acts:
+  - {act: high, wait: {for: operator, timeout: 9s, otherwise: low}, cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 2s, to: 60}]}}], next: NEXT}
+  - {act: low, cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 2s, to: -20}], lamp: [{at: 0s, to: 9}]}}], next: LAST}
+";
+
+    #[test]
+    fn each_way_to_the_end_has_its_own_way_home() {
+        let acts = acts(&format!("at_end: home\n{}", WAYS.replace("NEXT", "end").replace("LAST", "end")));
+        let ways: Vec<_> = acts.iter().map(|act| (act.name.as_str(), act.next)).collect();
+        assert_eq!(
+            ways,
+            [("high", Way::Act(2)), ("low", Way::Act(3)), ("home", Way::End), ("home-2", Way::End)]
+        );
+        assert_eq!(moved(&acts[2], "joint").unwrap().0, [60.0, 0.0]);
+        assert_eq!(moved(&acts[3], "joint").unwrap().0, [-20.0, 0.0]);
+    }
+
+    #[test]
+    fn a_position_that_depends_on_the_way_is_refused() {
+        let last = "  - {act: last, cues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 7}]}}]}\n";
+        let ways = WAYS.replace("NEXT", "last").replace("LAST", "last");
+        let findings = compiled(&format!("at_end: home\n{ways}{last}")).findings;
+        let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
+        assert_eq!((finding.code, finding.line), (Code::UnknownBeginning, 2));
+        assert!(
+            finding.message.contains("`arm/joint` and of 1 others after act `last`"),
+            "{}",
+            finding.message
+        );
+    }
+
+    #[test]
+    fn a_mission_that_ends_because_nobody_came_goes_home_from_where_it_is() {
+        let text = format!(
+            "at_end: home\nacts:\n  - {{act: one, {CUES}}}\n  - {{act: two, wait: {{for: operator, timeout: 1s, otherwise: end}}, \
+             cues: [{{at: 0s, robots: arm, tracks: {{joint: [{{at: 2s, to: 0}}], lamp: [{{at: 0s, to: 0}}]}}}}]}}\n"
+        );
+        let acts = acts(&text);
+        // Where act two leaves devices they are home.
+        assert_eq!((acts[1].next, acts[1].on_timeout), (Way::End, Way::Act(2)));
+        assert_eq!(moved(&acts[2], "joint").unwrap().0, [80.0, 0.0]);
+    }
+
+    #[test]
+    fn what_is_at_home_or_has_none_has_no_way_there() {
+        let there = "at_end: home\ncues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 0}]}}]\n";
+        let findings = compiled(there).findings;
+        assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::NothingToDo]);
+    }
+}

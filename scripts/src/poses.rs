@@ -1,0 +1,115 @@
+//! Acts that are generated to move devices from known positions to others.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use urrcp::{ControlType, Device, DeviceId, RobotId};
+
+use crate::approach::Approach;
+use crate::compile::compile;
+use crate::duration::written;
+use crate::files::NoFiles;
+use crate::finding::{Code, Finding, Severity};
+use crate::fleet::Fleet;
+use crate::plan::{Act, Plan};
+use crate::source::Source;
+
+/// A device, its position, and the position that it has to reach.
+pub(crate) struct DeviceWay<'a> {
+    pub(crate) robot: &'a RobotId,
+    pub(crate) device: &'a DeviceId,
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+}
+
+/// The nearest position to which scripts can set a device: it may have come to rest between two of them.
+pub(crate) fn settable(device: &Device, position: f64) -> f64 {
+    let types = &device.available_control_types;
+    let script = types.script().map(|script| &script.limits);
+    types.limits(ControlType::Position).into_iter().chain(script).fold(position, |position, limits| {
+        let within = position.clamp(limits.min_value, limits.max_value);
+        let nearest = limits.nearest(within);
+        match limits.contains(nearest) {
+            true => nearest,
+            false => nearest - limits.granularity.copysign(nearest - within),
+        }
+    })
+}
+
+/// Compiles the act from a scenario that is generated for it, and that findings name `source`. Devices that take too few steps
+/// for a smooth movement get a linear one.
+pub(crate) fn compiled(
+    source: &str,
+    ways: &[DeviceWay<'_>],
+    fleet: &Fleet,
+    poses: &Approach,
+) -> Result<Act, Vec<Finding>> {
+    eased(source, ways, fleet, poses, "smooth").or_else(|findings| {
+        let few = [Code::TooManySteps, Code::QueueTooShort];
+        match findings.iter().all(|finding| few.contains(&finding.code)) {
+            true => eased(source, ways, fleet, poses, "linear"),
+            false => Err(findings),
+        }
+    })
+}
+
+fn eased(
+    source: &str,
+    ways: &[DeviceWay<'_>],
+    fleet: &Fleet,
+    poses: &Approach,
+    ease: &str,
+) -> Result<Act, Vec<Finding>> {
+    let mut tracks: BTreeMap<&RobotId, serde_json::Map<String, Value>> = BTreeMap::new();
+    let over = written(poses.over);
+    for DeviceWay { robot, device, from, to } in ways {
+        let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
+        tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
+    }
+    let cues: Vec<_> = tracks
+        .into_iter()
+        .map(|(robot, tracks)| json!({"at": "0s", "robots": robot, "tracks": tracks}))
+        .collect();
+    // Scenarios are YAML, and JSON is YAML.
+    let text = json!({"scenario": source, "cues": cues}).to_string();
+    let compiled = compile(&Source { name: source.into(), text }, &moved(fleet, poses), &NoFiles);
+    let acts = compiled.choreography.map(|choreography| choreography.acts).unwrap_or_default();
+    let errors = || {
+        let findings = compiled.findings.into_iter();
+        findings.filter(|finding| finding.severity == Severity::Error).collect()
+    };
+    acts.into_iter().next().ok_or_else(errors)
+}
+
+/// The fleet, with the known positions of its devices as their default values.
+fn moved(fleet: &Fleet, poses: &Approach) -> Fleet {
+    let mut fleet = fleet.clone();
+    for robot in &mut fleet.robots {
+        let Some(from) = poses.from.get(&robot.id) else { continue };
+        for device in robot.init.iter_mut().flat_map(|block| block.devices.iter_mut()) {
+            if let Some(position) = from.get(&device.id) {
+                device.default_value = Some(settable(device, *position));
+            }
+        }
+    }
+    fleet
+}
+
+/// Gives a generated act its name, and what the plan of another act of its scenario says of starts and leases.
+pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, plan: &Plan) {
+    act.plan.scenario = format!("{scenario}, {name}");
+    act.name = name;
+    act.plan.start_tolerance = plan.start_tolerance;
+    act.plan.lead = plan.lead;
+    act.plan.stop_condition = plan.stop_condition;
+    for script in act.plan.robots.iter_mut().flat_map(|robot| &mut robot.scripts) {
+        script.stop_condition = plan.stop_condition;
+    }
+}
+
+/// This name, or the first of `NAME-2`, `NAME-3` and so on that no act has.
+pub(crate) fn unused_name(name: &str, acts: &[Act]) -> String {
+    let names = std::iter::once(name.to_owned()).chain((2..).map(|n| format!("{name}-{n}")));
+    let mut unused = names.filter(|name| !acts.iter().any(|act| act.name == *name));
+    unused.next().unwrap_or_default()
+}
