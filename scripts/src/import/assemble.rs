@@ -44,6 +44,9 @@ pub(super) fn assemble(
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
     }
+    // Without a block nobody knows which of the two it is.
+    let devices = scenes.iter_mut().flat_map(|scene| &mut scene.robots).flat_map(|robot| &mut robot.devices);
+    devices.filter(|device| device.unit == units::OF_JOINTS).for_each(|device| device.unit.clear());
     check_names(&scenes, &file, sink);
     remarks::note_ends(&scenes, sink);
     remarks::note_joins(&scenes, sink);
@@ -225,6 +228,10 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
             continue;
         };
         let text = match units::factor(&device.unit, &unit) {
+            Some(1.0) => {
+                device.unit = unit;
+                continue;
+            }
             Some(factor) => {
                 device.scale(factor);
                 device.keyframes.iter_mut().for_each(|k| k.value = super::keyframes::rounded(k.value, 7));

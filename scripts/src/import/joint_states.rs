@@ -10,6 +10,7 @@ use crate::finding::{Code, names};
 
 use super::input::Input;
 use super::sink::Sink;
+use super::units::OF_JOINTS;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"];
@@ -285,7 +286,12 @@ impl Topic {
                 let message = format!("`{topic}` lasts longer than {} s", keyframes::SECONDS_MAX);
                 sink.about(file, Code::ImportTime, message, "stamps of one recording", None);
             }
-            devices.push(DeviceMotion { device: joint, keyframes, ..DeviceMotion::default() });
+            devices.push(DeviceMotion {
+                device: joint,
+                unit: OF_JOINTS.to_owned(),
+                keyframes,
+                ..DeviceMotion::default()
+            });
         }
         for (count, text) in [
             (replaced, "position: another follows within the same millisecond"),

@@ -9,6 +9,7 @@ use super::hermite::{self, Point};
 use super::input::Input;
 use super::keyframes::{self, rounded};
 use super::sink::Sink;
+use super::units::OF_JOINTS;
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, tree};
 
 /// Digits after the point of sampled values.
@@ -63,6 +64,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let times = times(&points, between, joints.len(), source, sink);
     let device = |(index, device): (usize, String)| DeviceMotion {
         device,
+        unit: OF_JOINTS.to_owned(),
         keyframes: match between {
             Between::Sampled(_) => curve(&points, index, &times),
             _ => {
@@ -73,7 +75,6 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
             Between::Cubic => Course::Pieces(pieces(&points, index)),
             _ => Course::Straight,
         },
-        ..DeviceMotion::default()
     };
     let devices = joints.into_iter().enumerate().map(device).collect();
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]

@@ -203,3 +203,56 @@ proptest! {
         check_outcome(format, &mutated(text, &changes));
     }
 }
+
+/// ROS and Webots have radians and metres.
+#[test]
+fn joints_become_the_units_of_the_robot() {
+    let device = |id: &str, unit: &str| {
+        format!(
+            r#"{{"id": "{id}", "name": "{id}", {unit} "interpolation": "linear", "available_control_types": {{
+                "position": {{"min_value": -9000, "max_value": 9000, "granularity": 0.001}}}}}}"#
+        )
+    };
+    let units = [
+        ("turn", r#""unit": "deg","#),
+        ("slide", r#""unit": "mm","#),
+        ("same", r#""unit": "rad","#),
+        ("own", ""),
+    ];
+    let devices: Vec<_> = units.iter().map(|(id, unit)| device(id, unit)).collect();
+    let block = format!(r#"{{"id": "arm", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
+    let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
+    let straight = "joint_names: [turn, slide, same, own]\npoints:\n- {positions: [1.5708, 0.25, 1.5, 7], time_from_start: 1}\n";
+    let curved = "joint_names: [turn]\npoints:\n- {positions: [0], velocities: [0], time_from_start: 0}\n\
+                  - {positions: [1.5708], velocities: [0], time_from_start: 1}\n";
+    let motion = "#WEBOTS_MOTION,V1.0,turn,slide,same,own\n00:01:000,pose,1.5708,0.25,1.5,7\n";
+    for (format, text) in [
+        (ImportFormat::JointTrajectory, straight),
+        (ImportFormat::Webots, motion),
+        (ImportFormat::JointTrajectory, curved),
+    ] {
+        let options = ImportOptions { init: Some(init.clone()), ..ImportOptions::default() };
+        let imported = import_bytes(format, "test", text.as_bytes(), &options);
+        let notes = &imported.notes;
+        let imported = imported.imported.unwrap_or_else(|| panic!("{:?}", imported.findings));
+        let value = |device: &str| keyframes_of(&imported, device).last().unwrap().1;
+        assert_eq!(value("turn"), 90.000_210_5, "{format:?}");
+        assert!(notes.iter().any(|note| note == "`turn` is converted from rad or m to deg"), "{notes:?}");
+        if text != curved {
+            assert_eq!(["slide", "same", "own"].map(value), [250.0, 1.5, 7.0], "{format:?}");
+            assert!(
+                !notes.iter().any(|note| note.contains("`same` is") || note.contains("`own` is")),
+                "{notes:?}"
+            );
+        }
+    }
+    // What the user has scaled measures what the user says.
+    let scales = vec![("turn".to_owned(), 57.295_78)];
+    let options = ImportOptions { init: Some(init), scales, ..ImportOptions::default() };
+    let scaled =
+        import_bytes(ImportFormat::JointTrajectory, "test", straight.as_bytes(), &options).imported.unwrap();
+    assert!((keyframes_of(&scaled, "turn")[0].1 - 90.0).abs() < 0.001);
+    let unknown =
+        import_bytes(ImportFormat::JointTrajectory, "test", straight.as_bytes(), &ImportOptions::default());
+    assert!(unknown.imported.unwrap().devices().all(|(_, device)| device.unit.is_empty()));
+}

@@ -1,9 +1,17 @@
 //! Units as they are in headers, and what turns one into another.
 
+/// The unit of joints in ROS (REP 103) and Webots: radians where they turn, metres where they slide.
+pub(super) const OF_JOINTS: &str = "rad or m";
+
 /// Factor from one unit to another, where both measure the same.
 pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
-    let (from_kind, from_size) = known(from)?;
     let (to_kind, to_size) = known(to)?;
+    let from = match (from, to_kind) {
+        (OF_JOINTS, "angle") => "rad",
+        (OF_JOINTS, "length") => "m",
+        _ => from,
+    };
+    let (from_kind, from_size) = known(from)?;
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
@@ -41,6 +49,9 @@ mod tests {
         assert_eq!(factor("cm", "mm"), Some(10.0));
         assert!(factor("rad", "deg").is_some_and(|f| (f - 57.295_779_513).abs() < 1e-9));
         assert_eq!(factor("rad", "m"), None);
+        assert_eq!((factor(OF_JOINTS, "rad"), factor(OF_JOINTS, "mm")), (Some(1.0), Some(1_000.0)));
+        assert_eq!(factor(OF_JOINTS, "deg"), factor("rad", "deg"));
+        assert_eq!(factor(OF_JOINTS, "%"), None);
         assert_eq!(name_and_unit(" x[mm] "), ("x", "mm"));
         assert_eq!(name_and_unit("x (mm)"), ("x", "mm"));
         assert_eq!(name_and_unit("t"), ("t", ""));

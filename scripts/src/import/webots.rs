@@ -7,6 +7,7 @@ use crate::source::Source;
 use super::input::Input;
 use super::sink::Sink;
 use super::table::{Row, every_row};
+use super::units::OF_JOINTS;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion};
 
 const MAGIC: &str = "#WEBOTS_MOTION";
@@ -60,7 +61,11 @@ fn joints(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<Vec<Join
         }
     }
     let joint = |name: &str| Joint {
-        motion: DeviceMotion { device: name.to_owned(), ..DeviceMotion::default() },
+        motion: DeviceMotion {
+            device: name.to_owned(),
+            unit: OF_JOINTS.to_owned(),
+            ..DeviceMotion::default()
+        },
         untold: None,
         gaps: 0,
     };
