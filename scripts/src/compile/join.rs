@@ -132,9 +132,38 @@ impl Lane<'_> {
         for segment in self.segments {
             if let Some(before) = latest.filter(|before| segment.start() < before.end()) {
                 self.overlap(together, segment, before);
+            } else if let Some(before) = latest.filter(|before| before.start() == segment.start()) {
+                self.same_instant(together, segment, before);
             }
             latest = latest.filter(|before| before.end() > segment.end()).or(Some(segment));
         }
+    }
+
+    /// Which of two values a device would be set to is nowhere written.
+    fn same_instant(&self, together: &mut Together, segment: &Segment, before: &Segment) {
+        let (Some(value), Some(other)) = (segment.first_setpoint(), before.first_setpoint()) else { return };
+        if value == other {
+            return;
+        }
+        together.add(Told {
+            code: Code::Overlap,
+            cause: format!("{}\n{}", segment.cue, before.cue),
+            size: 0.0,
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!(
+                "`{}` sets `{}` of `{}` to {} at {}, and `{}` sets it to {} at the same instant",
+                segment.cue,
+                self.device.id,
+                self.robot,
+                value.value,
+                told(segment.start()),
+                before.cue,
+                other.value
+            ),
+            expected: "one value at one instant".to_owned(),
+            hint: Some(format!("start `{}` later, or leave one of the values out", segment.cue)),
+        });
     }
 
     fn overlap(&self, together: &mut Together, segment: &Segment, before: &Segment) {

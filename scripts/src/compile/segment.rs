@@ -112,6 +112,13 @@ impl Segment {
         }
     }
 
+    pub(super) fn first_setpoint(&self) -> Option<Setpoint> {
+        match &self.part.steps {
+            Steps::One(values) => values.first().map(|first| Setpoint::new(self.part.control_type, first.to)),
+            Steps::Several(vectors) => vectors.first().map(|first| self.part.setpoint(first.values)),
+        }
+    }
+
     pub(super) fn last_setpoint(&self) -> Option<Setpoint> {
         match &self.part.steps {
             Steps::One(values) => values.last().map(|last| Setpoint::new(self.part.control_type, last.to)),

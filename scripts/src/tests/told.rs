@@ -18,6 +18,27 @@ fn says(text: &str, expected: &[&str]) {
 }
 
 #[test]
+fn two_values_at_one_instant_are_an_overlap() {
+    let lamp = |cues: &str| {
+        let found = super::numbers::compiled(&format!("cues:\n{cues}")).findings;
+        found.iter().map(|finding| (finding.code, finding.line)).collect::<Vec<_>>()
+    };
+    let cue = |name: &str, when: &str, keys: &str| {
+        format!("  - {{cue: {name}, {when}, robots: bot, tracks: {{lamp: [{keys}]}}}}\n")
+    };
+    let set = |value: u32| format!("{{at: 0s, to: {value}}}");
+    let fade = "{at: 0s, to: 30}, {at: 1s, to: 60}";
+    let overlap = |line| vec![(Code::Overlap, line)];
+    assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "at: 1s", &set(50)))), overlap(4));
+    assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "at: 1s", fade))), overlap(4));
+    assert_eq!(lamp(&(cue("a", "at: 1s", fade) + &cue("b", "at: 1s", &set(10)))).len(), 1);
+    assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "after: a", &set(50)))), overlap(4));
+    // One follows the other, or both agree.
+    assert_eq!(lamp(&(cue("a", "at: 1s", fade) + &cue("b", "after: a", &set(50)))), []);
+    assert_eq!(lamp(&(cue("a", "at: 1s", &set(10)) + &cue("b", "at: 1s", &set(10)))), []);
+}
+
+#[test]
 fn only_words_that_are_alike_are_suggested() {
     assert_eq!(did_you_mean("spread", ["read", "at"]), None);
     assert_eq!(did_you_mean("if", ["at", "of", "cue"]), None);
