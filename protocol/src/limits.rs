@@ -108,6 +108,19 @@ pub enum LimitError {
         /// Upper bound.
         max: f64,
     },
+    /// No value is both a multiple of the granularity and within the limits.
+    #[error(
+        "no multiple of the granularity {granularity} lies between min_value {min} and max_value {max}: the device could be set \
+         to nothing"
+    )]
+    NoMultiple {
+        /// The granularity.
+        granularity: f64,
+        /// Lower bound.
+        min: f64,
+        /// Upper bound.
+        max: f64,
+    },
     /// A granularity is not positive.
     #[error("granularity {granularity}, expected a finite number above 0")]
     Granularity {

@@ -31,7 +31,7 @@ mod sensors;
 mod urdf;
 
 pub use calibration::{Calibration, Taken};
-pub(crate) use declared::{devices_of, limits_of};
+pub(crate) use declared::{devices_of, limits_of, settable_limits};
 pub use latency::{
     DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,

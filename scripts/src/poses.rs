@@ -26,14 +26,11 @@ pub(crate) struct DeviceWay<'a> {
 pub(crate) fn settable(device: &Device, position: f64) -> f64 {
     let types = &device.available_control_types;
     let script = types.script().map(|script| &script.limits);
-    types.limits(ControlType::Position).into_iter().chain(script).fold(position, |position, limits| {
-        let within = position.clamp(limits.min_value, limits.max_value);
-        let nearest = limits.nearest(within);
-        match limits.contains(nearest) {
-            true => nearest,
-            false => nearest - limits.granularity.copysign(nearest - within),
-        }
-    })
+    types
+        .limits(ControlType::Position)
+        .into_iter()
+        .chain(script)
+        .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
 /// Compiles the act from a scenario that is generated for it, and that findings name `source`. Devices that take too few steps

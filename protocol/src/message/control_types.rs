@@ -79,7 +79,12 @@ impl TryFrom<Object<RawLimits>> for Limits {
             return Err(LimitError::Granularity { granularity: raw.granularity });
         }
         let RawLimits { min_value, max_value, granularity, max_error } = raw;
-        Ok(Self { min_value, max_value, granularity, max_error })
+        let limits = Self { min_value, max_value, granularity, max_error };
+        let [low, high] = limits.multiples();
+        match low <= high {
+            true => Ok(limits),
+            false => Err(LimitError::NoMultiple { granularity, min: min_value, max: max_value }),
+        }
     }
 }
 
@@ -111,7 +116,8 @@ impl Limits {
     /// Limits without a known error.
     ///
     /// # Errors
-    /// [`LimitError`] when a number is not finite, `min_value` is above `max_value`, or the granularity is not above 0.
+    /// [`LimitError`] if a number is not finite, `min_value` is above `max_value`, the granularity is not above 0, or no multiple of
+    /// it lies between `min_value` and `max_value`.
     pub fn new(min_value: f64, max_value: f64, granularity: f64) -> Result<Self, LimitError> {
         finite(&[min_value, max_value, granularity])?;
         Self::try_from(Object(RawLimits { min_value, max_value, granularity, max_error: None }))
@@ -130,10 +136,25 @@ impl Limits {
         (steps - steps.round()).abs() <= GRID_TOLERANCE
     }
 
-    /// The multiple of the granularity nearest to the value.
+    /// The multiple of the granularity nearest to the value. It may lie outside the limits.
     #[must_use]
     pub fn nearest(&self, value: f64) -> f64 {
         (value / self.granularity).round() * self.granularity
+    }
+
+    /// The value nearest to this one that the device can be set to: a multiple of the granularity within the limits.
+    #[must_use]
+    pub fn nearest_settable(&self, value: f64) -> f64 {
+        let [low, high] = self.multiples();
+        let multiple = (value / self.granularity).round().min(high).max(low) * self.granularity;
+        // A bound such as 0.3 is a multiple of 0.1, and 3 * 0.1 is above it.
+        multiple.clamp(self.min_value, self.max_value)
+    }
+
+    /// The least and the largest multiple of the granularity within the limits, as numbers of granularities.
+    fn multiples(&self) -> [f64; 2] {
+        let [low, high] = [self.min_value, self.max_value].map(|bound| bound / self.granularity);
+        [(low - GRID_TOLERANCE).ceil(), (high + GRID_TOLERANCE).floor()]
     }
 
     pub(super) fn check(&self, control_type: ControlType, value: f64) -> Result<(), ControlError> {
@@ -432,5 +453,35 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
             types.insert(ControlType::Script, ControlParameters::Script(script));
         }
         Ok(ControlTypes(types))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_is_settable_if_it_is_a_multiple_within_the_limits() {
+        let limits = Limits::new(-9.99, 9.99, 1.0).unwrap();
+        for (value, settable) in [(9.8, 9.0), (-9.8, -9.0), (9.49, 9.0), (40.0, 9.0), (3.5, 4.0)] {
+            assert_eq!(limits.nearest_settable(value), settable, "{value}");
+        }
+        // 3 * 0.1 is above 0.3.
+        let limits = Limits::new(-0.3, 0.3, 0.1).unwrap();
+        assert_eq!([limits.nearest_settable(0.3), limits.nearest_settable(-1.0)], [0.3, -0.3]);
+    }
+
+    #[test]
+    fn limits_between_two_multiples_are_refused() {
+        let error = Limits::new(1.0, 4.0, 5.0).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .starts_with("no multiple of the granularity 5 lies between min_value 1 and max_value 4")
+        );
+        assert!(
+            serde_json::from_str::<Limits>(r#"{"min_value": 1, "max_value": 4, "granularity": 5}"#).is_err()
+        );
+        assert!(Limits::new(0.3, 0.3, 0.1).is_ok());
     }
 }

@@ -3,7 +3,7 @@
 
 use urrcp::{
     Command, ControlRequest, ControlType, Device, DeviceId, InitializationBlock, InitializationRequest,
-    Limits, Message, Millis, Robot as RobotClock, Script, Setpoint, Span, Step, Timestamp,
+    Message, Millis, Robot as RobotClock, Script, Setpoint, Span, Step, Timestamp,
 };
 
 use super::{BEGIN, Violation, hold};
@@ -45,7 +45,7 @@ fn commands(device: &Device) -> Vec<Command> {
     let mut commands = Vec::new();
     for (control_type, _) in device.available_control_types.iter() {
         let bounds = match device.available_control_types.limits(control_type) {
-            Some(limits) => [limits.min_value, limits.max_value].map(|bound| inside(limits, bound)),
+            Some(limits) => [limits.min_value, limits.max_value].map(|bound| limits.nearest_settable(bound)),
             None => [-1.0, 1.0],
         };
         let step = |(i, value): (usize, &f64)| Step {
@@ -61,11 +61,6 @@ fn commands(device: &Device) -> Vec<Command> {
         commands.extend([stop, Command::ReadSensor]);
     }
     commands
-}
-
-/// The multiple of the granularity at a bound.
-fn inside(limits: &Limits, bound: f64) -> f64 {
-    Some(limits.nearest(bound)).filter(|value| limits.contains(*value)).unwrap_or(bound)
 }
 
 fn send(

@@ -184,11 +184,7 @@ fn script_control_types(trial: &Trial) -> Checked {
     let setpoint = match unlisted {
         Some(t) => Setpoint::new(
             t,
-            actor
-                .device
-                .available_control_types
-                .limits(t)
-                .map_or(0.0, |l| l.nearest(0.0).clamp(l.min_value, l.max_value)),
+            actor.device.available_control_types.limits(t).map_or(0.0, |l| l.nearest_settable(0.0)),
         ),
         None => Setpoint::new(actor.lacks(), 0.0),
     };

@@ -98,13 +98,9 @@ fn out_of_range(
     let which = named(on.track, knot.item);
     let message = format!("{which}{value} lies outside the limits for {}", on.who(control_type));
     let expected = format!("{} to {}", limits.min_value, limits.max_value);
-    let nearest = limits.nearest(value.clamp(limits.min_value, limits.max_value));
-    let inward = match limits.contains(nearest) {
-        true => nearest,
-        false => nearest - limits.granularity.copysign(nearest),
-    };
+    let nearest = limits.nearest_settable(value);
     let hint = in_radians(on, knot.to, limits)
-        .unwrap_or_else(|| format!("the nearest value that it can take is {}", tidy(inward)));
+        .unwrap_or_else(|| format!("the nearest value that it can take is {}", tidy(nearest)));
     findings.add(Code::OutOfRange, value_place(on.track, knot.item), message, expected, Some(hint));
 }
 
@@ -130,11 +126,12 @@ fn off_grid(
         tidy(value),
         on.who(control_type)
     );
-    let below = tidy((value / granularity).floor() * granularity);
-    let above = tidy((value / granularity).ceil() * granularity);
-    let hint = format!(
-        "the nearest values on the grid are {below} and {above}; `off_grid: snap` takes the nearest everywhere"
-    );
+    let around = [(value / granularity).floor(), (value / granularity).ceil()].map(|n| tidy(n * granularity));
+    let nearest = match around.map(|value| limits.contains(value)) {
+        [true, true] => format!("the nearest values on the grid are {} and {}", around[0], around[1]),
+        _ => format!("the nearest value on the grid is {}", tidy(limits.nearest_settable(value))),
+    };
+    let hint = format!("{nearest}; `off_grid: snap` takes the nearest everywhere");
     let expected = format!("a multiple of {granularity}");
     findings.add(Code::OffGranularity, value_place(on.track, knot.item), message, expected, Some(hint));
 }
@@ -148,10 +145,7 @@ fn snap(
     limits: &Limits,
     first: bool,
 ) -> f64 {
-    let mut nearest = limits.nearest(knot.to);
-    if !limits.contains(nearest) {
-        nearest -= limits.granularity.copysign(nearest - knot.to);
-    }
+    let nearest = limits.nearest_settable(knot.to);
     let error = (nearest - knot.to).abs();
     let allowed = on.track.tolerance.or(limits.max_error).unwrap_or(limits.granularity).max(0.0);
     if !first {

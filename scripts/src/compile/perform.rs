@@ -16,7 +16,7 @@ use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, Severity, names, one_of};
-use crate::fleet::RateLimits;
+use crate::fleet::{RateLimits, settable_limits};
 use crate::motion::{Actuator, Curve, Fits, Played, Stretch};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
@@ -233,7 +233,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         let curve = stretched(curve, stretch, on.track.starts);
         let curve = curve.as_ref();
-        let actuator = Actuator::new(on.device, control_type, self.room(on.device));
+        let limits = settable_limits(on.device, control_type);
+        let actuator = Actuator::new(on.device, control_type, limits.as_ref(), self.room(on.device));
         let before = self.findings.found.len();
         let set = check_values::check(self.findings, on, control_type, curve);
         let played = Played::new(curve, set);

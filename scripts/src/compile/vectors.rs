@@ -52,7 +52,7 @@ fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     let mut items = Vectors::default();
     let mut worst = (0.0, Span::ZERO);
     let limits = device.available_control_types.script().map(|script| &script.limits);
-    let grid = |value: f64| limits.map_or(value, |limits| limits.nearest(value));
+    let grid = |value: f64| limits.map_or(value, |limits| limits.nearest_settable(value));
     let levels = vectors.iter().take(vectors.len().saturating_sub(1)).map(|vector| vector.values);
     for run in runs(levels, grid, tolerance) {
         let Some(first) = vectors.get(run.first) else { continue };

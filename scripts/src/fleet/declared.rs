@@ -9,6 +9,17 @@ pub(crate) fn devices_of(robot: &FleetRobot) -> &[Device] {
     robot.init.as_ref().map_or(&[], |block| &block.devices)
 }
 
+/// What a script can set: the values within all limits of a control type, on the coarser grid. Its own limits if they have no value
+/// in common with those of scripts.
+pub(crate) fn settable_limits(device: &Device, control_type: ControlType) -> Option<Limits> {
+    let own = device.available_control_types.limits(control_type)?;
+    let all = || limits_of(device, control_type);
+    let most = |value: fn(&Limits) -> f64| all().map(value).fold(f64::NEG_INFINITY, f64::max);
+    let least = all().map(|limits| limits.max_value).fold(f64::INFINITY, f64::min);
+    let common = Limits::new(most(|limits| limits.min_value), least, most(|limits| limits.granularity));
+    Some(common.map_or_else(|_| own.clone(), |common| Limits { max_error: own.max_error, ..common }))
+}
+
 /// The limits of a control type: its own, and those of scripts, which hold as well.
 pub(crate) fn limits_of(device: &Device, control_type: ControlType) -> impl Iterator<Item = &Limits> {
     let own = device.available_control_types.limits(control_type);

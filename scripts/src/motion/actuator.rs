@@ -116,8 +116,13 @@ struct Tracked<'a> {
 }
 
 impl<'a> Actuator<'a> {
-    pub(crate) fn new(device: &'a Device, control_type: ControlType, room: usize) -> Self {
-        let limits = device.available_control_types.limits(control_type);
+    /// `limits`: what its scripts can set.
+    pub(crate) fn new(
+        device: &Device,
+        control_type: ControlType,
+        limits: Option<&'a Limits>,
+        room: usize,
+    ) -> Self {
         Self { interpolation: device.interpolation, control_type, limits, room }
     }
 
@@ -328,12 +333,8 @@ impl<'a> Actuator<'a> {
     }
 
     fn on_grid(&self, value: f64) -> f64 {
-        self.limits.map_or(value, |limits| {
-            tidy(
-                limits.nearest(value).clamp(limits.min_value, limits.max_value),
-                tidy_scale(limits.granularity),
-            )
-        })
+        self.limits
+            .map_or(value, |limits| tidy(limits.nearest_settable(value), tidy_scale(limits.granularity)))
     }
 
     /// How a way becomes steps that lasts for some time.
@@ -503,9 +504,11 @@ fn tidy_scale(granularity: f64) -> f64 {
     10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
 }
 
-/// The multiple of the granularity nearest to the value, in as few digits as it is sent.
+/// The nearest value to which a device can be set, in as few digits as it is sent; beyond the limits the nearest multiple of the
+/// granularity.
 pub(crate) fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
-    tidy(limits.nearest(value), tidy_scale(limits.granularity))
+    let nearest = if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) };
+    tidy(nearest, tidy_scale(limits.granularity))
 }
 
 /// A value on a grid without the dust of its multiplication: fewer digits on the wire.

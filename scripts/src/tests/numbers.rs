@@ -188,6 +188,46 @@ fn polynomial(gap: f64, curve: f64) -> String {
     format!("pole: {{polynomial: [{}]}}", pieces.join(", "))
 }
 
+/// Limits off the grid, of the device or of its scripts alone.
+#[test]
+fn a_movement_between_the_last_value_of_the_grid_and_the_limit_is_set_to_that_value() {
+    for (position, script) in [(9.99, 9.99), (10.0, 9.99)] {
+        let block = DEVICES
+            .replace(
+                r#""min_value": -100, "max_value": 100, "granularity": 0.5, "max_error": 0.5"#,
+                &format!(r#""min_value": -{position}, "max_value": {position}, "granularity": 1"#),
+            )
+            .replace(
+                r#""min_value": -100, "max_value": 100, "granularity": 0.5, "max_number"#,
+                &format!(r#""min_value": -{script}, "max_value": {script}, "granularity": 1, "max_number"#),
+            );
+        assert_ne!(block, DEVICES);
+        let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
+        let robot = FleetRobot { id: init.id.clone(), init: Some(init.clone()), ..robot() };
+        let fleet = Fleet { robots: vec![robot], ..Fleet::default() };
+        for (track, begins, ends) in [
+            ("polynomial: [{for: 1s, coefficients: [9.8, -3]}]", 9.0, 7.0),
+            ("polynomial: [{for: 1s, coefficients: [0, -9.8]}]", 0.0, -9.0),
+            ("formula: \"9.9 - 2 * t / 1s\", for: 1s", 9.0, 8.0),
+            ("wave: {amplitude: 9.9, period: 4s, for: 1s}", 0.0, 9.0),
+        ] {
+            let text =
+                format!("scenario: s\ncues: [{{at: 0s, robots: bot, tracks: {{arm: {{{track}}}}}}}]\n");
+            let compiled = compile(&Source { name: "s.yaml".into(), text }, &fleet, &Csv(""));
+            let choreography =
+                compiled.choreography.unwrap_or_else(|| panic!("{track}: {:#?}", compiled.findings));
+            let script = &choreography.acts[0].plan.robots[0].scripts[0].script;
+            let device = init.device("arm").unwrap();
+            for step in script.steps() {
+                assert!(device.check(&step.setpoint).is_ok(), "{track}: {step:?}");
+                assert!(device.check_in_script(&step.setpoint).is_ok(), "{track}: {step:?}");
+            }
+            let (first, last) = (script.steps().first().unwrap(), script.steps().last().unwrap());
+            assert_eq!((first.setpoint.value, last.setpoint.value), (begins, ends), "{track}");
+        }
+    }
+}
+
 #[test]
 fn gaps_below_the_tolerance_are_closed() {
     for (gap, curve) in [(0.0, 0.0), (1e-6, 0.0), (8e-5, 0.0), (-3e-5, 0.0), (1e-6, 0.3), (8e-5, 0.3)] {
