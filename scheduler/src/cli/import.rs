@@ -13,8 +13,10 @@ use downbeat_scripts::import::{
 };
 use downbeat_scripts::{Finding, Source, counted};
 use serde::Serialize;
+use urrcp::Span;
 
 use super::load::show_findings;
+use super::run::parse_span;
 use super::{Exit, Format, console};
 
 /// Convert files of other tools into a scenario and its fleet.
@@ -96,6 +98,9 @@ pub(super) struct ImportArgs {
     /// Remove the jumps of a device whose values repeat with a period, for example heading=360.
     #[arg(long, value_name = "DEVICE=PERIOD", value_parser = period)]
     unwrap: Vec<(String, f64)>,
+    /// When each scene sets its first value. By default as in the file.
+    #[arg(long, value_name = "TIME", value_parser = parse_span)]
+    start: Option<Span>,
     /// Multiply the values of a device by a factor.
     #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
     scale: Vec<(String, f64)>,
@@ -293,6 +298,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
         time_unit: args.time_unit,
         holds: args.hold.clone(),
         unwraps: args.unwrap.clone(),
+        start_ms: args.start.map(|start| u64::try_from(start.as_nanos() / 1_000_000).unwrap_or(0)),
         columns: args.map.clone(),
         init: init.as_ref().map(|init| init.block.clone()),
     };

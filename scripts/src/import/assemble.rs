@@ -41,6 +41,7 @@ pub(super) fn assemble(
     rename(&mut scenes, format, options, &file, sink);
     unwrap(&mut scenes, options, &file, sink);
     scale(&mut scenes, options, &file, sink);
+    start(&mut scenes, options, sink);
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
     }
@@ -189,6 +190,32 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
                 let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
                 sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
             }
+        }
+    }
+}
+
+/// Scenes from the middle of a timeline begin late.
+const LATE_MS: u64 = 1_000;
+
+/// Moves the first values of each scene to where the user wants them, or says that they are late.
+fn start(scenes: &mut [Scene], options: &ImportOptions, sink: &mut Sink) {
+    for scene in scenes {
+        let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
+        let firsts = devices.iter().filter_map(|device| device.keyframes.first().map(|first| first.at_ms));
+        let Some(first) = firsts.min() else { continue };
+        // Curves begin with their scene.
+        let are_points = devices.iter().all(|device| !matches!(device.course, Course::Pieces(_)));
+        match options.start_ms {
+            Some(start) if are_points => {
+                let keyframes = devices.iter_mut().flat_map(|device| &mut device.keyframes);
+                keyframes.for_each(|keyframe| keyframe.at_ms = keyframe.at_ms - first + start);
+            }
+            None if are_points && first >= LATE_MS => sink.note(format!(
+                "`{}` sets its first value at {} s, and devices move there until then; --start 0s begins with it",
+                shortened(&scene.name),
+                first as f64 / 1_000.0
+            )),
+            _ => {}
         }
     }
 }

@@ -16,6 +16,7 @@ const JOINT_CHANNELS_MAX: f64 = 6.0;
 const CHANNELS: [&str; 6] = ["Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation"];
 
 /// Words of a file that know where they stand.
+#[derive(Clone, Copy)]
 struct Words<'a> {
     text: &'a str,
     /// In bytes.
@@ -96,25 +97,35 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
         let message = format!("{frames} frames of {} channels", devices.len());
         return Err((Code::ImportLimit, message, "at most 2000000 values".into()));
     }
+    let stated = *words;
     expect(words, "Frame")?;
     expect(words, "Time:")?;
     let period_s = number(words, "the time of a frame")?;
     if !(0.001..=1_000.0).contains(&period_s) {
         return Err((Code::ImportTime, format!("a frame lasts {period_s} s"), "0.001 s to 1000 s".into()));
     }
-    read_frames(words, frames, period_s, &mut devices, sink)?;
+    let found = read_frames(words, frames, period_s, &mut devices, sink)?;
+    if found != frames {
+        *words = stated;
+        let message = format!("`Frames: {frames}`, but the file has {found}");
+        return Err((Code::ImportShape, message, format!("`Frames: {found}`, or as many frames as it says")));
+    }
     Ok((devices, period_s))
 }
 
+/// Reads as many frames as the file says; returns how many it has.
 fn read_frames(
     words: &mut Words<'_>,
     frames: f64,
     period_s: f64,
     devices: &mut [DeviceMotion],
     sink: &mut Sink,
-) -> Result<(), Wrong> {
+) -> Result<f64, Wrong> {
     let mut frame = 0.0;
     while frame < frames {
+        if words.clone().next().is_none() {
+            return Ok(frame);
+        }
         let at_s = frame * period_s;
         let at_ms = keyframes::millis(at_s).ok_or_else(|| {
             (
@@ -130,12 +141,17 @@ fn read_frames(
         }
         frame += 1.0;
     }
-    match words.next() {
-        Some(word) => {
-            let message = format!("`{}` after {frames} frames", shortened(word));
-            Err((Code::ImportShape, message, "as many frames as the file says".into()))
+    let mut more = 0.0;
+    while words.clone().next().is_some() {
+        number(words, &format!("after {} frames, a value", frames + more / devices.len() as f64))?;
+        more += 1.0;
+    }
+    match more % devices.len() as f64 {
+        0.0 => Ok(frames + more / devices.len() as f64),
+        left => {
+            let message = format!("the last frame has {left} values");
+            Err((Code::ImportShape, message, format!("{}, one for each channel", devices.len())))
         }
-        None => Ok(()),
     }
 }
 

@@ -77,8 +77,21 @@ fn number(bytes: &[u8], at: usize, width: usize) -> Result<usize, String> {
 }
 
 fn read_header(bytes: &[u8]) -> Result<Header, String> {
-    if bytes.get(..4) != Some(b"PSEQ") {
-        return Err("the file does not begin with PSEQ".into());
+    match bytes.get(..4) {
+        // The first versions began with FSEQ.
+        Some(b"PSEQ" | b"FSEQ") => {}
+        Some(b"ESEQ") => {
+            return Err(
+                "the file is an effect sequence (ESEQ) of one model: save the whole sequence as FSEQ".into(),
+            );
+        }
+        Some(start) if start.starts_with(b"<") => {
+            return Err(
+                "the file is XML, as sequences of xLights are before they are rendered: take the FSEQ file"
+                    .into(),
+            );
+        }
+        _ => return Err("the file does not begin with PSEQ".into()),
     }
     let (minor, major) = (number(bytes, 6, 1)?, number(bytes, 7, 1)?);
     if major != 2 {
@@ -281,9 +294,8 @@ impl Frames<'_> {
         }
         let at_ms = self.index as u64 * self.header.step_ms;
         self.index += 1;
-        let last = self.index == self.header.frames;
         for mapped in &mut *self.mapped {
-            mapped.add(at_ms, frame, last);
+            mapped.add(at_ms, frame);
         }
         let all = || {
             self.mapped
@@ -300,22 +312,31 @@ impl Frames<'_> {
     fn finish(self) -> Result<usize, String> {
         let frames = self.header.frames;
         match self.index == frames {
-            true => Ok(frames),
+            true => {
+                // The last frame lasts as long as any other.
+                let end_ms = frames as u64 * self.header.step_ms;
+                self.mapped.iter_mut().for_each(|mapped| mapped.end(end_ms));
+                Ok(frames)
+            }
             false => Err(format!("the file has {} frames, its header says {frames}", self.index)),
         }
     }
 }
 
 impl Mapped {
-    /// Only what changes, and the end.
-    fn add(&mut self, at_ms: u64, frame: &[u8], last: bool) {
+    /// Only what changes.
+    fn add(&mut self, at_ms: u64, frame: &[u8]) {
         let same = self.last.len() == self.places.len()
             && self.places.iter().zip(&self.last).all(|(place, value)| frame[*place] == *value);
-        if same && !last {
-            return;
+        if !same {
+            self.last.clear();
+            self.last.extend(self.places.iter().map(|place| frame[*place]));
+            self.end(at_ms);
         }
-        self.last.clear();
-        self.last.extend(self.places.iter().map(|place| frame[*place]));
+    }
+
+    /// The values of the last frame.
+    fn end(&mut self, at_ms: u64) {
         let values: Vec<f64> = self.last.iter().copied().map(f64::from).collect();
         self.motion.keyframes.push(Keyframe { at_ms, value: values[0] });
         if let Course::Several(all) = &mut self.motion.course {

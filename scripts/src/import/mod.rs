@@ -167,6 +167,8 @@ pub struct ImportOptions {
     pub holds: Vec<String>,
     /// The values at which devices begin again, such as 360: `device` or `robot/device`.
     pub unwraps: Vec<(String, f64)>,
+    /// When the first value of each scene is set, in milliseconds; otherwise when the file sets it.
+    pub start_ms: Option<u64>,
     /// The block of the robots that shall play it.
     pub init: Option<InitializationBlock>,
 }

@@ -35,13 +35,14 @@ fn packed_channels_in_ranges_arrive_where_they_change() {
     assert_eq!(imported.robots(), ["star", "top"]);
     let lamp = &imported.scenes[0].robots[0].devices[0];
     let Course::Several(colors) = &lamp.course else { panic!() };
-    assert_eq!((lamp.keyframes.len(), lamp.keyframes[39].at_ms), (40, 975));
-    for (frame, color) in colors.iter().enumerate() {
+    assert_eq!((lamp.keyframes.len(), lamp.keyframes[39].at_ms), (41, 975));
+    for (frame, color) in colors.iter().enumerate().take(40) {
         let second = if frame >= 20 { 255.0 } else { 0.0 };
         assert_eq!(color, &vec![(frame * 6 % 256) as f64, second, 10.0]);
     }
-    assert_eq!(keyframes_of(&imported, "px2"), [(0, 2.0), (975, 2.0)]);
-    assert_eq!(keyframes_of(&imported, "dim"), [(0, 0.0), (250, 1.0), (500, 2.0), (750, 3.0), (975, 3.0)]);
+    assert_eq!(colors[40], colors[39]);
+    assert_eq!(keyframes_of(&imported, "px2"), [(0, 2.0), (1_000, 2.0)]);
+    assert_eq!(keyframes_of(&imported, "dim"), [(0, 0.0), (250, 1.0), (500, 2.0), (750, 3.0), (1_000, 3.0)]);
     for part in ["40 frames, one every 25 ms", "left out 2 channels", "what else the file says: sp"] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }
@@ -72,4 +73,14 @@ fn sequences_that_lie_are_refused() {
     let mut huge = plain(&[1]);
     huge[14..18].copy_from_slice(&u32::MAX.to_le_bytes());
     refused(&huge, &[("r/a", "1")], "more than 1073741824 bytes");
+}
+
+#[test]
+fn files_that_are_no_sequences_are_called_what_they_are() {
+    let check = |bytes: &[u8], part: &str| super::refused(ImportFormat::Fseq, bytes, &["DB0001", part]);
+    check(b"ESEQ\x01\0\0\0", "an effect sequence (ESEQ) of one model");
+    check(b"<?xml version=\"1.0\"?>", "the file is XML");
+    // The header of a first version.
+    check(b"FSEQ\x1c\0\0\x01\x1c\0\x04\0", "version 1.0: save it as version 2");
+    check(b"PNG", "does not begin with PSEQ");
 }

@@ -2,6 +2,8 @@
 
 use proptest::prelude::*;
 
+use super::keyframes_of;
+
 use crate::import::{Course, DeviceMotion, ImportFormat, ImportOptions, TimeUnit, import_bytes};
 
 /// How the times are written.
@@ -214,5 +216,26 @@ proptest! {
         for (device, (column, scale)) in devices.iter().zip(&table.columns) {
             prop_assert_eq!(found(device), table.meant(column, *scale), "{} in {}", device.device, text);
         }
+    }
+}
+
+#[test]
+fn a_scene_from_the_middle_of_a_timeline_is_noted_and_can_begin_at_once() {
+    let text = "t[ms],a,b\n10000,0,\n10250,1,5\n";
+    let columns = ["a", "b"].map(|name| (format!("r/{name}"), name.to_owned()));
+    let options = ImportOptions { columns: columns.into(), ..ImportOptions::default() };
+    let late = import_bytes(ImportFormat::Csv, "test", text.as_bytes(), &options);
+    assert!(
+        late.notes.iter().any(|note| note.contains("first value at 10 s") && note.contains("--start 0s")),
+        "{:?}",
+        late.notes
+    );
+    for start in [0, 500] {
+        let options = ImportOptions { start_ms: Some(start), ..options.clone() };
+        let moved = import_bytes(ImportFormat::Csv, "test", text.as_bytes(), &options);
+        assert!(!moved.notes.iter().any(|note| note.contains("--start")), "{:?}", moved.notes);
+        let imported = moved.imported.unwrap();
+        assert_eq!(keyframes_of(&imported, "a"), [(start, 0.0), (start + 250, 1.0)]);
+        assert_eq!(keyframes_of(&imported, "b"), [(start + 250, 5.0)]);
     }
 }
