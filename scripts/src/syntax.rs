@@ -13,7 +13,7 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
     if let Some(at) = error.location() {
         (finding.line, finding.column) = line_and_column(&source.text, at.index());
         finding.width = 1;
-        explain(&mut finding, &whole);
+        explain(&mut finding, &whole, &source.text);
         finding.source_line = line_of(&source.text, finding.line).to_owned();
     }
     if let Some(hint) = slip(source, &mut finding) {
@@ -106,17 +106,33 @@ struct Begun<'a> {
 }
 
 impl<'a> Begun<'a> {
-    fn of(whole: &'a str) -> Option<Self> {
+    fn of(whole: &'a str, text: &str) -> Option<Self> {
         let (_, context) = whole.rsplit_once(", while ")?;
         let (what, place) = context.split_once(" at line ")?;
         let (line, column) = place.split_once(" column ")?;
-        Some(Self { what, line: line.parse().ok()?, column: column.parse().ok()? })
+        let byte = byte_of(text, line.parse().ok()?, column.parse().ok()?);
+        let (line, column) = line_and_column(text, byte);
+        Some(Self { what, line, column })
     }
 }
 
+/// Where a place of the parser is in the text. Its lines end at more characters than those of editors do.
+fn byte_of(text: &str, line: usize, column: usize) -> usize {
+    let ends = |c: char| matches!(c, '\n' | '\r' | '\u{85}' | '\u{2028}' | '\u{2029}');
+    let mut start = 0;
+    for _ in 1..line {
+        let Some(at) = text[start..].find(ends) else { break };
+        let rest = &text[start + at..];
+        start +=
+            at + if rest.starts_with("\r\n") { 2 } else { rest.chars().next().map_or(0, char::len_utf8) };
+    }
+    let ahead = text[start..].chars().take(column.saturating_sub(1)).map(char::len_utf8);
+    start + ahead.sum::<usize>()
+}
+
 /// Puts the parser's complaint at the place to be corrected, in plain words with a hint.
-fn explain(finding: &mut Finding, whole: &str) {
-    let Some(begun) = Begun::of(whole) else { return };
+fn explain(finding: &mut Finding, whole: &str, text: &str) {
+    let Some(begun) = Begun::of(whole, text) else { return };
     let opened = match begun.what {
         "parsing a flow sequence" => Some(("[", "]")),
         "parsing a flow mapping" => Some(("{", "}")),

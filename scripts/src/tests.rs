@@ -66,6 +66,10 @@ fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
     let compiled = compile_text("a: \u{2028}x\u{85}y\n- b: [ö, c\n");
     let finding = &compiled.findings[0];
     assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
+    // A line for the parser, and not for an editor.
+    let compiled = compile_text("a: 1\nb\u{2028}word\nc: 2\n");
+    let finding = &compiled.findings[0];
+    assert_eq!((finding.line, finding.message.as_str()), (2, "this line has no colon"), "{finding:?}");
     let compiled = compile_text("scenario: s\r\ncues: [\u{e9}, {a: b: c}]\r\n");
     let finding = &compiled.findings[0];
     assert_eq!(
