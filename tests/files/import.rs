@@ -144,7 +144,7 @@ fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
     let star = fixture("star.fseq");
     check_round_trip(
         &["fseq", &star, "--map", "star/lamp=1,2,3"],
-        "no errors, 1 robot, 1 device, 40 steps, 975 ms",
+        "no errors, 1 robot, 1 device, 41 steps, 1 s",
     );
     import(&Session::new(), &["webots", &star, "--map", "a/b=c"])
         .says(2, &["--map is an option of csv and fseq only"]);

@@ -9,8 +9,8 @@ use serde_json::{Value, json};
 use crate::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
     ControlType, DeviceId, DeviceReport, ErrorCode, InitializationBlock, InitializationRequest, Inquiry,
-    InquiryResponse, Label, Message, Millis, RequestId, RequestReport, RequestState, Script, SessionId,
-    Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
+    InquiryResponse, Label, Limits, Message, Millis, RequestId, RequestReport, RequestState, Script,
+    SessionId, Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
 };
 
 /// Any message.
@@ -246,9 +246,12 @@ fn parameters() -> impl Strategy<Value = Value> {
 fn initialization_block() -> impl Strategy<Value = InitializationBlock> {
     let limits =
         (number(), number(), number(), option::of(number())).prop_map(|(a, b, granularity, error)| {
+            let (min, max) = (a.min(b), a.max(b));
             let granularity = if granularity == 0.0 { 1.0 } else { granularity.abs() };
-            let mut limits =
-                json!({"min_value": a.min(b), "max_value": a.max(b), "granularity": granularity});
+            // A bound is a multiple of itself.
+            let granularity =
+                if Limits::new(min, max, granularity).is_ok() { granularity } else { max.abs() };
+            let mut limits = json!({"min_value": min, "max_value": max, "granularity": granularity});
             if let Some(error) = error {
                 limits["max_error"] = error.abs().into();
             }

@@ -17,7 +17,7 @@ pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key,
     if is_default(device, value) && !limits.on_grid(value) {
         return value;
     }
-    as_written(limits.nearest_settable(value), limits.granularity)
+    as_written(limits.nearest(value).clamp(limits.min_value, limits.max_value), limits.granularity)
 }
 
 fn is_default(device: Option<&Device>, value: f64) -> bool {
