@@ -110,8 +110,8 @@ pub enum LimitError {
     },
     /// No value is both a multiple of the granularity and within the limits.
     #[error(
-        "no multiple of the granularity {granularity} lies between min_value {min} and max_value {max}: the device could be set \
-         to nothing"
+        "no multiple of the granularity {granularity} lies between min_value {min} and max_value {max}: the device has no \
+         settable value"
     )]
     NoMultiple {
         /// The granularity.

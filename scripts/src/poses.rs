@@ -33,8 +33,8 @@ pub(crate) fn settable(device: &Device, position: f64) -> f64 {
         .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
-/// Compiles the act from a scenario that is generated for it, and that findings name `source`. Devices that take too few steps
-/// for a smooth movement get a linear one.
+/// Compiles the act from a generated scenario, which findings call `source`. If a device accepts too few steps for a smooth
+/// movement, all devices move linearly.
 pub(crate) fn compiled(
     source: &str,
     ways: &[DeviceWay<'_>],
@@ -63,10 +63,14 @@ fn eased(
         let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
         tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
     }
-    let cues: Vec<_> = tracks
-        .into_iter()
-        .map(|(robot, tracks)| json!({"at": "0s", "robots": robot, "tracks": tracks}))
-        .collect();
+    // Robots in unison are one cue.
+    let mut alike: BTreeMap<String, (Vec<&RobotId>, serde_json::Map<String, Value>)> = BTreeMap::new();
+    for (robot, tracks) in tracks {
+        let text = Value::Object(tracks.clone()).to_string();
+        alike.entry(text).or_insert_with(|| (Vec::new(), tracks)).0.push(robot);
+    }
+    let cue = |(robots, tracks)| json!({"at": "0s", "robots": robots, "tracks": tracks});
+    let cues: Vec<_> = alike.into_values().map(cue).collect();
     // Scenarios are YAML, and JSON is YAML.
     let text = json!({"scenario": source, "cues": cues}).to_string();
     let compiled = compile(&Source { name: source.into(), text }, &moved(fleet, poses), &NoFiles);
@@ -92,7 +96,7 @@ fn moved(fleet: &Fleet, poses: &Approach) -> Fleet {
     fleet
 }
 
-/// Gives a generated act its name, and what the plan of another act of its scenario says of starts and leases.
+/// Names a generated act, and copies the settings of starts and leases from the plan of another act of its scenario.
 pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, plan: &Plan) {
     act.plan.scenario = format!("{scenario}, {name}");
     act.name = name;

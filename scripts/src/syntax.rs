@@ -116,7 +116,7 @@ impl<'a> Begun<'a> {
     }
 }
 
-/// Where a place of the parser is in the text. Its lines end at more characters than those of editors do.
+/// The byte offset of a position that the parser reports. The parser ends lines at more characters than editors do.
 fn byte_of(text: &str, line: usize, column: usize) -> usize {
     let ends = |c: char| matches!(c, '\n' | '\r' | '\u{85}' | '\u{2028}' | '\u{2029}');
     let mut start = 0;

@@ -270,7 +270,7 @@ fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
         .run(&[&with[..], &[&other]].concat())
         .says(2, &["the scenario is not what was played", "`cf1/x`"]);
     let act = &page.mission["acts"][0];
-    // A slow machine may commit itself after the time from which a stop comes too late.
+    // On a slow machine, the commit may come after the time from which a stop comes too late.
     for phases in [["sent", "decided", "committed", "start"], ["sent", "decided", "no_return", "start"]] {
         let at = phases.map(|phase| act[phase].as_f64().unwrap());
         assert!(at.windows(2).all(|pair| pair[0] < pair[1]), "{phases:?}: {at:?}");

@@ -142,16 +142,16 @@ impl Limits {
         (value / self.granularity).round() * self.granularity
     }
 
-    /// The value nearest to this one that the device can be set to: a multiple of the granularity within the limits.
+    /// The settable value nearest to this one: a multiple of the granularity within the limits.
     #[must_use]
     pub fn nearest_settable(&self, value: f64) -> f64 {
         let [low, high] = self.multiples();
         let multiple = (value / self.granularity).round().min(high).max(low) * self.granularity;
-        // A bound such as 0.3 is a multiple of 0.1, and 3 * 0.1 is above it.
+        // In floating point, 3 * 0.1 exceeds the bound 0.3, which counts as a multiple of 0.1.
         multiple.clamp(self.min_value, self.max_value)
     }
 
-    /// The least and the largest multiple of the granularity within the limits, as numbers of granularities.
+    /// The smallest and the largest multiple of the granularity within the limits, as factors of the granularity.
     fn multiples(&self) -> [f64; 2] {
         let [low, high] = [self.min_value, self.max_value].map(|bound| bound / self.granularity);
         [(low - GRID_TOLERANCE).ceil(), (high + GRID_TOLERANCE).floor()]

@@ -98,7 +98,7 @@ pub(super) struct ImportArgs {
     /// Remove the jumps of a device whose values repeat with a period, for example heading=360.
     #[arg(long, value_name = "DEVICE=PERIOD", value_parser = period)]
     unwrap: Vec<(String, f64)>,
-    /// When each scene sets its first value. By default as in the file.
+    /// Time at which each scene sets its first value. The default is the time in the file.
     #[arg(long, value_name = "TIME", value_parser = parse_span)]
     start: Option<Span>,
     /// Multiply the values of a device by a factor.

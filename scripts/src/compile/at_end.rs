@@ -16,11 +16,11 @@ use crate::poses::{self, DeviceWay, settable, unused_name};
 use crate::scenario::{AtEnd, Scenario};
 
 const NAME: &str = "home";
-/// The shortest duration that is chosen.
+/// The shortest computed duration, in seconds.
 const OVER_MIN: f64 = 1.0;
-/// What is chosen for movements without any limit.
+/// The duration of linear movements without any limit, in seconds.
 const OVER_WITHOUT_LIMITS: f64 = 5.0;
-/// The part by which a chosen duration exceeds that of the formula: steps on a grid are faster here and there.
+/// The fraction by which a computed duration exceeds the result of the formula: on a grid, some steps are faster.
 const SLACK: f64 = 0.02;
 
 /// Where acts leave devices.
@@ -63,7 +63,7 @@ pub(super) fn go_home(
     }
 }
 
-/// The index of the act that moves devices like this, a new one if there is none yet.
+/// The index of the act that makes these movements. Adds the act if there is none yet.
 fn home_act(
     findings: &mut Reader,
     at_end: &AtEnd,
@@ -80,6 +80,17 @@ fn home_act(
         .iter()
         .map(|(robot, device, [from, to])| DeviceWay { robot, device, from: *from, to: *to })
         .collect();
+    if let Some(over) = at_end.over.filter(|over| *over < home.needed) {
+        let needed = written(tenths_of_a_second(home.needed.as_millis_f64() / 1_000.0));
+        let message = format!(
+            "the way home has {}, and the limits of the devices permit no less than {needed}",
+            written(over)
+        );
+        let hint =
+            Some(format!("write `at_end: {{home: {needed}}}`, or `at_end: home` for the shortest time"));
+        findings.add(Code::TooFast, at_end.place.clone(), message, format!("{needed} or more"), hint);
+        return None;
+    }
     let over = at_end.over.unwrap_or(home.over);
     let poses = Approach { over, from: home.positions() };
     match poses::compiled("at_end", &ways, fleet, &poses) {
@@ -92,7 +103,7 @@ fn home_act(
         Err(errors) => {
             for error in errors {
                 let message = format!("on the way home, over {}: {}", written(over), error.message);
-                let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves there in turns";
+                let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves devices home one after another";
                 findings.add(
                     error.code,
                     at_end.place.clone(),
@@ -111,6 +122,8 @@ fn home_act(
 struct Homecoming {
     devices: Vec<(RobotId, urrcp::DeviceId, [f64; 2])>,
     over: Span,
+    /// What the limits of the devices demand.
+    needed: Span,
 }
 
 impl Homecoming {
@@ -123,7 +136,7 @@ impl Homecoming {
     ) -> Option<Self> {
         let mut left: Vec<_> = rest.iter().collect();
         left.sort_unstable_by_key(|(device, _)| **device);
-        let (mut devices, mut over, mut unknown) = (Vec::new(), OVER_MIN, Vec::new());
+        let (mut devices, mut over, mut needed, mut unknown) = (Vec::new(), OVER_MIN, 0.0_f64, Vec::new());
         for ((robot, index), left) in left {
             let device = &cast.devices(*robot)[*index];
             let is_position = device.primary_control_type() == Some(ControlType::Position);
@@ -134,7 +147,15 @@ impl Homecoming {
             };
             let (from, to) = (settable(device, from), settable(device, to));
             if from != to {
-                over = over.max(shortest(cast, *robot, device, (to - from).abs()));
+                let shortest = shortest(cast, *robot, device, (to - from).abs());
+                needed = needed.max(shortest.unwrap_or(0.0));
+                // Without a limit nothing is known of a device that moves; a lamp may change at once.
+                let usual = if device.interpolation == Interpolation::Linear {
+                    OVER_WITHOUT_LIMITS
+                } else {
+                    OVER_MIN
+                };
+                over = over.max(shortest.map_or(usual, |seconds| seconds * (1.0 + SLACK)));
             }
             devices.push((cast.id(*robot).clone(), device.id.clone(), [from, to]));
         }
@@ -142,9 +163,8 @@ impl Homecoming {
             let others =
                 if others.is_empty() { String::new() } else { format!(" and of {} others", others.len()) };
             let message = format!("the position of {first}{others} after act `{act}` is not known");
-            let hint =
-                "move it in the last act: ways that part and meet again leave it at different positions"
-                    .to_owned();
+            let hint = "move it in the last act: different ways to this act leave it at different positions"
+                .to_owned();
             findings.add(
                 Code::UnknownBeginning,
                 at_end.place.clone(),
@@ -155,9 +175,8 @@ impl Homecoming {
             return None;
         }
         let moves = devices.iter().any(|(.., [from, to])| from != to);
-        // Whole tenths of a second are easy to read.
-        let over = Span::from_millis_f64((over * 10.0).ceil() * 100.0);
-        moves.then_some(Self { devices, over })
+        let needed = Span::from_millis_f64(needed * 1_000.0);
+        moves.then_some(Self { devices, over: tenths_of_a_second(over), needed })
     }
 
     fn positions(&self) -> BTreeMap<RobotId, BTreeMap<urrcp::DeviceId, f64>> {
@@ -169,20 +188,19 @@ impl Homecoming {
     }
 }
 
-/// The shortest smooth movement over a distance, in seconds, that the limits of a device permit.
-fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> f64 {
+/// A time that is no shorter and easy to read.
+fn tenths_of_a_second(seconds: f64) -> Span {
+    Span::from_millis_f64((seconds * 10.0).ceil() * 100.0)
+}
+
+/// The shortest smooth movement over a distance, in seconds, that the limits of a device permit. `None` without a limit.
+fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> Option<f64> {
     let limits = cast.limits(robot, device, ControlType::Position);
     let by_speed = limits.speed.map(|speed| Easing::Smooth.slope_max() * distance / speed);
     let by_acceleration = limits
         .acceleration
         .map(|acceleration| (Easing::Smooth.curvature_max() * distance / acceleration).sqrt());
-    let longest = by_speed.into_iter().chain(by_acceleration).reduce(f64::max);
-    match (longest, device.interpolation) {
-        (Some(seconds), _) => seconds * (1.0 + SLACK),
-        (None, Interpolation::Linear) => OVER_WITHOUT_LIMITS,
-        // A lamp.
-        (None, Interpolation::Hold) => OVER_MIN,
-    }
+    by_speed.into_iter().chain(by_acceleration).reduce(f64::max)
 }
 
 #[cfg(test)]
@@ -232,7 +250,7 @@ mod tests {
     const CUES: &str = "cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 0s, to: 0}, {at: 4s, to: 80, ease: smooth}], lamp: [{at: 0s, to: 50}]}}]";
 
     #[test]
-    fn what_the_scenario_has_moved_moves_home_and_nothing_else_does() {
+    fn only_devices_that_the_scenario_has_moved_move_home() {
         let acts = acts(&format!("at_end: home\nstart_tolerance: 20ms\n{CUES}"));
         assert_eq!(
             acts.iter().map(|act| (act.name.as_str(), act.next)).collect::<Vec<_>>(),
@@ -253,7 +271,10 @@ mod tests {
         let short = compiled(&format!("at_end: {{home: 1s}}\n{CUES}")).findings;
         let [finding] = short.as_slice() else { panic!("{short:#?}") };
         assert_eq!((finding.code, finding.line), (Code::TooFast, 2));
-        assert!(finding.message.contains("on the way home, over 1s: "), "{}", finding.message);
+        assert!(
+            finding.message.contains("has 1s, and the limits of the devices permit no less than 2.5s"),
+            "{finding:?}"
+        );
     }
 
     const WAYS: &str = "acts:
@@ -288,19 +309,19 @@ mod tests {
     }
 
     #[test]
-    fn a_mission_that_ends_because_nobody_came_goes_home_from_where_it_is() {
+    fn a_mission_that_ends_because_a_wait_timed_out_goes_home_from_where_it_is() {
         let text = format!(
             "at_end: home\nacts:\n  - {{act: one, {CUES}}}\n  - {{act: two, wait: {{for: operator, timeout: 1s, otherwise: end}}, \
              cues: [{{at: 0s, robots: arm, tracks: {{joint: [{{at: 2s, to: 0}}], lamp: [{{at: 0s, to: 0}}]}}}}]}}\n"
         );
         let acts = acts(&text);
-        // Where act two leaves devices they are home.
+        // Act two leaves devices at home.
         assert_eq!((acts[1].next, acts[1].on_timeout), (Way::End, Way::Act(2)));
         assert_eq!(moved(&acts[2], "joint").unwrap().0, [80.0, 0.0]);
     }
 
     #[test]
-    fn what_is_at_home_or_has_none_has_no_way_there() {
+    fn an_end_at_which_every_device_is_already_home_is_refused() {
         let there = "at_end: home\ncues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 0}]}}]\n";
         let findings = compiled(there).findings;
         assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::NothingToDo]);

@@ -29,7 +29,7 @@ pub(super) fn check(
 ) {
     let lines = Lines { scenario, cast, choreography };
     let tight = refills(choreography, |robot, device| lines.queue(robot, device), SENDING);
-    // Nothing was written that would have to wait where an act was added at the end.
+    // An act that `at_end` adds may wait: this delays nothing that the scenario contains.
     let may_wait = |refill: &Refill| refill.kind == RefillKind::First && refill.act >= scenario.acts.len();
     let tight = tight.into_iter().filter(|refill| refill.time < needed(refill.kind) && !may_wait(refill));
     for (index, refill) in tight.enumerate() {

@@ -139,7 +139,7 @@ impl Lane<'_> {
         }
     }
 
-    /// Which of two values a device would be set to is nowhere written.
+    /// Reports two values for one device at one instant: the scenario does not state which of them applies.
     fn same_instant(&self, together: &mut Together, segment: &Segment, before: &Segment) {
         let (Some(value), Some(other)) = (segment.first_setpoint(), before.first_setpoint()) else { return };
         if value == other {

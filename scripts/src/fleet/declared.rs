@@ -9,8 +9,8 @@ pub(crate) fn devices_of(robot: &FleetRobot) -> &[Device] {
     robot.init.as_ref().map_or(&[], |block| &block.devices)
 }
 
-/// What a script can set: the values within all limits of a control type, on the coarser grid. Its own limits if they have no value
-/// in common with those of scripts.
+/// The values that a script can set: those within all limits of a control type, on the coarser grid. If the type's own limits and
+/// those of scripts have no value in common, its own limits.
 pub(crate) fn settable_limits(device: &Device, control_type: ControlType) -> Option<Limits> {
     let own = device.available_control_types.limits(control_type)?;
     let all = || limits_of(device, control_type);

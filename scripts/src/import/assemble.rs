@@ -45,7 +45,7 @@ pub(super) fn assemble(
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
     }
-    // Without a block nobody knows which of the two it is.
+    // Without an initialization block, it is unknown which of the two units applies.
     let devices = scenes.iter_mut().flat_map(|scene| &mut scene.robots).flat_map(|robot| &mut robot.devices);
     devices.filter(|device| device.unit == units::OF_JOINTS).for_each(|device| device.unit.clear());
     check_names(&scenes, &file, sink);
@@ -194,10 +194,10 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
     }
 }
 
-/// Scenes from the middle of a timeline begin late.
+/// A first value at this time or later is late: the scene may come from the middle of a timeline.
 const LATE_MS: u64 = 1_000;
 
-/// Moves the first values of each scene to where the user wants them, or says that they are late.
+/// Shifts each scene so that its first value comes at the time that the user gives, or notes that it is late.
 fn start(scenes: &mut [Scene], options: &ImportOptions, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();

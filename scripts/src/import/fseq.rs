@@ -87,7 +87,7 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
         }
         Some(start) if start.starts_with(b"<") => {
             return Err(
-                "the file is XML, as sequences of xLights are before they are rendered: take the FSEQ file"
+                "the file is XML, the format of xLights sequences before rendering: import the FSEQ file"
                     .into(),
             );
         }
@@ -324,7 +324,7 @@ impl Frames<'_> {
 }
 
 impl Mapped {
-    /// Only what changes.
+    /// Adds a keyframe if the values have changed.
     fn add(&mut self, at_ms: u64, frame: &[u8]) {
         let same = self.last.len() == self.places.len()
             && self.places.iter().zip(&self.last).all(|(place, value)| frame[*place] == *value);
@@ -335,7 +335,7 @@ impl Mapped {
         }
     }
 
-    /// The values of the last frame.
+    /// Adds a keyframe with the latest values.
     fn end(&mut self, at_ms: u64) {
         let values: Vec<f64> = self.last.iter().copied().map(f64::from).collect();
         self.motion.keyframes.push(Keyframe { at_ms, value: values[0] });

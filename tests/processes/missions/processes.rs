@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use rustix::process::Signal;
 
+use stage::held_up::{ATTEMPTS, reason};
 use stage::quiet::await_that;
 use stage::session::{Session, arm_at, program};
 use stage::{free_port, signal};
@@ -86,6 +87,24 @@ impl Fleet {
     fn assert_none_moves(&self, window: Duration) {
         std::thread::sleep(window);
         assert_eq!(self.moved(), 0);
+    }
+
+    /// A mission in which all robots move. Starts it again if its report states that this machine was too slow.
+    #[track_caller]
+    fn playing(&self) -> Child {
+        for _ in 0..ATTEMPTS {
+            let mut scheduler = self.run_in_background(&[]);
+            await_line(&mut scheduler, "all have accepted");
+            await_that("moves, or an end", || self.moved() == 6 || scheduler.try_wait().unwrap().is_some());
+            if scheduler.try_wait().unwrap().is_none() {
+                return scheduler;
+            }
+            let ended = scheduler.wait_with_output().unwrap();
+            let said =
+                [ended.stdout, ended.stderr].map(|out| String::from_utf8_lossy(&out).into_owned()).concat();
+            assert!(reason(&said).is_some(), "it ended before its robots moved: {said}");
+        }
+        panic!("this machine was too slow to begin {ATTEMPTS} times");
     }
 
     fn run_in_background(&self, args: &[&str]) -> Child {
@@ -180,9 +199,7 @@ fn if_the_scheduler_is_killed_before_the_commitment_none_starts() {
 fn ctrl_c_stops_every_robot() {
     let fleet = Fleet::start(&[]);
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
-    let mut scheduler = fleet.run_in_background(&[]);
-    await_line(&mut scheduler, "all have accepted");
-    fleet.await_moves();
+    let mut scheduler = fleet.playing();
     signal(&scheduler, Signal::INT);
     let mut printed = String::new();
     scheduler.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
@@ -195,9 +212,7 @@ fn ctrl_c_stops_every_robot() {
 fn a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running() {
     let fleet = Fleet::start(&[]);
     fleet.session.file("test.yaml", SCENARIO.replace("600ms", "60s"));
-    let mut scheduler = fleet.run_in_background(&[]);
-    await_line(&mut scheduler, "all have accepted");
-    fleet.await_moves();
+    let mut scheduler = fleet.playing();
     // A robot that is stopped by its debugger confirms nothing.
     signal(&fleet.robots[3], Signal::STOP);
     signal(&scheduler, Signal::INT);
@@ -216,9 +231,7 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
         "test.yaml",
         SCENARIO.replace("600ms", "60s").replace("cues:", "stop_condition: {running: 1s}\ncues:"),
     );
-    let mut scheduler = fleet.run_in_background(&[]);
-    await_line(&mut scheduler, "all have accepted");
-    fleet.await_moves();
+    let mut scheduler = fleet.playing();
     scheduler.kill().unwrap();
     scheduler.wait().unwrap();
     let rests =

@@ -10,9 +10,10 @@ use std::time::Duration;
 
 use serde_json::json;
 
+use stage::held_up::played;
 use stage::play::{Play, SHORT, SOON};
 use stage::quiet::await_that;
-use stage::{Stage, Via};
+use stage::{Ended, Stage, Via};
 
 /// The limit for the memory of the scheduler and of the robot in megabytes, whatever strangers send.
 const MEGABYTES_MAX: u64 = 200;
@@ -142,7 +143,30 @@ impl Attackers {
 const PLAY: Play = Play { steps: 20, on_failure: "without", ..SHORT };
 
 #[expect(clippy::print_stdout, reason = "what it took is shown where it is asked for")]
-fn is_played_next_to(attack: Attack, stage: &Stage) {
+fn is_played_next_to(attack: Attack, stage: impl Fn() -> Stage) {
+    // The logs of an attempt for which this machine was too slow would be those of the next one, too.
+    let play = || {
+        let stage = stage();
+        let (ended, peak) = next_to(attack, &stage);
+        (stage, ended, peak)
+    };
+    let (stage, ended, peak) = played(play, |(_, ended, _)| ended.said());
+    let robot = stage.robots[0].memory();
+    assert!(peak > 0 && robot > 0, "memory was not measured");
+    assert!(peak < MEGABYTES_MAX && robot < MEGABYTES_MAX, "{attack:?}: {peak} MB and {robot} MB");
+    let report = ended.report();
+    assert_eq!(report["outcome"], "done", "{attack:?}: {ended}");
+    assert_eq!(report["failures"], json!([]), "{attack:?}: {ended}");
+    stage.robots.iter().for_each(|robot| PLAY.was_played_by(robot));
+    let starts = || stage.robots.iter().map(|robot| robot.sets()[0].at);
+    let spread = starts().max().unwrap() - starts().min().unwrap();
+    println!("{attack:?}: scheduler {peak} MB, robot {robot} MB, starts within {} us", spread / 1_000);
+    // A mission that is called done has started within its tolerance of a second, by the robots' own reports.
+    assert!(spread < 2_000_000_000, "{attack:?}: {spread} ns");
+}
+
+/// Plays the mission next to an attack. Returns its end, and the most memory of the scheduler in megabytes.
+fn next_to(attack: Attack, stage: &Stage) -> (Ended, u64) {
     let attackers = || Attackers::start(attack, stage.robots[0].port());
     // A free robot without keys may be claimed by anybody, and then the mission does not begin.
     let before = (!matches!(attack, Attack::Session)).then(attackers);
@@ -160,30 +184,19 @@ fn is_played_next_to(attack: Attack, stage: &Stage) {
     }
     let ended = run.ended();
     attackers.end();
-    let robot = stage.robots[0].memory();
-    assert!(peak > 0 && robot > 0, "memory was not measured");
-    assert!(peak < MEGABYTES_MAX && robot < MEGABYTES_MAX, "{attack:?}: {peak} MB and {robot} MB");
-    let report = ended.report();
-    assert_eq!(report["outcome"], "done", "{attack:?}: {ended}");
-    assert_eq!(report["failures"], json!([]), "{attack:?}: {ended}");
-    stage.robots.iter().for_each(|robot| PLAY.was_played_by(robot));
-    let starts = || stage.robots.iter().map(|robot| robot.sets()[0].at);
-    let spread = starts().max().unwrap() - starts().min().unwrap();
-    println!("{attack:?}: scheduler {peak} MB, robot {robot} MB, starts within {} us", spread / 1_000);
-    // A mission that is called done has started within its tolerance of a second, by the robots' own reports.
-    assert!(spread < 2_000_000_000, "{attack:?}: {spread} ns");
+    (ended, peak)
 }
 
 #[test]
 fn strangers_that_attack_a_robot_delay_no_mission_and_take_no_memory() {
     for attack in Attack::ALL {
-        is_played_next_to(attack, &PLAY.stage(&[Via::Direct; 6]));
+        is_played_next_to(attack, || PLAY.stage(&[Via::Direct; 6]));
     }
 }
 
 #[test]
 fn strangers_that_attack_a_robot_with_keys_delay_no_mission_and_take_no_memory() {
     for attack in [Attack::Unread, Attack::Noise, Attack::Drip] {
-        is_played_next_to(attack, &PLAY.stage_with_keys(&[Via::Direct; 6]));
+        is_played_next_to(attack, || PLAY.stage_with_keys(&[Via::Direct; 6]));
     }
 }
