@@ -49,7 +49,8 @@ impl Choreography {
         if ways.is_empty() {
             return Ok((self, first));
         }
-        let mut ahead = poses::compiled("--approach", &ways, fleet, approach)?;
+        let standing = poses::standing(fleet, &approach.from);
+        let mut ahead = poses::compiled("--approach", &ways, &standing, approach.over)?;
         poses::name_like(&mut ahead, unused_name(NAME, &self.acts), &self.scenario, &act.plan);
         for act in &mut self.acts {
             for way in [&mut act.next, &mut act.on_timeout] {
@@ -97,17 +98,8 @@ mod tests {
     use crate::fleet::FleetRobot;
     use crate::source::Source;
 
-    const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
-  {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {
-     "position": {"min_value": -180, "max_value": 180, "granularity": 0.5},
-     "speed": {"min_value": -60, "max_value": 60, "granularity": 1},
-     "script": {"min_value": -180, "max_value": 180, "granularity": 0.5, "max_number_of_steps": 200}}},
-  {"id": "lamp", "name": "lamp", "default_value": 0, "available_control_types": {
-     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
-     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
-
     fn show() -> (Choreography, Fleet) {
-        let block = serde_json::from_str(ARM).unwrap();
+        let block = serde_json::from_str(poses::ARM).unwrap();
         let robots = vec![FleetRobot::new("arm".parse().unwrap(), Address::Simulated, Some(block))];
         let fleet = Fleet { robots, ..Fleet::default() };
         let text = "scenario: show

@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
-use urrcp::{ControlType, Device, DeviceId, RobotId};
+use urrcp::{ControlType, Device, DeviceId, RobotId, Span};
 
-use crate::approach::Approach;
 use crate::compile::compile;
 use crate::duration::written;
 use crate::files::NoFiles;
@@ -13,6 +12,9 @@ use crate::finding::{Code, Finding, Severity};
 use crate::fleet::Fleet;
 use crate::plan::{Act, Plan};
 use crate::source::Source;
+
+/// Positions of devices.
+pub(crate) type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A device, its position, and the position that it has to reach.
 pub(crate) struct DeviceWay<'a> {
@@ -33,18 +35,18 @@ pub(crate) fn settable(device: &Device, position: f64) -> f64 {
         .fold(position, |position, limits| limits.nearest_settable(position))
 }
 
-/// Compiles the act from a generated scenario, which findings call `source`. If a device accepts too few steps for a smooth
+/// Compiles the act from a generated scenario, which findings call `source`, for a fleet whose devices stand at their default values. If a device accepts too few steps for a smooth
 /// movement, all devices move linearly.
 pub(crate) fn compiled(
     source: &str,
     ways: &[DeviceWay<'_>],
     fleet: &Fleet,
-    poses: &Approach,
+    over: Span,
 ) -> Result<Act, Vec<Finding>> {
-    eased(source, ways, fleet, poses, "smooth").or_else(|findings| {
+    eased(source, ways, fleet, over, "smooth").or_else(|findings| {
         let few = [Code::TooManySteps, Code::QueueTooShort];
         match findings.iter().all(|finding| few.contains(&finding.code)) {
-            true => eased(source, ways, fleet, poses, "linear"),
+            true => eased(source, ways, fleet, over, "linear"),
             false => Err(findings),
         }
     })
@@ -54,11 +56,11 @@ fn eased(
     source: &str,
     ways: &[DeviceWay<'_>],
     fleet: &Fleet,
-    poses: &Approach,
+    over: Span,
     ease: &str,
 ) -> Result<Act, Vec<Finding>> {
     let mut tracks: BTreeMap<&RobotId, serde_json::Map<String, Value>> = BTreeMap::new();
-    let over = written(poses.over);
+    let over = written(over);
     for DeviceWay { robot, device, from, to } in ways {
         let keyframes = json!([{"at": "0s", "to": from}, {"at": over, "to": to, "ease": ease}]);
         tracks.entry(robot).or_default().insert(device.to_string(), keyframes);
@@ -73,7 +75,7 @@ fn eased(
     let cues: Vec<_> = alike.into_values().map(cue).collect();
     // Scenarios are YAML, and JSON is YAML.
     let text = json!({"scenario": source, "cues": cues}).to_string();
-    let compiled = compile(&Source { name: source.into(), text }, &moved(fleet, poses), &NoFiles);
+    let compiled = compile(&Source { name: source.into(), text }, fleet, &NoFiles);
     let acts = compiled.choreography.map(|choreography| choreography.acts).unwrap_or_default();
     let errors = || {
         let findings = compiled.findings.into_iter();
@@ -82,11 +84,11 @@ fn eased(
     acts.into_iter().next().ok_or_else(errors)
 }
 
-/// The fleet, with the known positions of its devices as their default values.
-fn moved(fleet: &Fleet, poses: &Approach) -> Fleet {
+/// The fleet, with these positions of its devices as their default values.
+pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     let mut fleet = fleet.clone();
     for robot in &mut fleet.robots {
-        let Some(from) = poses.from.get(&robot.id) else { continue };
+        let Some(from) = from.get(&robot.id) else { continue };
         for device in robot.init.iter_mut().flat_map(|block| block.devices.iter_mut()) {
             if let Some(position) = from.get(&device.id) {
                 device.default_value = Some(settable(device, *position));
@@ -114,3 +116,17 @@ pub(crate) fn unused_name(name: &str, acts: &[Act]) -> String {
     let mut unused = names.filter(|name| !acts.iter().any(|act| act.name == *name));
     unused.next().unwrap_or_default()
 }
+
+/// An arm for the tests of such acts.
+#[cfg(test)]
+pub(crate) const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
+  {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {
+     "position": {"min_value": -180, "max_value": 180, "granularity": 0.5},
+     "speed": {"min_value": -60, "max_value": 60, "granularity": 1},
+     "script": {"min_value": -180, "max_value": 180, "granularity": 0.5, "max_number_of_steps": 200}}},
+  {"id": "lamp", "name": "lamp", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}},
+  {"id": "still", "name": "still", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;

@@ -1,18 +1,18 @@
 //! `at_end: home`: an act behind each way to the end that moves devices to their default values.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 
-use urrcp::{ControlType, Device, Interpolation, RobotId, Span};
+use urrcp::{ControlType, Device, DeviceId, Interpolation, RobotId, Span};
 
 use super::cast::{Cast, Rest};
-use crate::approach::Approach;
 use crate::duration::written;
 use crate::fields::Reader;
-use crate::finding::Code;
+use crate::finding::{Code, Finding};
 use crate::fleet::Fleet;
 use crate::motion::Easing;
 use crate::plan::{Act, Way};
-use crate::poses::{self, DeviceWay, settable, unused_name};
+use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
+use crate::render::counted;
 use crate::scenario::{AtEnd, Scenario};
 
 const NAME: &str = "home";
@@ -20,6 +20,8 @@ const NAME: &str = "home";
 const OVER_MIN: f64 = 1.0;
 /// The duration of linear movements without any limit, in seconds.
 const OVER_WITHOUT_LIMITS: f64 = 5.0;
+/// Each is compiled by itself, for the whole fleet.
+const HOMES_MAX: usize = 32;
 /// The fraction by which a computed duration exceeds the result of the formula: on a grid, some steps are faster.
 const SLACK: f64 = 0.02;
 
@@ -41,86 +43,96 @@ pub(super) fn go_home(
     rests: &Rests,
 ) {
     let Some(at_end) = &scenario.at_end else { return };
-    let written = acts.len();
-    let mut known: Vec<(Homecoming, usize)> = Vec::new();
-    for act in 0..written {
+    let before = findings.found.len();
+    let mut homes = Homes { at_end, scenario, cast, fleet, known: Vec::new() };
+    for act in 0..acts.len() {
         let ends = [(acts[act].next, &rests.ended), (acts[act].on_timeout, &rests.timed_out)];
-        let ways = ends.map(|(way, rests)| match (way, rests.get(&act)) {
-            (Way::End, Some(rest)) => {
-                let home = Homecoming::from(findings, at_end, (cast, &acts[act].name), rest)?;
-                home_act(findings, at_end, (scenario, fleet), acts, home, &mut known).map(Way::Act)
-            }
-            _ => None,
+        let [next, on_timeout] = ends.map(|(way, rests)| match (way, rests.get(&act)) {
+            (Way::End, Some(rest)) => homes.way(findings, acts, act, rest).unwrap_or(way),
+            _ => way,
         });
-        let [next, on_timeout] = ways;
-        acts[act].next = next.unwrap_or(acts[act].next);
-        acts[act].on_timeout = on_timeout.unwrap_or(acts[act].on_timeout);
+        (acts[act].next, acts[act].on_timeout) = (next, on_timeout);
+        if findings.found.len() > before {
+            return;
+        }
     }
-    if known.is_empty() && findings.found.is_empty() {
+    if homes.known.is_empty() {
         let message = "`at_end: home` moves nothing".to_owned();
         let expected = "a device that the scenario moves and whose description has a `default_value`";
         findings.add(Code::NothingToDo, at_end.place.clone(), message, expected, None);
     }
 }
 
-/// The index of the act that makes these movements. Adds the act if there is none yet.
-fn home_act(
-    findings: &mut Reader,
-    at_end: &AtEnd,
-    (scenario, fleet): (&Scenario, &Fleet),
-    acts: &mut Vec<Act>,
-    home: Homecoming,
-    known: &mut Vec<(Homecoming, usize)>,
-) -> Option<usize> {
-    if let Some((_, index)) = known.iter().find(|(other, _)| *other == home) {
-        return Some(*index);
-    }
-    let ways: Vec<_> = home
-        .devices
-        .iter()
-        .map(|(robot, device, [from, to])| DeviceWay { robot, device, from: *from, to: *to })
-        .collect();
-    if let Some(over) = at_end.over.filter(|over| *over < home.needed) {
-        let needed = written(tenths_of_a_second(home.needed.as_millis_f64() / 1_000.0));
-        let message = format!(
-            "the way home has {}, and the limits of the devices permit no less than {needed}",
-            written(over)
-        );
-        let hint =
-            Some(format!("write `at_end: {{home: {needed}}}`, or `at_end: home` for the shortest time"));
-        findings.add(Code::TooFast, at_end.place.clone(), message, format!("{needed} or more"), hint);
-        return None;
-    }
-    let over = at_end.over.unwrap_or(home.over);
-    let poses = Approach { over, from: home.positions() };
-    match poses::compiled("at_end", &ways, fleet, &poses) {
-        Ok(mut act) => {
-            poses::name_like(&mut act, unused_name(NAME, acts), &scenario.name, &acts[0].plan);
-            known.push((home, acts.len()));
-            acts.push(act);
-            Some(acts.len() - 1)
+/// The acts that have been added, each with its movements.
+struct Homes<'a> {
+    at_end: &'a AtEnd,
+    scenario: &'a Scenario,
+    cast: &'a Cast<'a>,
+    fleet: &'a Fleet,
+    known: Vec<(Homecoming, usize)>,
+}
+
+impl Homes<'_> {
+    /// The way from an act that leaves devices like this. `None` if nothing has to move, or after a finding.
+    fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
+        let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
+        if let Some((_, index)) = self.known.iter().find(|(other, _)| *other == home) {
+            return Some(Way::Act(*index));
         }
-        Err(errors) => {
+        if self.known.len() == HOMES_MAX {
+            let message =
+                format!("the mission may end with devices at more than {HOMES_MAX} sets of positions");
+            let hint = Some("let fewer acts lead to the end, or one act follow all of them".to_owned());
+            let expected = format!("at most {HOMES_MAX}");
+            findings.add(Code::TooMuch, self.at_end.place.clone(), message, expected, hint);
+            return None;
+        }
+        let mut added = self.compiled(findings, &home)?;
+        poses::name_like(&mut added, unused_name(NAME, acts), &self.scenario.name, &acts[act].plan);
+        acts.push(added);
+        self.known.push((home, acts.len() - 1));
+        Some(Way::Act(acts.len() - 1))
+    }
+
+    fn compiled(&self, findings: &mut Reader, home: &Homecoming) -> Option<Act> {
+        let place = || self.at_end.place.clone();
+        if let Some(over) = self.at_end.over.filter(|over| *over < home.needed) {
+            let needed = written(tenths_of_a_second(home.needed.as_millis_f64() / 1_000.0));
+            let message = format!(
+                "the way home has {}, and the limits of the devices permit no less than {needed}",
+                written(over)
+            );
+            let hint =
+                Some(format!("write `at_end: {{home: {needed}}}`, or `at_end: home` for the shortest time"));
+            findings.add(Code::TooFast, place(), message, format!("{needed} or more"), hint);
+            return None;
+        }
+        let ways: Vec<_> = home
+            .devices
+            .iter()
+            .map(|moved| {
+                let (robot, device, [from, to]) = moved;
+                DeviceWay { robot, device, from: *from, to: *to }
+            })
+            .collect();
+        let over = self.at_end.over.unwrap_or(home.over);
+        let standing = poses::standing(self.fleet, &home.positions());
+        let compiled = poses::compiled("at_end", &ways, &standing, over);
+        let tell = |errors: Vec<Finding>| {
             for error in errors {
                 let message = format!("on the way home, over {}: {}", written(over), error.message);
                 let hint = "give it more time, such as `at_end: {home: 10s}`, or add an act that moves devices home one after another";
-                findings.add(
-                    error.code,
-                    at_end.place.clone(),
-                    message,
-                    error.expected,
-                    Some(hint.to_owned()),
-                );
+                findings.add(error.code, place(), message, error.expected, Some(hint.to_owned()));
             }
-            None
-        }
+        };
+        compiled.map_err(tell).ok()
     }
 }
 
 /// The devices that are moved, and the duration that their limits permit.
 #[derive(PartialEq)]
 struct Homecoming {
-    devices: Vec<(RobotId, urrcp::DeviceId, [f64; 2])>,
+    devices: Vec<(RobotId, DeviceId, [f64; 2])>,
     over: Span,
     /// What the limits of the devices demand.
     needed: Span,
@@ -141,7 +153,7 @@ impl Homecoming {
             let device = &cast.devices(*robot)[*index];
             let is_position = device.primary_control_type() == Some(ControlType::Position);
             let Some(to) = device.default_value.filter(|_| is_position) else { continue };
-            let Some(from) = left.usually() else {
+            let Some(from) = left.certainly() else {
                 unknown.push(format!("`{}/{}`", cast.id(*robot), device.id));
                 continue;
             };
@@ -160,8 +172,10 @@ impl Homecoming {
             devices.push((cast.id(*robot).clone(), device.id.clone(), [from, to]));
         }
         if let [first, others @ ..] = unknown.as_slice() {
-            let others =
-                if others.is_empty() { String::new() } else { format!(" and of {} others", others.len()) };
+            let others = match others.len() {
+                0 => String::new(),
+                others => format!(" and {}", counted(others, "other device")),
+            };
             let message = format!("the position of {first}{others} after act `{act}` is not known");
             let hint = "move it in the last act: different ways to this act leave it at different positions"
                 .to_owned();
@@ -179,8 +193,8 @@ impl Homecoming {
         moves.then_some(Self { devices, over: tenths_of_a_second(over), needed })
     }
 
-    fn positions(&self) -> BTreeMap<RobotId, BTreeMap<urrcp::DeviceId, f64>> {
-        let mut positions: BTreeMap<_, BTreeMap<_, _>> = BTreeMap::new();
+    fn positions(&self) -> Positions {
+        let mut positions = Positions::new();
         for (robot, device, [from, _]) in &self.devices {
             positions.entry(robot.clone()).or_default().insert(device.clone(), *from);
         }
@@ -212,20 +226,8 @@ mod tests {
     use crate::fleet::FleetRobot;
     use crate::source::Source;
 
-    const ROBOT: &str = r#"{"id": "arm", "api_version": "1", "devices": [
-  {"id": "joint", "name": "joint", "interpolation": "linear", "default_value": 0, "available_control_types": {
-     "position": {"min_value": -180, "max_value": 180, "granularity": 0.5},
-     "speed": {"min_value": -60, "max_value": 60, "granularity": 1},
-     "script": {"min_value": -180, "max_value": 180, "granularity": 0.5, "max_number_of_steps": 200}}},
-  {"id": "lamp", "name": "lamp", "default_value": 0, "available_control_types": {
-     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
-     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}},
-  {"id": "still", "name": "still", "default_value": 0, "available_control_types": {
-     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
-     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
-
     fn compiled(text: &str) -> Compiled {
-        let block = serde_json::from_str(ROBOT).unwrap();
+        let block = serde_json::from_str(poses::ARM).unwrap();
         let robots = vec![FleetRobot::new("arm".parse().unwrap(), Address::Simulated, Some(block))];
         let fleet = Fleet { robots, ..Fleet::default() };
         compile(
@@ -302,7 +304,7 @@ mod tests {
         let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
         assert_eq!((finding.code, finding.line), (Code::UnknownBeginning, 2));
         assert!(
-            finding.message.contains("`arm/joint` and of 1 others after act `last`"),
+            finding.message.contains("`arm/joint` and 1 other device after act `last`"),
             "{}",
             finding.message
         );
@@ -325,5 +327,39 @@ mod tests {
         let there = "at_end: home\ncues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 0}]}}]\n";
         let findings = compiled(there).findings;
         assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::NothingToDo]);
+    }
+
+    #[test]
+    fn a_joint_that_was_driven_by_speed_is_at_no_known_position() {
+        let track = "joint: {control: speed, keyframes: [{at: 0s, to: 20}, {at: 1s, to: 0}]}";
+        let driven = format!(
+            "at_end: home\ncues: [{{at: 0s, robots: arm, tracks: {{{track}, still: [{{at: 0s, to: 5}}]}}}}]\n"
+        );
+        let findings = compiled(&driven.replace("TRACK", track)).findings;
+        assert!(findings.iter().any(|finding| finding.code == Code::UnknownBeginning), "{findings:#?}");
+    }
+
+    /// A wait that times out leads past the act that would have moved the joint.
+    #[test]
+    fn a_way_that_leaves_an_act_out_makes_a_position_unknown() {
+        let text = "at_end: home\nacts:
+  - {act: one, wait: {for: operator, timeout: 1s, otherwise: two}, cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 2s, to: 60}]}}]}
+  - {act: two, cues: [{at: 0s, robots: arm, tracks: {lamp: [{at: 0s, to: 9}]}}]}\n";
+        let findings = compiled(text).findings;
+        let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
+        assert!(finding.message.contains("`arm/joint` after act `two`"), "{finding:?}");
+    }
+
+    #[test]
+    fn too_many_different_ends_are_refused_at_once() {
+        let act = |number: usize| {
+            format!(
+                "  - {{act: a{number}, wait: {{for: operator, timeout: 1s, otherwise: end}}, \
+                     cues: [{{at: 0s, robots: arm, tracks: {{lamp: [{{at: 0s, to: {number}}}]}}}}]}}\n"
+            )
+        };
+        let acts: String = (1..90).map(act).collect();
+        let findings = compiled(&format!("at_end: home\nacts:\n{acts}")).findings;
+        assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::TooMuch]);
     }
 }

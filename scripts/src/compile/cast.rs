@@ -253,9 +253,9 @@ pub(super) struct Left {
 }
 
 impl Left {
-    /// On every way from act to act, if that is one value.
-    pub(super) const fn usually(self) -> Option<f64> {
-        self.usually
+    /// On every way, also after a failure, a timeout or back from a later act.
+    pub(super) const fn certainly(self) -> Option<f64> {
+        self.certainly
     }
 
     /// By the last movement of an act.

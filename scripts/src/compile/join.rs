@@ -66,7 +66,7 @@ pub(super) fn join(
         }));
         lane.check_left_in_motion(&mut together);
         let Some((scripts, used)) = lane.scripts(findings) else { continue };
-        joined.rest.insert((robot, index), Left::at(lane.last_value()));
+        joined.rest.insert((robot, index), Left::at(lane.rest()));
         joined.places.insert((robot, index), lane.last_position());
         if last_robot != Some(robot) {
             joined.robots.push(RobotPlan { robot: cast.id(robot).clone(), scripts: Vec::new() });
@@ -252,6 +252,12 @@ impl Lane<'_> {
             Steps::One(values) => values.last().map(|value| value.to),
             Steps::Several(_) => None,
         }
+    }
+
+    /// Where the device is left: not by a rate where it usually takes positions.
+    fn rest(&self) -> Option<f64> {
+        let control_type = self.segments.last()?.part.control_type;
+        self.last_value().filter(|_| self.device.primary_control_type() == Some(control_type))
     }
 
     fn last_position(&self) -> Option<f64> {

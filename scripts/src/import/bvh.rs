@@ -2,6 +2,7 @@
 
 use crate::finding::Code;
 use crate::node::shortened;
+use crate::render::counted;
 use crate::source::Source;
 
 use super::input::Input;
@@ -149,8 +150,12 @@ fn read_frames(
     match more % devices.len() as f64 {
         0.0 => Ok(frames + more / devices.len() as f64),
         left => {
-            let message = format!("the last frame has {left} values");
-            Err((Code::ImportShape, message, format!("{}, one for each channel", devices.len())))
+            let message = format!("the last frame ends after channel {left}");
+            Err((
+                Code::ImportShape,
+                message,
+                format!("{}, one for each channel", counted(devices.len(), "value")),
+            ))
         }
     }
 }

@@ -53,7 +53,7 @@ fn captures_that_are_wrong_are_refused_where_they_are() {
     check(&format!("{two}Frames: 2\nFrame Time: 0.1\n1 2\n3\n"), &["the file ends here", "`a.Yrotation`"]);
     check(
         &format!("{two}Frames: 1\nFrame Time: 0.1\n1 2\n3\n"),
-        &["the last frame has 1 values", "2, one for"],
+        &["the last frame ends after channel 1", "2 values, one for"],
     );
     check(&format!("{two}Frames: 1\nFrame Time: 0.1\n1 2\n3 x\n"), &["DB0061", "test:11:3"]);
     check(&format!("HIERARCHY\n{}", "JOINT a\n{\n".repeat(5_000)), &["DB0068", "more than 200 deep"]);
