@@ -67,9 +67,12 @@ fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
     let finding = &compiled.findings[0];
     assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
     // A line for the parser, and not for an editor.
-    let compiled = compile_text("a: 1\nb\u{2028}word\nc: 2\n");
-    let finding = &compiled.findings[0];
-    assert_eq!((finding.line, finding.message.as_str()), (2, "this line has no colon"), "{finding:?}");
+    for (text, line) in
+        [("key:\u{2028}word", 1), ("a: 1\nkey:\u{2028}word", 2), ("a: 1\r\nkey:\u{85}word", 2)]
+    {
+        let finding = &compile_text(text).findings[0];
+        assert_eq!((finding.line, finding.message.as_str()), (line, "this line has no colon"), "{finding:?}");
+    }
     let compiled = compile_text("scenario: s\r\ncues: [\u{e9}, {a: b: c}]\r\n");
     let finding = &compiled.findings[0];
     assert_eq!(
