@@ -51,7 +51,7 @@ impl Choreography {
         }
         let standing = poses::standing(fleet, &approach.from);
         let mut ahead = poses::compiled("--approach", &ways, &standing, approach.over)?;
-        poses::name_like(&mut ahead, unused_name(NAME, &self.acts), &self.scenario, &act.plan);
+        poses::name_like(&mut ahead, unused_name(NAME, &self.acts), &self.scenario, act);
         for act in &mut self.acts {
             for way in [&mut act.next, &mut act.on_timeout] {
                 if let Way::Act(index) = way {

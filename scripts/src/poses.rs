@@ -10,7 +10,7 @@ use crate::duration::written;
 use crate::files::NoFiles;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::Fleet;
-use crate::plan::{Act, Plan};
+use crate::plan::{Act, FailurePolicy};
 use crate::source::Source;
 
 /// Positions of devices.
@@ -98,10 +98,14 @@ pub(crate) fn standing(fleet: &Fleet, from: &Positions) -> Fleet {
     fleet
 }
 
-/// Names a generated act, and copies the settings of starts and leases from the plan of another act of its scenario.
-pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, plan: &Plan) {
+/// Names a generated act, and copies from another act of its scenario the settings of starts and leases, and what a failure does
+/// but for the act that follows one.
+pub(crate) fn name_like(act: &mut Act, name: String, scenario: &str, other: &Act) {
     act.plan.scenario = format!("{scenario}, {name}");
     act.name = name;
+    act.on_failure = FailurePolicy { then: None, ..other.on_failure.clone() };
+    act.on_doubt = other.on_doubt;
+    let plan = &other.plan;
     act.plan.start_tolerance = plan.start_tolerance;
     act.plan.lead = plan.lead;
     act.plan.stop_condition = plan.stop_condition;

@@ -76,7 +76,10 @@ impl Homes<'_> {
     /// The way from an act that leaves devices like this. `None` if nothing has to move, or after a finding.
     fn way(&mut self, findings: &mut Reader, acts: &mut Vec<Act>, act: usize, rest: &Rest) -> Option<Way> {
         let home = Homecoming::from(findings, self.at_end, (self.cast, &acts[act].name), rest)?;
-        if let Some((_, index)) = self.known.iter().find(|(other, _)| *other == home) {
+        let rule = |act: &Act| (act.on_failure.default, act.on_failure.robots.clone(), act.on_doubt);
+        let same =
+            |(other, index): &&(Homecoming, usize)| *other == home && rule(&acts[*index]) == rule(&acts[act]);
+        if let Some((_, index)) = self.known.iter().find(same) {
             return Some(Way::Act(*index));
         }
         if self.known.len() == HOMES_MAX {
@@ -88,7 +91,7 @@ impl Homes<'_> {
             return None;
         }
         let mut added = self.compiled(findings, &home)?;
-        poses::name_like(&mut added, unused_name(NAME, acts), &self.scenario.name, &acts[act].plan);
+        poses::name_like(&mut added, unused_name(NAME, acts), &self.scenario.name, &acts[act]);
         acts.push(added);
         self.known.push((home, acts.len() - 1));
         Some(Way::Act(acts.len() - 1))
@@ -224,6 +227,7 @@ mod tests {
     use crate::compile::{Compiled, compile};
     use crate::files::NoFiles;
     use crate::fleet::FleetRobot;
+    use crate::scenario::{OnDoubt, OnFailure};
     use crate::source::Source;
 
     fn compiled(text: &str) -> Compiled {
@@ -327,6 +331,19 @@ mod tests {
         let there = "at_end: home\ncues: [{at: 0s, robots: arm, tracks: {still: [{at: 0s, to: 0}]}}]\n";
         let findings = compiled(there).findings;
         assert_eq!(findings.iter().map(|finding| finding.code).collect::<Vec<_>>(), [Code::NothingToDo]);
+    }
+
+    #[test]
+    fn what_a_failure_does_in_the_last_act_it_does_on_the_way_home() {
+        let acts = acts(&format!(
+            "at_end: home\non_failure: {{default: without, arm: home}}\non_doubt: withdraw\n{CUES}"
+        ));
+        assert_eq!(acts[1].on_failure, acts[0].on_failure);
+        assert_eq!(acts[1].on_doubt, OnDoubt::Withdraw);
+        let then =
+            "acts:\n  - {act: one, on_failure: {default: without, then: end}, CUES}\n".replace("CUES", CUES);
+        let acts = super::tests::acts(&format!("at_end: home\n{then}"));
+        assert_eq!((acts[1].on_failure.default, acts[1].on_failure.then), (OnFailure::Without, None));
     }
 
     #[test]
