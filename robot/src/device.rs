@@ -104,7 +104,8 @@ pub(crate) enum Effect {
         link: LinkId,
         request_id: Option<RequestId>,
         error: ControlError,
-        steps_done: u32,
+        /// `None`: it is unknown how many, and whether it has begun at all.
+        steps_done: Option<u32>,
     },
 }
 
@@ -402,6 +403,7 @@ impl DeviceMachine {
     fn link_lost(&mut self, at: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         for Guard { lease, command, request_id, steps_done, .. } in self.guards.drain(..) {
             let (link, error) = (lease.link, error.clone());
+            let steps_done = Some(steps_done);
             effects.push(Effect::Failed { command, link, request_id, error, steps_done });
         }
         self.drop_all(error, effects);
@@ -723,7 +725,7 @@ fn started(held: &Held) -> Effect {
 }
 
 fn failed(held: Held, error: &ControlError) -> Effect {
-    let steps_done = held.steps_done();
+    let steps_done = Some(held.steps_done());
     let (command, link, request_id) = (held.command, held.link, held.request_id);
     Effect::Failed { command, link, request_id, error: error.clone(), steps_done }
 }

@@ -106,6 +106,10 @@ pub enum PlanEvent {
     Step(u32),
     /// All steps are done.
     Done,
+    /// By the driver's clock the script has begun or goes on. The hardware has not shown it.
+    AssumedRunning,
+    /// By the driver's clock all steps are done. The hardware has not shown it.
+    AssumedDone,
     /// It is over before its end, for this reason.
     Failed(String),
     /// It was cancelled.
@@ -145,6 +149,8 @@ pub(crate) struct Plan {
     pub(crate) stage: Stage,
     pub(crate) began: Option<Timestamp<Robot>>,
     pub(crate) began_told: bool,
+    /// The driver assumes that the script has begun.
+    assumed: bool,
     pub(crate) done: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
     pub(crate) late: LateSteps,
@@ -221,8 +227,8 @@ impl Plan {
     fn report_due(&self) -> Option<Timestamp<Robot>> {
         let due = match (&self.stage, self.began, self.done) {
             (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
-            (_, None, None) => self.held.starts(self.interpolation) + self.tolerance.report,
-            (_, Some(_), None) => self.held.end + self.tolerance.report,
+            (_, None, None) if !self.assumed => self.held.starts(self.interpolation) + self.tolerance.report,
+            (_, _, None) => self.held.end + self.tolerance.report,
         };
         Some(self.extended.map_or(due, |extended| due.max(extended)))
     }
@@ -256,7 +262,7 @@ impl Plan {
         let at = at.min(now);
         match event {
             PlanEvent::Began => self.began = self.began.or(Some(at)),
-            PlanEvent::Step(_) | PlanEvent::Done if self.began.is_none() => {
+            PlanEvent::Step(_) | PlanEvent::Done if !self.has_begun() => {
                 return Err("it goes on, and was not said to have started".to_owned());
             }
             PlanEvent::Step(step) => self.note_step(at, *step)?,
@@ -268,7 +274,8 @@ impl Plan {
                 self.steps_done = u32::try_from(self.given).unwrap_or(u32::MAX);
                 self.is_over_there = true;
             }
-            PlanEvent::Failed(_) | PlanEvent::Cancelled => self.is_over_there = true,
+            PlanEvent::AssumedRunning => self.assumed = true,
+            PlanEvent::AssumedDone | PlanEvent::Failed(_) | PlanEvent::Cancelled => self.is_over_there = true,
         }
         Ok(at)
     }
@@ -285,11 +292,22 @@ impl Plan {
         Ok(())
     }
 
+    /// Whether it is unknown whether it began: the hardware had it at its start and has not shown a start.
+    pub(crate) fn may_have_begun(&self, now: Timestamp<Robot>) -> bool {
+        let had_it = self.given > 0 && !self.is_over_there && now >= self.held.start;
+        self.began.is_none() && (self.assumed || had_it)
+    }
+
+    /// Whether the driver has reported that it began, observed or assumed.
+    pub(crate) const fn has_begun(&self) -> bool {
+        self.began.is_some() || self.assumed
+    }
+
     /// In which step it is, for people.
     pub(crate) fn place(&self) -> String {
         match self.began {
-            None => "before its start".to_owned(),
-            Some(_) => format!("in step {}", self.steps_done + 1),
+            None if !self.assumed => "before its start".to_owned(),
+            _ => format!("in step {}", self.steps_done + 1),
         }
     }
 }
@@ -331,6 +349,7 @@ impl Plans {
             stage: Stage::Waiting,
             began: None,
             began_told: false,
+            assumed: false,
             done: None,
             steps_done: 0,
             late: LateSteps::default(),

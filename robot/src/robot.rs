@@ -493,7 +493,7 @@ impl Robot {
             }
             Effect::Failed { link, request_id, error, steps_done, .. } => {
                 self.counts.failed += 1;
-                let (error, steps_done) = (Some(error), Some(steps_done));
+                let error = Some(error);
                 (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
             }
         };

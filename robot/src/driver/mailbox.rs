@@ -86,6 +86,8 @@ pub(crate) struct Manners {
     pub(crate) takes_frames: bool,
     /// Between two pings in the second before a start.
     pub(crate) ping_period: Duration,
+    /// How long the hardware may show no sign of life near a start, if its driver declares it.
+    pub(crate) silence_max: Option<Duration>,
 }
 
 /// What a driver's thread does next.
@@ -126,6 +128,8 @@ const PING_RETRY: Duration = Duration::from_millis(2);
 pub(crate) enum Sign {
     /// It has answered.
     Answered,
+    /// It showed itself this long ago, as its driver reports.
+    Seen(Duration),
     /// Nothing: the system under it may have taken the call.
     Unknown,
 }
@@ -376,11 +380,13 @@ impl Mailbox {
         let mut state = self.lock();
         if let Some(pulse) = &mut state.pulse {
             pulse.called(took);
-            if sign == Sign::Answered {
-                pulse.seen(now);
+            match sign {
+                Sign::Answered => pulse.answered(now),
+                Sign::Seen(ago) => pulse.seen(now, ago),
+                Sign::Unknown => {}
             }
         }
-        if sign == Sign::Answered {
+        if sign != Sign::Unknown {
             state.answered();
         }
     }
@@ -395,7 +401,9 @@ impl Mailbox {
     /// For how long the hardware has not answered, where that is too long for what is held.
     pub(crate) fn silence(&self) -> Option<Duration> {
         let now = self.now();
-        self.lock().pulse.as_ref()?.silence(now, self.tolerance.silence)
+        let state = self.lock();
+        let declared = state.manners.and_then(|manners| manners.silence_max).unwrap_or_default();
+        state.pulse.as_ref()?.silence(now, self.tolerance.silence.max(declared))
     }
 
     /// The next thing to do: values first, then signs of life, then readings where no movement is near.

@@ -35,7 +35,8 @@ pub(crate) use self::pulse::Demand;
 pub(crate) use self::pushes::PlanWord;
 pub use self::pushes::Pushes;
 pub use self::rates::{
-    PINGS_BOUNDS, PINGS_PER_SECOND, READINGS_BOUNDS, Rates, SAMPLES_BOUNDS, SAMPLES_PER_SECOND,
+    HARDWARE_SILENCE_MAX, PINGS_BOUNDS, PINGS_PER_SECOND, READINGS_BOUNDS, Rates, SAMPLES_BOUNDS,
+    SAMPLES_PER_SECOND,
 };
 pub use self::simulated::SimulatedDriver;
 pub use self::spec::{DriverSpec, DriverSpecError};
@@ -134,6 +135,13 @@ pub trait Driver: Send {
     /// Why it is not.
     fn ping(&mut self) -> Result<(), DriverError>;
 
+    /// How long before the last [`Driver::ping`] the hardware itself showed a sign of life, for a driver that hears from its hardware
+    /// without asking it: the age of its latest state or heartbeat. `None`, the default: the answer to the ping was that sign.
+    /// Hardware that shows none for longer than [`Rates::silence_max`] is away.
+    fn last_sign(&self) -> Option<Duration> {
+        None
+    }
+
     /// What ends with the hardware: its socket, the pipe from its process. Asked for after each [`Driver::connect`]; its
     /// end is then noticed at once, also while nothing is asked. Without one the next ping has to tell.
     fn lifeline(&self) -> Option<Lifeline> {
@@ -174,7 +182,7 @@ pub trait Driver: Send {
 
     /// Takes a script, or its continuation, and returns at once; a single value is a script of one step. What becomes of it is told by
     /// [`Pushes::plan`]: that it began, steps if the driver knows of them, and that it is done. Without these words the script counts
-    /// as failed. It must not begin after `begin_by`. A connection that ends takes its scripts with it: after
+    /// as failed. What the hardware does not show is reported as assumed; a script whose end is assumed counts as failed as well. It must not begin after `begin_by`. A connection that ends takes its scripts with it: after
     /// [`Driver::connect`] none of them may go on.
     ///
     /// # Errors

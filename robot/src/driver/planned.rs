@@ -139,7 +139,8 @@ impl Worker {
                 continue;
             };
             let at = (at - have.ahead).assume_clock();
-            if matches!(event, PlanEvent::Done | PlanEvent::Failed(_) | PlanEvent::Cancelled) {
+            let is_over = !matches!(event, PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::AssumedRunning);
+            if is_over {
                 self.given.plans.remove(&plan);
             }
             self.tell(News::Plan(PlanNews::Word { plan, at, event }));

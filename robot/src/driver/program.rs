@@ -6,14 +6,14 @@
 //! | `set DEVICE CONTROL_TYPE VALUE...` | `ok` |
 //! | `ramp DEVICE CONTROL_TYPE VALUE MILLISECONDS` | `ok` |
 //! | `read SENSOR` | the reading, a number |
-//! | `ping` | `ok` |
+//! | `ping` | `ok`, or `ok MILLISECONDS` since the hardware last showed a sign of life |
 //!
 //! A program that answers `hello` with `ok 2` speaks version 2. It is then told `init JSON` with the robot's description, answers
 //! `ok JSON` with what it can do, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it is told
 //! `frame JSON` in place of `set`.
 //!
 //! If it times scripts by itself, it is told `plan JSON`, `more JSON` and `cancel JSON`, and says `started PLAN NS`, `step PLAN INDEX NS`,
-//! `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`.
+//! `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`. Behind NS, `assumed` marks what the hardware has not shown.
 //!
 //! Anything may be answered with `error REASON`. What it writes to its standard error goes to the edge's.
 
@@ -65,6 +65,8 @@ struct Declared {
     /// Samples of a movement a second.
     samples_per_second: Option<Of<f64>>,
     pings_per_second: Option<f64>,
+    /// How long the hardware may show no sign of life, in milliseconds, if `ping` is answered with the age of the last one.
+    hardware_silence_ms: Option<f64>,
     /// Readings of a sensor a second at most.
     readings_per_second: Option<Of<f64>>,
 }
@@ -95,6 +97,8 @@ impl<T: Copy> Of<T> {
 
 /// How far ahead a program may want the steps of scripts, in milliseconds.
 const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
+/// How long hardware may be declared to show no sign of life, in milliseconds.
+const HARDWARE_SILENCE_MS: (f64, f64) = (50.0, 60_000.0);
 /// After such silences of the edge a program does not begin a script, and ends one that runs.
 const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
 
@@ -106,6 +110,8 @@ pub struct Program {
     running: Option<Running>,
     declared: Declared,
     ear: Option<Ear>,
+    /// How long before the last ping the hardware showed itself, if the program says so.
+    last_sign: Option<Duration>,
     /// After such silences of the edge it does not begin a script, and ends one that runs, in milliseconds.
     edge_silence_ms: (u32, u32),
 }
@@ -131,6 +137,7 @@ impl Program {
             running: None,
             declared: Declared::default(),
             ear: None,
+            last_sign: None,
             edge_silence_ms: EDGE_SILENCE_MS,
         })
     }
@@ -228,6 +235,7 @@ impl Declared {
             samples_per_second: each(&self.samples_per_second),
             pings_per_second: self.pings_per_second,
             readings_per_second: each(&self.readings_per_second),
+            silence_max: self.hardware_silence_ms.map(|ms| Duration::from_secs_f64(ms / 1_000.0)),
         }
     }
 
@@ -253,6 +261,10 @@ impl Declared {
         let (least, most) = PINGS_BOUNDS;
         if let Some(pings) = self.pings_per_second.filter(|pings| !(*pings >= least && *pings <= most)) {
             return Err(format!("pings_per_second is {pings}, expected {least} to {most}"));
+        }
+        let (least, most) = HARDWARE_SILENCE_MS;
+        if let Some(ms) = self.hardware_silence_ms.filter(|ms| !(*ms >= least && *ms <= most)) {
+            return Err(format!("hardware_silence_ms is {ms}, expected {least} to {most}"));
         }
         let each = |device: &DeviceId| driven(block).any(|driven| driven == device);
         if let Some(device) = self.lookahead(block).keys().find(|device| !each(device)) {
@@ -291,6 +303,12 @@ fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
     block.devices.iter().filter(moves).map(|device| &device.id)
 }
 
+/// A duration as a program writes it.
+fn milliseconds(text: &str) -> Option<Duration> {
+    let milliseconds: f64 = text.parse().ok()?;
+    Duration::try_from_secs_f64(milliseconds / 1_000.0).ok()
+}
+
 fn all_values(setpoint: &Setpoint) -> Vec<f64> {
     std::iter::once(setpoint.value).chain(setpoint.more.iter().copied()).collect()
 }
@@ -298,6 +316,7 @@ fn all_values(setpoint: &Setpoint) -> Vec<f64> {
 impl Driver for Program {
     fn connect(&mut self) -> Result<(), DriverError> {
         self.running = None;
+        self.last_sign = None;
         let started = Running::start(&self.command, self.ear.clone());
         self.running = Some(started.map_err(|error| {
             DriverError::Away(format!("the program `{}` does not start: {error}", self.command))
@@ -326,7 +345,15 @@ impl Driver for Program {
     }
 
     fn ping(&mut self) -> Result<(), DriverError> {
-        self.ask_ok("ping")
+        let answer = self.ask("ping", self.timeouts.answer)?;
+        let age = answer.strip_prefix("ok").map(str::trim);
+        let sign = age.and_then(|age| if age.is_empty() { Some(None) } else { milliseconds(age).map(Some) });
+        self.last_sign = sign.ok_or_else(|| self.misunderstood("ping", &answer))?;
+        Ok(())
+    }
+
+    fn last_sign(&self) -> Option<Duration> {
+        self.last_sign
     }
 
     fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
@@ -443,6 +470,7 @@ mod tests {
             (r#"{"samples_per_second": 5000}"#, "expected 0.1 to 1000"),
             (r#"{"readings_per_second": {"eye": 0}}"#, "expected 0.01 to 1000"),
             (r#"{"pings_per_second": 1}"#, "expected 10 to 200"),
+            (r#"{"hardware_silence_ms": 5}"#, "expected 50 to 60000"),
         ] {
             let error = declared(json).map(|_| ()).unwrap_err();
             assert!(error.contains(why), "{json}: {error}");
@@ -515,8 +543,25 @@ mod tests {
         program.ramp(&arm(), ramp).unwrap();
         assert_eq!(program.read(&DeviceId::new("eye").unwrap()), Ok(4.5));
         program.ping().unwrap();
+        assert_eq!(program.last_sign(), None);
         let told = ["hello", "set arm position 5 6.5 7", "ramp arm position 9 1500", "read eye", "ping"];
         assert_eq!(logged.lines(), told);
+    }
+
+    #[test]
+    fn a_program_may_answer_a_ping_with_the_age_of_the_last_sign_of_life() {
+        let mut logged = Logged::new(
+            "signs",
+            "ping) n=$((n+1)); case $n in 1) echo ok 40.5;; 2) echo ok;; *) echo ok soon;; esac;;",
+        );
+        let program = &mut logged.program;
+        program.connect().unwrap();
+        for sign in [Some(Duration::from_micros(40_500)), None] {
+            program.ping().unwrap();
+            assert_eq!(program.last_sign(), sign);
+        }
+        let error = program.ping().unwrap_err();
+        assert!(error.to_string().ends_with("answers `ping` with `ok soon`"), "{error}");
     }
 
     #[test]

@@ -36,8 +36,12 @@ pub(crate) struct Demand {
 pub(super) struct Pulse {
     /// Between two questions while a start is near.
     near: Duration,
-    /// When it last answered.
+    /// When its driver last answered.
+    answered: Instant,
+    /// When the hardware last showed itself.
     seen: Instant,
+    /// The driver reports when the hardware last showed itself: other answers are no signs of life.
+    reports_signs: bool,
     /// The longest of its recent calls.
     took: Duration,
     demand: Demand,
@@ -49,7 +53,16 @@ pub(super) struct Pulse {
 impl Pulse {
     pub(super) const fn new(now: Instant, near: Duration) -> Self {
         let demand = Demand { held: false, start: None, next_due: None, confirmation: false };
-        Self { near, seen: now, took: Duration::ZERO, demand, held_since: None, reading: false }
+        Self {
+            near,
+            answered: now,
+            seen: now,
+            reports_signs: false,
+            took: Duration::ZERO,
+            demand,
+            held_since: None,
+            reading: false,
+        }
     }
 
     /// True when this changes when it is asked next.
@@ -61,8 +74,18 @@ impl Pulse {
     }
 
     /// It has just answered.
-    pub(super) fn seen(&mut self, now: Instant) {
-        self.seen = now;
+    pub(super) fn answered(&mut self, now: Instant) {
+        self.answered = now;
+        if !self.reports_signs {
+            self.seen = now;
+        }
+    }
+
+    /// Its driver has just answered that the hardware showed itself this long ago.
+    pub(super) fn seen(&mut self, now: Instant, ago: Duration) {
+        self.reports_signs = true;
+        self.answered = now;
+        self.seen = now.checked_sub(ago).unwrap_or(self.seen);
     }
 
     /// What a call took; a single long one is forgotten after some dozens of short ones.
@@ -81,14 +104,14 @@ impl Pulse {
             _ if self.demand.confirmation || self.start_is_near(now) => self.near,
             _ => self.near * HELD,
         };
-        self.seen + every.max(self.took)
+        self.answered + every.max(self.took)
     }
 
     /// Whether it is to be asked although a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
         let near = OVERDUE.0.max(self.near * 2);
         let overdue = if self.demand.confirmation || self.start_is_near(now) { near } else { OVERDUE.1 };
-        now.saturating_duration_since(self.seen) >= overdue.max(self.took * 2)
+        now.saturating_duration_since(self.answered) >= overdue.max(self.took * 2)
     }
 
     fn start_is_near(&self, now: Instant) -> bool {
@@ -173,10 +196,23 @@ mod tests {
         pulse.reading(true);
         assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.reading(false);
-        pulse.seen(begin + 900 * MS);
+        pulse.answered(begin + 900 * MS);
         assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.demand(begin, Demand::default());
         assert_eq!(pulse.silence(begin + 9_000 * MS, SILENCE_MAX), None, "nothing depends on it");
+    }
+
+    #[test]
+    fn hardware_that_its_driver_has_not_seen_is_silent_although_the_driver_answers() {
+        let (mut pulse, begin) = holding(Some(500 * MS));
+        pulse.seen(begin + 100 * MS, 20 * MS);
+        pulse.answered(begin + 200 * MS);
+        assert_eq!(pulse.next_ping(begin + 200 * MS), begin + 200 * MS + NEAR, "asked as often as before");
+        assert_eq!(pulse.silence(begin + 80 * MS + SILENCE_MAX, SILENCE_MAX), None);
+        pulse.seen(begin + 300 * MS, 220 * MS);
+        assert_eq!(pulse.silence(begin + 300 * MS, SILENCE_MAX), Some(220 * MS));
+        pulse.seen(begin + 310 * MS, MS);
+        assert_eq!(pulse.silence(begin + 310 * MS, SILENCE_MAX), None);
     }
 
     #[test]

@@ -29,7 +29,14 @@ pub struct Rates {
     pub pings_per_second: Option<f64>,
     /// Calls for a reading a second at most, by sensor; no limit for others.
     pub readings_per_second: BTreeMap<DeviceId, f64>,
+    /// How long the hardware may show no sign of life, for a driver that reports these signs: [`Driver::last_sign`].
+    ///
+    /// [`Driver::last_sign`]: super::Driver::last_sign
+    pub silence_max: Option<Duration>,
 }
+
+/// How long hardware may show no sign of life by default, if its driver reports these signs.
+pub const HARDWARE_SILENCE_MAX: Duration = Duration::from_secs(1);
 
 impl Rates {
     /// Between two samples of a device.

@@ -24,7 +24,7 @@ const ANSWER_BYTES_MAX: u64 = 16_384;
 const END_WAIT: Duration = Duration::from_secs(1);
 
 const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
-                          with NS in nanoseconds since 1970";
+                          with NS in nanoseconds since 1970, and `assumed` after NS in the first three if the hardware has not shown it";
 
 /// What a program says of a script that it times by itself.
 fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, PlanEvent)> {
@@ -33,9 +33,15 @@ fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, 
     let next = parts.next()?;
     let last = parts.next().map(str::trim);
     let (at, event) = match (word, last) {
-        ("step", Some(at)) => (at, PlanEvent::Step(next.parse().ok()?)),
+        ("step", Some(last)) => {
+            let step = next.parse().ok()?;
+            let assumed = last.strip_suffix(" assumed");
+            assumed.map_or((last, PlanEvent::Step(step)), |at| (at, PlanEvent::AssumedRunning))
+        }
         ("started", None) => (next, PlanEvent::Began),
+        ("started", Some("assumed")) => (next, PlanEvent::AssumedRunning),
         ("done", None) => (next, PlanEvent::Done),
+        ("done", Some("assumed")) => (next, PlanEvent::AssumedDone),
         ("cancelled", _) => (next, PlanEvent::Cancelled),
         ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("it gives no reason").to_owned())),
         _ => return None,
@@ -266,6 +272,9 @@ mod tests {
         check("started 7 1790000000000000001", Some((7, 1_790_000_000_000_000_001, PlanEvent::Began)));
         check("step 7 2 5", Some((7, 5, PlanEvent::Step(2))));
         check("done 7 5", Some((7, 5, PlanEvent::Done)));
+        check("started 7 5 assumed", Some((7, 5, PlanEvent::AssumedRunning)));
+        check("step 7 2 5 assumed", Some((7, 5, PlanEvent::AssumedRunning)));
+        check("done 7 5 assumed", Some((7, 5, PlanEvent::AssumedDone)));
         check("failed 7 5 too much torque", Some((7, 5, PlanEvent::Failed("too much torque".to_owned()))));
         check("failed 7 5", Some((7, 5, PlanEvent::Failed("it gives no reason".to_owned()))));
         check("cancelled 7 5", Some((7, 5, PlanEvent::Cancelled)));
@@ -279,6 +288,9 @@ mod tests {
             "started 7 5 6",
             "step 7 5",
             "step 7 -1 5",
+            "step 7 x 5 assumed",
+            "step 7 2 5 assumed so",
+            "done 7 assumed",
             "done 7 1.5",
             "done 7 -5",
         ] {
@@ -314,8 +326,12 @@ mod tests {
     fn ear() -> (Ear, Arc<crate::driver::Mailbox>) {
         let mailbox = Arc::new(crate::driver::Mailbox::default());
         let ping_period = Duration::from_millis(25);
-        let manners =
-            crate::driver::mailbox::Manners { acknowledges: true, takes_frames: false, ping_period };
+        let manners = crate::driver::mailbox::Manners {
+            acknowledges: true,
+            takes_frames: false,
+            ping_period,
+            silence_max: None,
+        };
         mailbox.connected(1, manners);
         let sensors = Arc::new(HashSet::from([DeviceId::new("eye").unwrap()]));
         (Ear { pushes: Pushes::into(Arc::clone(&mailbox)), sensors }, mailbox)

@@ -326,7 +326,11 @@ fn value_of(device: &str, done: &str) -> Option<f64> {
 }
 
 /// Of a driver that is told one value after another.
-const MANNERS: mailbox::Manners =
-    mailbox::Manners { acknowledges: false, takes_frames: false, ping_period: Duration::from_millis(25) };
+const MANNERS: mailbox::Manners = mailbox::Manners {
+    acknowledges: false,
+    takes_frames: false,
+    ping_period: Duration::from_millis(25),
+    silence_max: None,
+};
 
 const PLAYED: [Status; 3] = [Status::Accepted, Status::Started, Status::Ok];

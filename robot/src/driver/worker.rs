@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use urrcp::{ControlType, DeviceId, InitializationBlock, Setpoint};
+use urrcp::{ControlType, DeviceId, InitializationBlock, Setpoint, Span};
 
 use super::grid::on_grid;
 use super::lifeline::Watcher;
 use super::mailbox::{Drive, Manners, Movement, Sign, Value, Work};
 use super::planned::{Given, PlanNews};
+use super::rates::HARDWARE_SILENCE_MAX;
 use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanWord, Pushes, Ramp, Rates};
 use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
@@ -167,6 +168,7 @@ impl Worker {
                     self.rates = self.driver.rates();
                     let manners = Manners {
                         ping_period: self.rates.ping_period(&self.options),
+                        silence_max: self.rates.silence_max,
                         acknowledges: self.driver.set_is_acknowledged(),
                         takes_frames: self.driver.takes_frames(),
                     };
@@ -470,7 +472,18 @@ impl Worker {
     }
 
     fn ping(&mut self) -> Result<(), Lost> {
-        Ok(self.call(Sign::Answered, |driver| driver.ping())?)
+        let begin = Instant::now();
+        self.driver.ping()?;
+        let ago = self.driver.last_sign();
+        self.mailbox.called(begin.elapsed(), ago.map_or(Sign::Answered, Sign::Seen));
+        let most = self.rates.silence_max.unwrap_or(HARDWARE_SILENCE_MAX);
+        match ago.filter(|ago| *ago > most) {
+            Some(ago) => {
+                let reason = format!("the hardware has shown no sign of life for {}", Span::from(ago));
+                Err(Lost::Away(reason))
+            }
+            None => Ok(()),
+        }
     }
 }
 

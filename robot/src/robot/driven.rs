@@ -101,6 +101,7 @@ impl Robot {
             match said {
                 Said::Report(_, Effect::Ended { command, link, request_id, steps_done, .. }) => {
                     let error = error.clone();
+                    let steps_done = Some(steps_done);
                     let failed = Effect::Failed { command, link, request_id, error, steps_done };
                     self.report(now, index, now, failed, out);
                 }

@@ -46,11 +46,12 @@ impl Robot {
     pub(super) fn give_up_unreported(&mut self, now: Now, out: &mut Vec<Output>) {
         for id in self.plans.unreported(now) {
             let Some(plan) = self.plans.get(id) else { continue };
-            let what = if plan.began.is_some() { "that it was over" } else { "that it had started" };
-            let message = format!(
-                "it is unknown what became of the script of `{}`: its driver did not say {what}",
-                plan.device()
-            );
+            let missing = if plan.has_begun() {
+                "did not say that it was over"
+            } else {
+                "did not say that it had started"
+            };
+            let message = unknown_fate(plan.device(), missing);
             self.fail_plan(now, id, ControlError::new(ErrorCode::Internal, message), out);
         }
     }
@@ -74,13 +75,14 @@ impl Robot {
                 false => Err(format!("plan {} was never handed over", id.0)),
             };
         };
-        let done_before = plan.steps_done;
+        let (done_before, device) = (plan.steps_done, plan.device().clone());
         let at = plan.note(now, at, event).map_err(|why| format!("of plan {}: {why}", id.0))?;
         self.log_steps(id, at, done_before, out);
         let failed = match event {
             PlanEvent::Failed(reason) => Some(format!("the hardware failed {{place}}: {reason}")),
             PlanEvent::Cancelled => Some("the hardware was stopped {place}, by itself".to_owned()),
-            PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::Done => None,
+            PlanEvent::AssumedDone => Some(unknown_fate(&device, "did not observe the end")),
+            PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::Done | PlanEvent::AssumedRunning => None,
         };
         match (failed, self.plans.get(id)) {
             (Some(why), Some(plan)) if !matches!(plan.stage, Stage::Cancelling(_)) => {
@@ -271,10 +273,15 @@ impl Robot {
         self.tell_began(id);
         let Some(plan) = self.plans.remove(id) else { return };
         let (link, request_id) = (plan.held().link, plan.held().request_id.clone());
-        let (command, steps_done) = (plan.command, plan.steps_done);
+        let command = plan.command;
+        let steps_done = (!plan.may_have_begun(now)).then_some(plan.steps_done);
         let failed = Effect::Failed { command, link, request_id, error, steps_done };
         self.reports.push((plan.index, now, failed));
     }
+}
+
+fn unknown_fate(device: &DeviceId, missing: &str) -> String {
+    format!("it is unknown what became of the script of `{device}`: its driver {missing}")
 }
 
 /// Whether it brings a device to rest, so that it is no movement of a script.

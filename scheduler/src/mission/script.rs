@@ -451,9 +451,11 @@ impl Script {
     }
 
     /// It has failed, and it is unknown whether it had begun.
-    pub(super) fn failed_untold(&mut self, response: &ControlResponse) -> News {
-        self.state = ScriptState::Unknown;
-        News::Failed(error_of(response))
+    pub(super) fn failed_untold(&mut self, error: ControlError) -> News {
+        match std::mem::replace(&mut self.state, ScriptState::Unknown) {
+            ScriptState::Unknown => News::None,
+            _ => News::Failed(error),
+        }
     }
 
     fn fail(&mut self, error: ControlError) -> News {

@@ -46,6 +46,26 @@ class Ahead(Driver):
         if mode != "mute":
             super()._push(line)
 
+    # A controller that has died: only the clock says that it plays.
+    if mode == "dead":
+        def play(self, plan):
+            plan.begin(assumed=True)
+            for step in plan:
+                plan.wait_until(step.at)
+                plan.reached(step, assumed=True)
+            plan.finished(assumed=True)
+
+    # It reported until its first value was due.
+    if mode == "silent":
+        hardware_silence_ms = 400
+        reported = None
+
+        def ping(self):
+            now = time.monotonic()
+            if self.reported is None or not os.path.getsize(sys.argv[1]):
+                self.reported = now
+            return now - self.reported
+
 Ahead().run()
 "#;
 
@@ -240,4 +260,23 @@ fn a_script_ends_at_the_program_when_the_edge_is_killed() {
         // The mission would wait for its robot for a while.
         let _said = rig.session.run(&["stop"]);
     });
+}
+
+#[test]
+fn a_show_whose_steps_only_the_clock_says_is_not_done() {
+    let Some(rig) = Rig::start("dead", &[]) else { return };
+    let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert_eq!(ran.json()["outcome"], "failed", "{}", ran.text());
+    assert!(ran.text().contains("its driver did not observe the end"), "{}", ran.text());
+}
+
+#[test]
+fn a_controller_that_dies_before_the_start_lets_nothing_begin() {
+    let Some(rig) = Rig::start("silent", &[]) else { return };
+    let ran = rig.play("{at: 0s, to: 1}, {at: 300ms, to: 2}", "{at: 0s, to: 5}");
+    assert_ne!(ran.code(), 0, "{}", ran.text());
+    assert_ne!(ran.json()["outcome"], "done");
+    assert!(ran.text().contains("the hardware has "), "{}", ran.text());
+    assert!(rig.sets().is_empty(), "{:?}", rig.sets());
 }

@@ -46,6 +46,9 @@ class Driver:
     readings_per_second: Union[float, Mapping[str, float], None] = None
     """How often `read` is called at most, of each sensor."""
 
+    hardware_silence_ms: Optional[float] = None
+    """How long the hardware may show no sign of life if `ping` returns the age of the last one: 50 to 60000, or 1000 by default."""
+
     robot: Robot
     """The robot that is driven; there from `start` on."""
 
@@ -108,8 +111,10 @@ class Driver:
         """What a sensor reads now, in its unit."""
         raise Refused(f"no sensor `{sensor}` is connected")
 
-    def ping(self) -> None:
-        """Raises an exception if the hardware could not be moved now. Without it, only this program is known to be alive."""
+    def ping(self) -> Optional[float]:
+        """Raises an exception if the hardware could not be moved now. Without it, only this program is known to be alive. If the
+        hardware reports by itself, return the age of its last report in seconds, for example of a joint state or a heartbeat."""
+        return None
 
     def stop(self) -> None:
         """Lets the hardware go. Called last, if `start` has ended well; the devices are at rest."""
@@ -233,7 +238,8 @@ class Driver:
         elif verb == "read":
             return repr(float(self.read(rest)))
         elif verb == "ping":
-            self.ping()
+            age = self.ping()
+            return "ok" if age is None else f"ok {age * 1000:.3f}"
         else:
             raise Refused(f"unknown command `{verb}`")
         return "ok"
@@ -259,6 +265,7 @@ class Driver:
             "samples_per_second": self.samples_per_second,
             "pings_per_second": self.pings_per_second,
             "readings_per_second": self.readings_per_second,
+            "hardware_silence_ms": self.hardware_silence_ms,
         }
         declared.update({
             key: dict(rate) if isinstance(rate, Mapping) else rate for key, rate in rates.items() if rate is not None

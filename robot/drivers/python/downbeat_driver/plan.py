@@ -59,14 +59,15 @@ class Plan:
         self._ended: Optional[str] = None
         self._started = False
         self._finished_ns: Optional[int] = None
+        self._finish_assumed = False
         self.add(told)
 
     # What `play` uses.
 
-    def begin(self) -> None:
+    def begin(self, *, assumed: bool = False) -> None:
         """Waits for the start. If the device moves linearly, reports that the plan has started, because the device begins to move
         to the first value then. On a device that holds, a plan starts with its first value: call `started` or `reached` at that
-        time. Raises `PlanEnded` if the plan must not begin."""
+        time. Pass `assumed=True` if the hardware begins by its own clock. Raises `PlanEnded` if the plan must not begin."""
         self.wait_until(self.start)
         silence = self._silence()
         if silence > self._silence_at_start:
@@ -76,24 +77,31 @@ class Plan:
             raise PlanEnded(f"it is {late * 1000:.0f} ms too late to begin")
         with self._changed:
             self._raise_if_ended()
-            if self.is_linear:
-                self.started()
+            if self.is_linear or assumed:
+                self.started(assumed=assumed)
 
-    def started(self, at_ns: Optional[int] = None) -> None:
-        """Reports that the first value was set, or that the device began to move to it linearly, at `at_ns` or now."""
+    def started(self, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
+        """Reports that the first value was set, or that the device began to move to it linearly, at `at_ns` or now. Pass
+        `assumed=True` if only the clock says so, and neither the hardware nor your own code that set the value."""
         self._started = True
-        self._say(f"started {self.id} {self._now_ns() if at_ns is None else at_ns}")
+        self._report("started", self._now_ns() if at_ns is None else at_ns, assumed)
 
-    def reached(self, step: Step, at_ns: Optional[int] = None) -> None:
-        """Says that a step is done, and with it all before: now, or then."""
+    def reached(self, step: Step, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
+        """Reports that a step and all before it are done, at `at_ns` or now. Assumed steps are not counted."""
         at_ns = self._now_ns() if at_ns is None else at_ns
         if not self._started:
-            self.started(at_ns)
-        self._say(f"step {self.id} {step.index} {at_ns}")
+            self.started(at_ns, assumed=assumed)
+        self._report("step", at_ns, assumed, step.index)
 
-    def finished(self, at_ns: int) -> None:
-        """Notes when all steps were done. Without it, that is when `play` returns, which says so to the edge."""
-        self._finished_ns = at_ns
+    def finished(self, at_ns: Optional[int] = None, *, assumed: bool = False) -> None:
+        """Notes when all steps were done. Without it, that is when `play` returns, which reports it to the edge. An end that is
+        assumed is reported as a failure: it is unknown what became of the script."""
+        self._finished_ns = self._now_ns() if at_ns is None else at_ns
+        self._finish_assumed = assumed
+
+    def _report(self, word: str, at_ns: int, assumed: bool, *step: int) -> None:
+        words = [word, self.id, *step, at_ns, *(["assumed"] if assumed else [])]
+        self._say(" ".join(map(str, words)))
 
     def __iter__(self) -> Iterator[Step]:
         """The steps in the order of their times, also those that are handed over later. Raises `PlanEnded`."""
@@ -157,8 +165,8 @@ class Plan:
             self._say(f"cancelled {self.id} {now}")
         else:
             if not self._started:
-                self.started(now)
-            self._say(f"done {self.id} {now if self._finished_ns is None else self._finished_ns}")
+                self.started(now, assumed=self._finish_assumed)
+            self._report("done", now if self._finished_ns is None else self._finished_ns, self._finish_assumed)
 
     def _step(self, index: int) -> Optional[Step]:
         with self._changed:

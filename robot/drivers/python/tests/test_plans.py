@@ -51,6 +51,27 @@ def plan(device="arm", *, steps, start_ms=60.0, last=True, linear=False, control
     return "plan " + json.dumps(told), told
 
 
+class Reporting(Driver):
+    """Its hardware begins by its own clock and shows no more than it is said to."""
+
+    lookahead = "script"
+    hardware_silence_ms = 3_000
+
+    def __init__(self, shows_end):
+        super().__init__()
+        self.shows_end = shows_end
+
+    def ping(self):
+        return 0.0405
+
+    def play(self, plan):
+        plan.begin(assumed=True)
+        for step in plan:
+            plan.wait_until(step.at)
+            plan.reached(step, assumed=True)
+        plan.finished(assumed=not self.shows_end)
+
+
 def cancel(number=1, then="rest"):
     return "cancel " + json.dumps({"plan": number, "then": then, "why": "stopped"})
 
@@ -108,6 +129,14 @@ class Played(unittest.TestCase):
         self.assertEqual(declared["samples_per_second"], {"arm": 100})
         self.assertEqual((declared["pings_per_second"], declared["readings_per_second"]), (20, 5))
         self.assertEqual(json.loads(said(Recorder(), INIT)[0][len("ok ") :])["lookahead"], "script")
+
+    def test_what_only_the_clock_says_is_reported_as_assumed(self):
+        for shows_end, end in [(False, "done 1 assumed"), (True, "done 1")]:
+            line, _ = plan(steps=[(0, 1), (20, 2)])
+            lines = said(Reporting(shows_end), INIT, line, ("done 1",), "ping")
+            steps = ["step 1 0 assumed", "step 1 1 assumed"]
+            self.assertEqual(words(lines[2:]), ["started 1 assumed", *steps, end, "ok 40.500"])
+            self.assertEqual(json.loads(lines[0][len("ok ") :])["hardware_silence_ms"], 3_000)
 
     def test_a_plan_is_played_at_its_times_and_told_as_it_was(self):
         driver = Recorder()

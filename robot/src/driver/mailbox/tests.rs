@@ -13,8 +13,12 @@ fn a_value_is_too_old_only_beyond_its_bound() {
     assert_eq!(value(None).stale(due + beyond, STALE), None, "the default state is never too old");
 }
 
-const MANNERS: Manners =
-    Manners { acknowledges: false, takes_frames: false, ping_period: Duration::from_millis(25) };
+const MANNERS: Manners = Manners {
+    acknowledges: false,
+    takes_frames: false,
+    ping_period: Duration::from_millis(25),
+    silence_max: None,
+};
 const MS: Duration = Duration::from_millis(1);
 
 fn id(device: &str) -> DeviceId {

@@ -111,6 +111,52 @@ fn what_is_reported_is_what_the_driver_says() {
 }
 
 #[test]
+fn an_end_that_no_hardware_has_shown_is_unknown_and_steps_that_are_assumed_do_not_count() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    bench.hears(P1, 1_000, PlanEvent::AssumedRunning);
+    bench.until(2_010);
+    bench.hears(P1, 2_000, PlanEvent::AssumedRunning);
+    bench.until(3_010);
+    bench.hears(P1, 3_000, PlanEvent::AssumedDone);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed internal"], "nothing was observed");
+    let failed = bench.last();
+    assert_eq!(failed.steps_done, None, "it is unknown how many");
+    let message = failed.error.as_ref().unwrap().message.to_string();
+    assert_eq!(
+        message,
+        "it is unknown what became of the script of `arm`: its driver did not observe the end"
+    );
+    assert!(bench.robot.is_idle() && bench.values().is_empty(), "{:?}", bench.values());
+}
+
+#[test]
+fn an_end_that_the_hardware_has_shown_counts_without_an_observed_start() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    bench.hears(P1, 1_000, PlanEvent::AssumedRunning);
+    bench.until(3_005);
+    bench.hears(P1, 3_005, PlanEvent::Done);
+    assert_eq!(bench.statuses(), ["Accepted", "OK"]);
+    assert_eq!(bench.last().steps_done, Some(3));
+}
+
+#[test]
+fn a_driver_that_assumes_the_start_must_report_the_end() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    bench.hears(P1, 1_000, PlanEvent::AssumedRunning);
+    bench.until(3_800);
+    assert_eq!(bench.cancels(), [(1, Then::Hold)]);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    let message = bench.last().error.as_ref().unwrap().message.to_string();
+    assert!(message.ends_with("did not say that it was over"), "{message}");
+}
+
+#[test]
 fn an_end_that_the_driver_says_early_is_told_when_the_script_is_over() {
     let mut bench = whole("arm");
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 5.0), (500.0, 6.0)])));

@@ -1,6 +1,6 @@
 //! From the start to the last step: who has started, how exactly, what frees room for further scripts, and who has ended.
 
-use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
+use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
 
 use super::timing::CLOCK_UNKNOWN;
 use super::{Act, ActAction, Member, Stage, Timing};
@@ -89,7 +89,7 @@ impl Act {
         let untold = self.may_have_begun_untold(script, response);
         let member = &mut self.members[script.member];
         let news = member.change(script.script, |script| match untold {
-            true => script.failed_untold(response),
+            true => script.failed_untold(error_of(response)),
             false => script.answered(response),
         });
         self.noted(script, news, robots)
@@ -123,7 +123,14 @@ impl Act {
         {
             member.change(script.script, |script| script.translate(told - start.assume_clock()));
         }
-        let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
+        let known = &member.scripts()[script.script];
+        let untold = report.steps_done.is_none() && known.was_accepted() && !known.has_begun();
+        let due = start.is_some_and(|start| said_at >= (start + member.shift_of(known)).assume_clock());
+        let untold = report.error.clone().filter(|_| report.state == RequestState::Ended && untold && due);
+        let news = member.change(script.script, |script| match untold {
+            Some(error) => script.failed_untold(error),
+            None => script.reported(report, asked_at, said_at),
+        });
         let begins = self
             .timing
             .as_ref()
