@@ -96,7 +96,7 @@ pub(super) const ALL: [Requirement; 13] = [
 const PERIOD: Span = Span::from_millis(300);
 
 /// Whether the robot answers inquiries.
-fn answering(trial: &Trial) -> Result<(), Unmet> {
+pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
     match trial.block()?.inquiry {
         true => Ok(()),
         false => Err(not_applicable("the robot declares no `inquiry`")),
@@ -178,7 +178,7 @@ fn held(trial: &Trial) -> Checked {
 }
 
 /// Asks again and again until the request is in this state.
-fn reaches(
+pub(super) fn reaches(
     trial: &Trial,
     line: &mut Line,
     request: &ControlRequest,
@@ -329,7 +329,7 @@ fn position(trial: &Trial) -> Checked {
         let stated = inquired.response.devices.first().and_then(|device| device.position);
         match stated {
             None => return Err(not_applicable("the robot does not state the position of the device")),
-            Some(stated) if (stated - value).abs() <= actor.limits.granularity => {}
+            Some(stated) if (stated - value).abs() < actor.limits.granularity / 2.0 => {}
             Some(_) => return Err(inquired.differs(&format!("position {value}, which was commanded last"))),
         }
     }

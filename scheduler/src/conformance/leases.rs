@@ -93,7 +93,7 @@ pub(super) const ALL: [Requirement; 13] = [
 ];
 
 /// The lease that is waited for.
-const PERIOD: Span = Span::from_millis(300);
+pub(super) const PERIOD: Span = Span::from_millis(300);
 /// Clocks of two machines run this much apart over the period, at most.
 const EARLY_MAX: Span = Span::from_millis(3);
 

@@ -12,6 +12,7 @@ mod inquiries;
 mod leases;
 mod line;
 mod links;
+mod movement;
 mod owners;
 mod requirement;
 mod scripts;
@@ -99,6 +100,7 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     of_robot
         .chain(of_server)
         .chain(&inquiries::ALL)
+        .chain(&movement::ALL)
         .chain(&wire::ALL)
         .chain(&links::ALL)
         .chain(&security::ALL)

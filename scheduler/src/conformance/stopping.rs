@@ -41,7 +41,7 @@ pub(super) const ALL: [Requirement; 5] = [
 ];
 
 /// Sends an empty script and waits until it is confirmed.
-fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
+pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
     let ticket = line.ask(cancel)?;
     let answer = line.answer(ticket)?;
     match trial.confirms_rest(&answer.message) {

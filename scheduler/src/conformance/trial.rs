@@ -322,7 +322,7 @@ impl Trial {
     }
 }
 
-fn millis_of(millis: f64) -> Millis {
+pub(super) fn millis_of(millis: f64) -> Millis {
     Millis::from_span(Span::from_millis_f64(millis))
 }
 

@@ -4,6 +4,7 @@ mod asking;
 mod codes;
 mod commands;
 mod holding;
+mod moving;
 mod owning;
 mod talking;
 
@@ -163,6 +164,7 @@ pub fn all() -> Vec<Mutant> {
         codes::all(),
         commands::of_values(),
         holding::of_stops(),
+        moving::of_movements(),
         asking::of_inquiries(),
         owning::of_sessions(),
         talking::of_identity(),

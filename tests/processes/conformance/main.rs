@@ -114,7 +114,17 @@ fn an_arm_passes_all_that_an_arm_can() {
 
 #[test]
 fn a_rover_with_a_sensor_passes_everything_but_what_takes_positions() {
-    check_passes(ROVER, &["inquiry-position"]);
+    check_passes(
+        ROVER,
+        &[
+            "inquiry-position",
+            "stays-stopped",
+            "stays-connected",
+            "lease-stays-pending",
+            "lease-stays-running",
+            "home-position",
+        ],
+    );
 }
 
 #[test]
