@@ -106,7 +106,7 @@ pub enum PlanEvent {
     Step(u32),
     /// All steps are done.
     Done,
-    /// By the driver's clock the script has begun or goes on. The hardware has not shown it.
+    /// By the driver's clock the script has begun or continues. The hardware has not shown it.
     AssumedRunning,
     /// By the driver's clock all steps are done. The hardware has not shown it.
     AssumedDone,

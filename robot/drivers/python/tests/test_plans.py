@@ -52,7 +52,7 @@ def plan(device="arm", *, steps, start_ms=60.0, last=True, linear=False, control
 
 
 class Reporting(Driver):
-    """Its hardware begins by its own clock and shows no more than it is said to."""
+    """Its hardware begins by its own clock. Whether it shows its end is up to the test."""
 
     lookahead = "script"
     hardware_silence_ms = 3_000
