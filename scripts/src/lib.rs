@@ -90,7 +90,8 @@ pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
     Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure,
-    Plan, PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way, is_rate,
+    Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
+    is_rate,
 };
 pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};

@@ -10,7 +10,7 @@ use crate::fleet::DeviceLatency;
 use crate::space::{Closest, InSpace};
 
 pub use crate::requirements::{AllOrNone, Ceiling, Floor, Requirements, Share};
-pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
+pub use crate::scenario::{OnDoubt, OnFailure, Repetition, SensorRange, Wait};
 
 /// A whole scenario: acts with the ways between them.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,6 +103,9 @@ pub struct PlannedCue {
     /// Whether it is on the critical path: a chain of relations without room leads from it to the end of the act. A cue that is
     /// fixed by `at` has no slack either, but decides nothing if others end later.
     pub critical: bool,
+    /// How its movement is repeated, if it is.
+    #[serde(rename = "repeat", skip_serializing_if = "Option::is_none")]
+    pub repetition: Option<Repetition>,
 }
 
 /// How the steps of a device came about.
@@ -127,6 +130,9 @@ pub struct DeviceUse {
     /// The largest speed that its block and the fleet file allow, driven by position, in its unit per second.
     #[serde(skip)]
     pub speed_max: Option<f64>,
+    /// Whether it moves between positions without any limit of its speed, so that no movement is too fast for it.
+    #[serde(skip)]
+    pub is_unlimited: bool,
 }
 
 impl RobotPlan {

@@ -352,3 +352,51 @@ fn a_job_shop_is_done_by_its_optimum_and_not_before() {
         .run(&["check", "too_early.yaml"])
         .says(1, &["DB0027", "was found that keeps all their times", "the search may have missed one"]);
 }
+
+#[test]
+fn a_plan_states_what_each_repetition_lasts() {
+    let repeat = |cue: &str| {
+        let json = lift(cue).0["acts"][0]["cues"][0]["repeat"].clone();
+        ["times", "length_ms", "every_ms"].map(|key| json[key].as_f64())
+    };
+    assert_eq!(repeat("repeat: 2"), [Some(2.0), Some(3_000.0), Some(3_000.0)]);
+    // `duration` is that of all of them together.
+    assert_eq!(repeat("repeat: 2, duration: 12s"), [Some(2.0), Some(6_000.0), Some(6_000.0)]);
+    assert_eq!(repeat("repeat: {times: 2, every: 4s}"), [Some(2.0), Some(3_000.0), Some(4_000.0)]);
+    assert_eq!(
+        repeat("repeat: {times: 2, every: 4s}, duration: 14s"),
+        [Some(2.0), Some(6_000.0), Some(8_000.0)]
+    );
+    assert_eq!(repeat("overrides: {left: {repeat: 3}}"), [Some(3.0), Some(3_000.0), Some(3_000.0)]);
+    assert_eq!((repeat("repeat: 1"), repeat("duration: 6s")), ([None; 3], [None; 3]));
+}
+
+#[test]
+fn a_plan_says_of_which_devices_no_speed_is_too_fast() {
+    let session = Session::new();
+    let nods = "scenario: s\ntempo: 480\ncues:\n  - {cue: nods, at: 0s, robots: arms, duration: 1 bar, repeat: 5, tracks: {DEVICE: [{at: 0s, to: 0}, {at: 500ms, to: 30, ease: smooth}, {at: 1s, to: 0, ease: smooth}]}}\n  - {cue: rest, after: nods, robots: left, tracks: {DEVICE: [{at: 1s, to: 0}]}}\n";
+    session
+        .file("arm.yaml", stage::session::ARM.replace("max_number_of_steps: 8", "max_number_of_steps: 200"));
+    session.file("nods.yaml", nods.replace("DEVICE", "shoulder"));
+    let unlimited = "speeds are not checked for `shoulder` of 2 robots: no limit is known, write `limits` in the fleet file";
+    session
+        .run(&["plan", "nods.yaml"])
+        .says(0, &["repeated", " nods    0 ms  500 ms   0 ms  5 x 100 ms", unlimited]);
+    // The arms that `init` writes have limits.
+    session.run(&["init", "show"]).says(0, &[]);
+    session.file("show/nods.yaml", nods.replace("DEVICE", "elbow").replace("left", "arm-1"));
+    session
+        .run(&["check", "show/nods.yaml", "--fleet", "show/fleet.yaml"])
+        .says(1, &["DB0032", "at most 300"]);
+    for template in ["arms", "drones", "stage", "edge"] {
+        session.run(&["init", template, "--template", template]).says(0, &[]);
+        let plan = session.run(&[
+            "plan",
+            &format!("{template}/show.yaml"),
+            "--fleet",
+            &format!("{template}/fleet.yaml"),
+        ]);
+        plan.says(0, &[]);
+        assert!(!plan.out().contains("speeds are not checked"), "{}", plan.out());
+    }
+}

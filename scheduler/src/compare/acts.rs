@@ -380,6 +380,7 @@ mod tests {
             worst_error,
             worst_at: Span::ZERO,
             speed_max: None,
+            is_unlimited: false,
         }
     }
 

@@ -1,10 +1,10 @@
 //! The report and the plan as tables for people.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anstyle::{AnsiColor, Style};
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
+use downbeat_scripts::{Act, Choreography, Plan, Repetition, RobotPlan, counted};
 use urrcp::{DeviceId, Latency, RobotId, Span};
 
 use super::local::{date_and_time, time_as_of, time_of_day};
@@ -25,6 +25,9 @@ const RED: Style = AnsiColor::Red.on_default().bold();
 /// What became of the stop of a robot that belongs to another session by now.
 pub(crate) const TAKEN_OVER: &str =
     "not stopped: another mission drives it by now, and it holds nothing of this one";
+
+/// Most devices that one line names.
+const DEVICES_NAMED_MAX: usize = 6;
 
 /// As wide as it comes: for files and pipes.
 pub const UNBOUNDED: usize = usize::MAX;
@@ -48,11 +51,7 @@ fn signed(span: Span) -> String {
 /// An act: its cues with their times, and a row a device, in this many columns.
 #[must_use]
 pub fn plan_table(act: &Act, columns: usize) -> String {
-    let mut cues = Rows::new(&["cue", "start", "end", "slack"], 1);
-    for cue in &act.cues {
-        let times = [cue.start, cue.end, cue.slack].map(|time| time.to_string());
-        cues.add([vec![cue.name.clone()], times.to_vec()].concat());
-    }
+    let cues = cue_table(act);
     let header = ["robot", "device", "scripts", "steps", "at least", "budget", "worst error", "at"];
     let mut rows = Rows::new(&header, 2);
     for device in &act.devices {
@@ -67,13 +66,51 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
             device.worst_at.to_string(),
         ]);
     }
-    let (cues, rows) = (cues.text(columns), rows.text(columns));
+    let (cues, rows) = (cues.text(columns), rows.text(columns) + &unlimited_line(act));
     let closest = act.in_space.closest.as_ref().map_or_else(String::new, |closest| {
         let [a, b] = &closest.robots;
         format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
     });
     let latencies = latencies_table(act, columns);
     format!("{}\n{cues}\n{rows}\n{closest}{latencies}", act_line(act))
+}
+
+/// When each cue takes place, and what each repetition lasts if any cue is repeated.
+fn cue_table(act: &Act) -> Rows {
+    let is_repeated = act.cues.iter().any(|cue| cue.repetition.is_some());
+    let header = ["cue", "start", "end", "slack", "repeated"];
+    let mut rows = Rows::new(&header[..if is_repeated { 5 } else { 4 }], 1);
+    for cue in &act.cues {
+        let times = [cue.start, cue.end, cue.slack].map(|time| time.to_string());
+        let repeated = is_repeated.then(|| cue.repetition.map_or_else(|| "-".to_owned(), repetition_text));
+        rows.add([vec![cue.name.clone()], times.to_vec(), repeated.into_iter().collect()].concat());
+    }
+    rows
+}
+
+fn repetition_text(Repetition { times, length, every }: Repetition) -> String {
+    let apart = if every == length { String::new() } else { format!(", every {every}") };
+    format!("{times} x {length}{apart}")
+}
+
+/// Devices of which no movement is too fast, because nothing limits their speed.
+fn unlimited_line(act: &Act) -> String {
+    let all = || act.devices.iter().filter(|used| used.is_unlimited);
+    let devices: BTreeSet<&str> = all().map(|used| used.device.as_str()).collect();
+    let robots: BTreeSet<&str> = all().map(|used| used.robot.as_str()).collect();
+    if devices.is_empty() {
+        return String::new();
+    }
+    let names: Vec<_> =
+        devices.iter().take(DEVICES_NAMED_MAX).map(|name| format!("`{}`", shown(name))).collect();
+    let more = match devices.len() - names.len() {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let (names, robots) = (names.join(", "), counted(robots.len(), "robot"));
+    format!(
+        "speeds are not checked for {names}{more} of {robots}: no limit is known, write `limits` in the fleet file\n"
+    )
 }
 
 /// The name of an act, and how large it is.

@@ -19,6 +19,7 @@ use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
+use crate::space::Coordinate;
 
 /// An act's scripts, how they came about, and where they leave the devices.
 pub(super) struct Joined {
@@ -56,7 +57,9 @@ pub(super) fn join(
         let speed = cast.limits(robot, device, ControlType::Position).speed;
         let corrected = cast.fleet.robots[robot].mission.clock == ClockMode::Measured;
         let longest = (corrected && device.script_queue > 1).then_some(CORRECTED_EVERY);
-        let lane = Lane { scenario, robot: cast.id(robot), device, speed, longest, segments: &segments };
+        let is_limited = speed.is_some() || moves_limited_body(cast, robot, device);
+        let id = cast.id(robot);
+        let lane = Lane { scenario, robot: id, device, speed, is_limited, longest, segments: &segments };
         lane.check_overlaps(&mut together);
         lane.check_jumps(&mut together);
         joined.first.extend(lane.segments.first().map(|first| First {
@@ -112,14 +115,29 @@ struct Lane<'a> {
     device: &'a Device,
     /// Its largest speed, driven by position.
     speed: Option<f64>,
+    /// Whether that or its body limits how fast it moves.
+    is_limited: bool,
     /// The longest scripts, if the next one can be sent while one plays.
     longest: Option<Span>,
     segments: &'a [Segment],
 }
 
+/// Whether a device is a coordinate of a body whose speed has a limit.
+fn moves_limited_body(cast: &Cast<'_>, robot: usize, device: &Device) -> bool {
+    let is_own = |coordinate: &Coordinate| matches!(coordinate, Coordinate::Device { device: own, .. } if *own == device.id);
+    cast.fleet.robots[robot]
+        .body
+        .as_ref()
+        .is_some_and(|body| body.speed.is_some() && body.coordinates.iter().any(is_own))
+}
+
 impl Lane<'_> {
     fn moves(&self) -> bool {
         self.device.interpolation == Interpolation::Linear
+    }
+
+    fn is_positioned(&self) -> bool {
+        self.segments.iter().any(|segment| segment.part.control_type == ControlType::Position)
     }
 
     /// `elbow` of `left`, as a name in a list.
@@ -372,6 +390,7 @@ impl Lane<'_> {
             worst_error: worst.map_or(0.0, |(part, _)| part.worst),
             worst_at: worst.map_or(Span::ZERO, |(part, begin)| begin + part.worst_at),
             speed_max: self.speed,
+            is_unlimited: !self.is_limited && self.moves() && self.is_positioned(),
         }
     }
 

@@ -13,7 +13,7 @@ use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
 use crate::motion::Stretch;
 use crate::node::shortened;
-use crate::plan::PlannedCue;
+use crate::plan::{PlannedCue, Repetition};
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
 use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
 
@@ -94,8 +94,17 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
         end: time.end,
         slack: time.slack,
         critical: time.critical,
+        repetition: repetition(cue, time.stretch),
     };
     act.cues.iter().zip(times).map(cue).collect()
+}
+
+/// How a cue is repeated, of several ways the one with the most turns, at the length to which it is stretched.
+fn repetition(cue: &Cue, stretch: Stretch) -> Option<Repetition> {
+    let others = cue.overrides.iter().map(|(_, movement)| movement).chain(&cue.own);
+    let all = std::iter::once(&cue.movement).chain(others).filter_map(|movement| movement.repetition);
+    let Repetition { times, length, every } = all.max_by_key(|repetition| repetition.times)?;
+    Some(Repetition { times, length: stretch.of(length), every: stretch.of(every) })
 }
 
 /// Cues that need the same thing.

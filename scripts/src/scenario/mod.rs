@@ -27,6 +27,7 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use serde::Serialize;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
@@ -162,8 +163,22 @@ pub(crate) struct Movement {
     /// Later than the cue.
     pub(crate) delay: Span,
     pub(crate) length: Span,
+    pub(crate) repetition: Option<Repetition>,
     /// Parameters without a value: faults only if some robot does it.
     pub(crate) unset: Vec<Unset>,
+}
+
+/// A movement that is repeated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Repetition {
+    /// How often it is played, more than once.
+    pub times: u32,
+    /// The length of one of them.
+    #[serde(rename = "length_ms")]
+    pub length: Span,
+    /// How much later each begins than the one before it.
+    #[serde(rename = "every_ms")]
+    pub every: Span,
 }
 
 /// A parameter that has neither a default nor a value.

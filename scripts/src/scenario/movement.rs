@@ -7,7 +7,7 @@ use super::nesting::{self, within};
 use super::play;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Motion, Movement, Name, Track};
+use super::{Motion, Movement, Name, Repetition, Track};
 use crate::budget::longest;
 use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::Robot;
@@ -38,7 +38,9 @@ pub(super) struct Shaping<'a> {
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
     reader.unset.clear();
     reader.nesting.renew_plays();
-    let Some(mut tracks) = shaped(reader, library, shaping) else { return Movement::default() };
+    let Some(Shaped { mut tracks, repetition }) = shaped(reader, library, shaping) else {
+        return Movement::default();
+    };
     if reader.nesting.has_too_many_plays() {
         return Movement::default();
     }
@@ -53,15 +55,17 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return Movement::default();
     }
-    Movement { tracks, delay, length, unset: std::mem::take(&mut reader.unset) }
+    Movement { tracks, delay, length, repetition, unset: std::mem::take(&mut reader.unset) }
+}
+
+/// Tracks after all changes, and how they are repeated.
+pub(super) struct Shaped {
+    pub(super) tracks: Vec<Track>,
+    repetition: Option<Repetition>,
 }
 
 /// Reads the tracks of a move and those next to it, then maps, scales, mirrors, reverses and repeats them.
-pub(super) fn shaped(
-    reader: &mut Reader,
-    library: &Library<'_>,
-    shaping: &Shaping<'_>,
-) -> Option<Vec<Track>> {
+pub(super) fn shaped(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Option<Shaped> {
     if reader.knots.is_overdrawn() || reader.is_full() {
         return None;
     }
@@ -100,10 +104,8 @@ pub(super) fn shaped(
     {
         reverse(reader, &at, &mut tracks);
     }
-    if let Some(at) = shaping.repeat {
-        repeat(reader, &at, &mut tracks);
-    }
-    Some(tracks)
+    let repetition = shaping.repeat.and_then(|at| repeat(reader, &at, &mut tracks));
+    Some(Shaped { tracks, repetition })
 }
 
 /// Before it is laid on the clock.
@@ -305,11 +307,11 @@ fn curves(
     }
 }
 
-fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) -> Option<Repetition> {
     let once = length(tracks);
     let end = |track: &Track| reader.music.start.lay(track.begin) + track.motion.length();
     let longest_track = tracks.iter().map(end).max().unwrap_or_default();
-    let Some(Turns { times, cycle: every }) = repeats(reader, at, once) else { return };
+    let Turns { times, cycle: every } = repeats(reader, at, once)?;
     let laps = reader.laps(every);
     // Behind the last turn nothing waits for another one.
     let rest = laps.begin(1) - longest_track;
@@ -318,7 +320,7 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         let message = format!("{times} times a movement of {cycle} lasts {whole}");
         let hint = Some("repeat it less often".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
-        return;
+        return None;
     }
     let added = tracks.iter().map(|track| match &track.motion {
         Motion::Curve(curve) => curve.added_by_repeating(times, cycle),
@@ -329,7 +331,7 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         let message = format!("{times} times makes {added} keyframes more");
         let expected = format!("at most {} in all cues", reader.knots.most());
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
-        return;
+        return None;
     }
     for track in tracks {
         let from = Beginning(laps.from.0.map(|start| start.plus(track.begin)));
@@ -337,6 +339,7 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         curves(std::slice::from_mut(track), at, reader, |curve| curve.repeat(times, &laps, once));
         (track.length, track.turns) = (track.motion.length().into(), times);
     }
+    (times > 1).then_some(Repetition { times, length: longest_track, every: cycle })
 }
 
 /// How often a movement is done, and how long after each other its turns begin.

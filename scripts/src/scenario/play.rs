@@ -1,7 +1,7 @@
 //! Moves that play others, one after another or at the same time: `play`.
 
 use super::library::Library;
-use super::movement::{Shaping, length, shaped};
+use super::movement::{Shaped, Shaping, length, shaped};
 use super::nesting::may_play;
 use super::{Motion, Piece, Track, Vectors, nothing};
 use crate::budget::longest;
@@ -95,7 +95,7 @@ fn entry(
         begin = begin.plus(delay);
         reader.music.start = later(whole, begin);
     }
-    let read = shaped(reader, library, &shaping).map(|mut tracks| {
+    let read = shaped(reader, library, &shaping).map(|Shaped { mut tracks, .. }| {
         let mut length = length(&tracks);
         if let Some(wanted) = duration.and_then(|at| reader.exact(&at)) {
             stretch(reader, &mut tracks, length, wanted);

@@ -186,6 +186,7 @@ mod tests {
             end: Span::from_millis(end),
             slack: Span::ZERO,
             critical: false,
+            repetition: None,
         };
         act.cues = cues.map(cue).collect();
         act
