@@ -113,7 +113,7 @@ codes! {
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";
-    TimesCollide = "DB0063", Error, "two imported times fall into one millisecond";
+    TimesCollide = "DB0063", Error, "two imported values at one time";
     ForeignTag = "DB0064", Error, "a tag of another program";
     TooManyPieces = "DB0065", Error, "a trajectory has more pieces than the robot holds";
     ImportShape = "DB0066", Error, "lists of an imported motion that do not fit together";

@@ -370,7 +370,7 @@ fn times_that_collide_are_found_with_both() {
         times.iter().map(|t| format!("- {{positions: [1], time_from_start: {t}}}\n")).collect();
     let text = format!("joint_names: [a]\npoints:\n{points}");
     check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "the time 0.372734245 s appears twice"]);
-    check_csv("t,a\n0.3727,1\n0.3731,2\n", &["DB0063", "test.csv:3:1", "both are 373 ms"]);
+    check_csv("t,a\n0.3727,1\n0.37270,2\n", &["DB0063", "test.csv:3:1", "the time 0.3727 s appears twice"]);
     check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s comes after 2 s"]);
     let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
     check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has the duration 0"]);

@@ -7,6 +7,7 @@ use downbeat_scripts::import::{
 };
 
 use stage::session::{Session, root};
+use urrcp::Span;
 
 /// The folder, or nothing to prove.
 fn data() -> Option<PathBuf> {
@@ -78,7 +79,7 @@ fn polynomial(pieces: &[Vec<f64>], axis: usize, at_s: f64) -> [f64; 2] {
 #[track_caller]
 fn check_samples(pieces: &[Vec<f64>], axis: usize, device: &DeviceMotion) {
     for keyframe in &device.keyframes {
-        let expected = polynomial(pieces, axis, keyframe.at_ms as f64 / 1_000.0);
+        let expected = polynomial(pieces, axis, keyframe.at.as_nanos() as f64 / 1e9);
         assert!(
             expected.iter().any(|value| (value - keyframe.value).abs() <= 1e-6),
             "{keyframe:?}, {expected:?}"
@@ -91,9 +92,12 @@ fn the_swap_of_six_drones() {
     let Some(data) = data() else { return };
     let folder = drones(&data).join("swap6v_pps");
     let swap = imported(ImportFormat::Crazyswarm, &folder, &ImportOptions::default());
-    assert_eq!((swap.robots().len(), swap.steps(), swap.duration_ms()), (6, 432, 4_250));
+    assert_eq!((swap.robots().len(), swap.steps(), swap.duration()), (6, 432, Span::from_millis(4_250)));
     assert_eq!(steps_written(&swap, Scenes::Acts), 6 * 4 * 17, "a piece each, not a straight way");
-    assert!(swap.devices().all(|(_, d)| d.keyframes.len() == 18 && d.keyframes[17].at_ms == 4_250));
+    assert!(
+        swap.devices()
+            .all(|(_, d)| d.keyframes.len() == 18 && d.keyframes[17].at == Span::from_millis(4_250))
+    );
     for (name, least, most) in [("x", -3.67, -3.01), ("y", -2.0, 0.0), ("z", 1.13, 2.87), ("yaw", 0.0, 0.0)] {
         check_range(&swap, name, least, most);
     }
@@ -113,9 +117,10 @@ fn the_sequence_of_nineteen_scenes() {
     let Some(data) = data() else { return };
     let folder = drones(&data).join("sequence_trajectories");
     let scenes = imported(ImportFormat::Crazyswarm, &folder, &rate(10.0));
-    let lengths: Vec<_> = scenes.scenes.iter().map(|scene| scene.duration_ms() / 1_000).collect();
+    let lengths: Vec<_> =
+        scenes.scenes.iter().map(|scene| scene.duration().as_nanos() / 1_000_000_000).collect();
     assert_eq!(lengths, [11, 16, 9, 10, 8, 10, 11, 9, 9, 9, 12, 10, 10, 10, 10, 10, 8, 7, 19]);
-    assert_eq!((scenes.robots().len(), scenes.duration_ms()), (7, 198_000));
+    assert_eq!((scenes.robots().len(), scenes.duration()), (7, Span::from_millis(198_000)));
     assert_eq!(steps_written(&scenes, Scenes::Joined), 1_981 * 7 * 4);
     assert_eq!(1_981 * 7 * 3, 41_601);
     for (name, least, most) in [("x", -1.50, 2.28), ("y", -1.07, 1.25), ("z", 0.0, 2.48)] {
@@ -123,7 +128,7 @@ fn the_sequence_of_nineteen_scenes() {
     }
     for pair in scenes.scenes.windows(2) {
         for (before, after) in pair[0].robots.iter().zip(&pair[1].robots) {
-            assert_eq!(before.duration_ms(), pair[0].duration_ms(), "equal across robots");
+            assert_eq!(before.duration(), pair[0].duration(), "equal across robots");
             for (end, begin) in before.devices.iter().zip(&after.devices) {
                 let gap = end.keyframes[end.keyframes.len() - 1].value - begin.keyframes[0].value;
                 assert!(gap.abs() <= 3.3e-6, "{gap}");
@@ -145,10 +150,10 @@ fn the_trajectory_that_is_too_long() {
     assert!(refused.findings[0].message.contains("32 pieces, one robot holds 31"));
     assert!(refused.findings[0].file.ends_with("traj0.csv"));
     let one = imported(ImportFormat::Crazyswarm, &both.join("traj1.csv"), &ImportOptions::default());
-    assert_eq!((one.steps(), one.duration_ms()), (17 * 4, 24_985));
+    assert_eq!((one.steps(), one.duration()), (17 * 4, Span::from_micros(24_984_019)));
     let options = ImportOptions { pieces_max: Some(32), ..ImportOptions::default() };
     let taken = outcome(ImportFormat::Crazyswarm, &both, &options);
-    assert_eq!(taken.imported.unwrap().duration_ms(), 56_529);
+    assert_eq!(taken.imported.unwrap().duration(), Span::from_micros(56_528_067));
     assert!(
         taken.notes.iter().any(|note| note.contains("robots end at different times")),
         "{:?}",
@@ -162,7 +167,9 @@ fn the_waypoints_of_three_drones() {
     let Some(data) = data() else { return };
     let waypoints =
         imported(ImportFormat::Waypoints, &drones(&data).join("waypoints.csv"), &ImportOptions::default());
-    let times = |device: &DeviceMotion| device.keyframes.iter().map(|k| k.at_ms).collect::<Vec<_>>();
+    let times = |device: &DeviceMotion| {
+        device.keyframes.iter().map(|k| k.at.as_nanos() / 1_000_000).collect::<Vec<_>>()
+    };
     let found: Vec<_> = waypoints.scenes[0].robots.iter().map(|robot| times(&robot.devices[0])).collect();
     assert_eq!(found, [vec![0, 2_000, 4_000], vec![0, 4_000], vec![0, 2_000, 4_000]]);
     assert_eq!(waypoints.steps(), 24);
@@ -173,7 +180,7 @@ fn the_animations_of_humanoids() {
     let Some(data) = data() else { return };
     let options = ImportOptions::default();
     let dance = imported(ImportFormat::Bitbots, &demos(&data).join("schnup_dance.json"), &options);
-    assert_eq!((dance.steps() - dance.held, dance.duration_ms()), (760, 40_500));
+    assert_eq!((dance.steps() - dance.held, dance.duration()), (760, Span::from_millis(40_500)));
     assert_eq!(dance.devices().count(), 20);
     let all: Vec<f64> = dance
         .devices()
@@ -188,16 +195,19 @@ fn the_animations_of_humanoids() {
     let own: Vec<f64> = dance
         .devices()
         .flat_map(|(_, d)| {
-            d.keyframes.iter().filter(|k| k.at_ms != 36_500 && k.at_ms != 39_500).map(|k| k.value)
+            d.keyframes
+                .iter()
+                .filter(|k| ![36_500, 39_500].map(Span::from_millis).contains(&k.at))
+                .map(|k| k.value)
         })
         .collect();
     assert_eq!((own.len(), on_grid(&own)), (760, 722));
     let wolfgang =
         data.join("bitbots-animations/bitbots_robot/wolfgang_animations/animations/misc/cheering.json");
     let cheering = imported(ImportFormat::Bitbots, &wolfgang, &options);
-    assert_eq!((cheering.devices().count(), cheering.duration_ms()), (20, 12_000));
+    assert_eq!((cheering.devices().count(), cheering.duration()), (20, Span::from_millis(12_000)));
     let jogram = imported(ImportFormat::Bitbots, &demos(&data).join("jogram.json"), &options);
-    assert_eq!((jogram.devices().count(), jogram.duration_ms()), (24, 54_200));
+    assert_eq!((jogram.devices().count(), jogram.duration()), (24, Span::from_millis(54_200)));
     let still = outcome(ImportFormat::Bitbots, &demos(&data).join("Projektwoche2/test_02.json"), &options);
     assert_eq!(still.findings.len(), 1);
     assert!(still.findings[0].message.starts_with("keyframe 10 has the duration 0"), "{:?}", still.findings);
@@ -244,7 +254,7 @@ fn the_motions_of_tiago() {
         assert!(most <= Some(11), "{most:?}");
         let longest = tiago.devices().map(|(_, device)| device.keyframes.len()).max();
         assert!(longest <= Some(8), "{longest:?}");
-        assert!(tiago.scenes.iter().all(|scene| scene.duration_ms() <= 21_000));
+        assert!(tiago.scenes.iter().all(|scene| scene.duration() <= Span::from_millis(21_000)));
         let zero = outcome
             .notes
             .iter()

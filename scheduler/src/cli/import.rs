@@ -173,7 +173,7 @@ struct Done<'a> {
     steps: usize,
     /// How many of the steps repeat the one before, for pauses and for what a file leaves out.
     held: usize,
-    duration_ms: u64,
+    duration_ms: Span,
     #[serde(flatten)]
     told: Told<'a>,
 }
@@ -298,7 +298,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
         time_unit: args.time_unit,
         holds: args.hold.clone(),
         unwraps: args.unwrap.clone(),
-        start_ms: args.start.map(|start| u64::try_from(start.as_nanos() / 1_000_000).unwrap_or(0)),
+        start: args.start,
         columns: args.map.clone(),
         init: init.as_ref().map(|init| init.block.clone()),
     };
@@ -314,7 +314,7 @@ fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
         scenes: imported.map_or(0, |imported| imported.scenes.len()),
         steps: imported.map_or(0, |imported| import::steps_written(imported, scenes)),
         held: imported.map_or(0, |imported| imported.held),
-        duration_ms: imported.map_or(0, Imported::duration_ms),
+        duration_ms: imported.map_or(Span::ZERO, Imported::duration),
         told,
     });
 }
@@ -323,11 +323,11 @@ fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &Told<'_>) {
     told.show();
     let Some(imported) = imported.filter(|_| told.findings.is_empty()) else { return };
     console::note(&format!(
-        "{}: {}, {}, {}, {} s",
+        "{}: {}, {}, {}, {}",
         imported.name,
         counted(imported.robots().len(), "robot"),
         counted(imported.scenes.len(), "scene"),
         counted(import::steps_written(imported, scenes), "step"),
-        imported.duration_ms() as f64 / 1_000.0
+        imported.duration()
     ));
 }

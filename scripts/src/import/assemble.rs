@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use urrcp::{DeviceId, InitializationBlock, RobotId};
+use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::finding::{Code, did_you_mean, names, one_of};
 use crate::node::shortened;
@@ -12,7 +12,8 @@ use super::input::stem;
 use super::natural::natural_order;
 use super::sink::Sink;
 use super::{
-    Course, DeviceMotion, ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, remarks, units,
+    Course, DeviceMotion, ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, keyframes,
+    remarks, units,
 };
 
 /// Most robots of an import, and devices of a robot in a scene.
@@ -40,6 +41,7 @@ pub(super) fn assemble(
     select(&mut scenes, options, &file, sink);
     rename(&mut scenes, format, options, &file, sink);
     unwrap(&mut scenes, options, &file, sink);
+    remarks::note_turns(&scenes, sink);
     scale(&mut scenes, options, &file, sink);
     start(&mut scenes, options, sink);
     if let Some(init) = &options.init {
@@ -181,7 +183,7 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
             let flat = |device: &DeviceMotion| matches!(device.course, Course::Straight | Course::Held);
             for device in devices.iter_mut().filter(|device| meant(&device.device) && flat(device)) {
                 used = true;
-                turns += super::keyframes::unwrap(&mut device.keyframes, *period);
+                turns += keyframes::unwrap(&mut device.keyframes, *period);
             }
         }
         match used || scenes.is_empty() {
@@ -195,25 +197,25 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
 }
 
 /// A first value at this time or later is late: the scene may come from the middle of a timeline.
-const LATE_MS: u64 = 1_000;
+const LATE: Span = Span::from_millis(1_000);
 
 /// Shifts each scene so that its first value comes at the time that the user gives, or notes that it is late.
 fn start(scenes: &mut [Scene], options: &ImportOptions, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
-        let firsts = devices.iter().filter_map(|device| device.keyframes.first().map(|first| first.at_ms));
+        let firsts = devices.iter().filter_map(|device| device.keyframes.first().map(|first| first.at));
         let Some(first) = firsts.min() else { continue };
         // Curves begin with their scene.
         let are_points = devices.iter().all(|device| !matches!(device.course, Course::Pieces(_)));
-        match options.start_ms {
+        match options.start {
             Some(start) if are_points => {
                 let keyframes = devices.iter_mut().flat_map(|device| &mut device.keyframes);
-                keyframes.for_each(|keyframe| keyframe.at_ms = keyframe.at_ms - first + start);
+                keyframes.for_each(|keyframe| keyframe.at = keyframe.at - first + start);
             }
-            None if are_points && first >= LATE_MS => sink.note(format!(
+            None if are_points && first >= LATE => sink.note(format!(
                 "`{}` sets its first value at {} s, and devices move there until then; --start 0s begins with it",
                 shortened(&scene.name),
-                first as f64 / 1_000.0
+                keyframes::seconds(first)
             )),
             _ => {}
         }
@@ -261,7 +263,7 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
             }
             Some(factor) => {
                 device.scale(factor);
-                device.keyframes.iter_mut().for_each(|k| k.value = super::keyframes::rounded(k.value, 7));
+                device.keyframes.iter_mut().for_each(|k| k.value = keyframes::rounded(k.value, 7));
                 format!("`{}` is converted from {} to {unit}", device.device, device.unit)
             }
             None if device.unit.is_empty() => format!("`{}` is taken to be in {unit}", device.device),

@@ -1,6 +1,6 @@
 //! Bounds of polynomials, from the control points of their Bernstein form: a curve lies within the hull of those.
 
-use super::Piece;
+use super::{Piece, keyframes};
 
 /// Halvings: the bounds are then off by about a thousandth of what the curve bends.
 const HALVINGS: u32 = 5;
@@ -19,13 +19,13 @@ pub(super) fn bend(piece: &Piece) -> f64 {
     if coefficients.is_empty() {
         return 0.0;
     }
-    let [least, most] = bounds(&Piece { nanos: piece.nanos, coefficients });
+    let [least, most] = bounds(&Piece { length: piece.length, coefficients });
     most.max(-least)
 }
 
 /// The coefficients for a time that runs from 0 to 1.
 fn scaled(piece: &Piece) -> Vec<f64> {
-    let seconds = piece.nanos as f64 / 1e9;
+    let seconds = keyframes::seconds(piece.length);
     let mut power = 1.0;
     let scaled = piece.coefficients.iter().map(|c| {
         let scaled = c * power;
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     fn piece(seconds: f64, coefficients: &[f64]) -> Piece {
-        Piece { nanos: (seconds * 1e9) as u64, coefficients: coefficients.to_vec() }
+        Piece { length: keyframes::span(seconds).unwrap(), coefficients: coefficients.to_vec() }
     }
 
     #[test]

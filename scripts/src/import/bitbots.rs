@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
+use urrcp::Span;
+
 use crate::fields::{At, Reader};
 use crate::finding::{Code, names};
 use crate::node::Node;
@@ -17,9 +19,9 @@ const JOINTS_MAX: usize = 1_000;
 /// A keyframe of the file with its times.
 struct Pose {
     /// When its goals are reached.
-    at_ms: u64,
+    at: Span,
     /// Until when they are held.
-    until_ms: u64,
+    until: Span,
     goals: Vec<(String, f64)>,
 }
 
@@ -49,7 +51,7 @@ struct Tracks {
     devices: Vec<DeviceMotion>,
     by_joint: HashMap<String, usize>,
     /// When each joint was last told to be where it is, were it told in every pose.
-    held_until: Vec<u64>,
+    held_until: Vec<Span>,
     held: usize,
     left_out: BTreeSet<String>,
     late: BTreeSet<String>,
@@ -67,12 +69,12 @@ impl Tracks {
                 *named = true;
             }
             self.hold(device, self.held_until[device]);
-            self.devices[device].keyframes.push(Keyframe { at_ms: pose.at_ms, value: value + 0.0 });
-            self.hold(device, pose.until_ms);
+            self.devices[device].keyframes.push(Keyframe { at: pose.at, value: value + 0.0 });
+            self.hold(device, pose.until);
         }
         for device in (0..named.len()).filter(|device| !named[*device]) {
             self.left_out.insert(self.devices[device].device.clone());
-            self.held_until[device] = pose.until_ms;
+            self.held_until[device] = pose.until;
         }
     }
 
@@ -87,23 +89,23 @@ impl Tracks {
             unit: "deg".into(),
             ..DeviceMotion::default()
         });
-        self.held_until.push(0);
+        self.held_until.push(Span::ZERO);
         device
     }
 
     /// Repeats the last value, so that the device does not set out for the next one too early.
-    fn hold(&mut self, device: usize, until_ms: u64) {
+    fn hold(&mut self, device: usize, until: Span) {
         let keyframes = &mut self.devices[device].keyframes;
-        if let Some(last) = keyframes.last().copied().filter(|last| last.at_ms < until_ms) {
-            keyframes.push(Keyframe { at_ms: until_ms, ..last });
+        if let Some(last) = keyframes.last().copied().filter(|last| last.at < until) {
+            keyframes.push(Keyframe { at: until, ..last });
             self.held += 1;
         }
-        self.held_until[device] = self.held_until[device].max(until_ms);
+        self.held_until[device] = self.held_until[device].max(until);
     }
 
     fn note(&self, poses: &[Pose], source: &Source, sink: &mut Sink) {
         let file = &source.name;
-        let pauses = poses.iter().filter(|pose| pose.until_ms > pose.at_ms).count();
+        let pauses = poses.iter().filter(|pose| pose.until > pose.at).count();
         if pauses > 0 {
             sink.note(format!("{file}: held {}", crate::counted(pauses, "pause")));
         }
@@ -150,8 +152,8 @@ fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) 
     let (duration_at, duration, pause) = (duration_at?, duration?, pause?);
     let start_s = *end_s;
     *end_s += duration + pause;
-    let (Some(start), Some(at_ms), Some(until_ms)) =
-        (keyframes::millis(start_s), keyframes::millis(start_s + duration), keyframes::millis(*end_s))
+    let (Some(start), Some(reached), Some(until)) =
+        (keyframes::span(start_s), keyframes::span(start_s + duration), keyframes::span(*end_s))
     else {
         let expected = format!("at most {} s in all", keyframes::SECONDS_MAX);
         findings.add(
@@ -163,13 +165,19 @@ fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) 
         );
         return None;
     };
-    if at_ms <= start {
-        let message = format!("{what} has the duration {duration}: it is due at {start} ms, when it begins");
+    if reached <= start {
+        let message = format!("{what} has the duration {duration}: it is due at {start}, when it begins");
         let hint = "give it a duration, or remove it: nothing moves in no time";
-        findings.add(Code::TimesCollide, duration_at.place(), message, "at least 0.001 s", Some(hint.into()));
+        findings.add(
+            Code::TimesCollide,
+            duration_at.place(),
+            message,
+            "a duration above 0 s",
+            Some(hint.into()),
+        );
         return None;
     }
-    Some(Pose { at_ms, until_ms, goals: goals? })
+    Some(Pose { at: reached, until, goals: goals? })
 }
 
 fn seconds(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {

@@ -11,6 +11,8 @@ use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 /// Most joints within each other.
 const DEPTH_MAX: usize = 200;
+/// Shortest frame, in seconds.
+const PERIOD_MIN_S: f64 = 1e-5;
 /// Most channels in all, and of a joint.
 const CHANNELS_MAX: usize = 1_000;
 const JOINT_CHANNELS_MAX: f64 = 6.0;
@@ -102,10 +104,10 @@ fn read_file(words: &mut Words<'_>, sink: &mut Sink) -> Result<(Vec<DeviceMotion
     expect(words, "Frame")?;
     expect(words, "Time:")?;
     let period_s = number(words, "the time of a frame")?;
-    if !(0.001..=1_000.0).contains(&period_s) {
-        return Err((Code::ImportTime, format!("a frame lasts {period_s} s"), "0.001 s to 1000 s".into()));
+    if !(PERIOD_MIN_S..=1_000.0).contains(&period_s) {
+        return Err((Code::ImportTime, format!("a frame lasts {period_s} s"), "0.00001 s to 1000 s".into()));
     }
-    let found = read_frames(words, frames, period_s, &mut devices, sink)?;
+    let found = read_frames(words, frames, period_s, &mut devices)?;
     if found != frames {
         *words = stated;
         let message = format!("`Frames: {frames}`, but the file has {found}");
@@ -120,7 +122,6 @@ fn read_frames(
     frames: f64,
     period_s: f64,
     devices: &mut [DeviceMotion],
-    sink: &mut Sink,
 ) -> Result<f64, Wrong> {
     let mut frame = 0.0;
     while frame < frames {
@@ -128,17 +129,16 @@ fn read_frames(
             return Ok(frame);
         }
         let at_s = frame * period_s;
-        let at_ms = keyframes::millis(at_s).ok_or_else(|| {
+        let at = keyframes::span(at_s).ok_or_else(|| {
             (
                 Code::ImportTime,
                 format!("frame {frame} is at {at_s} s"),
                 format!("at most {} s", keyframes::SECONDS_MAX),
             )
         })?;
-        sink.moved(at_s, at_ms);
         for device in &mut *devices {
             let value = number(words, &format!("frame {frame}, `{}`", shortened(&device.device)))?;
-            device.keyframes.push(Keyframe { at_ms, value });
+            device.keyframes.push(Keyframe { at, value });
         }
         frame += 1.0;
     }

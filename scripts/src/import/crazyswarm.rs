@@ -1,5 +1,7 @@
 //! Crazyswarm's CSVs: one polynomial piece a line, `duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7`.
 
+use urrcp::Span;
+
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
@@ -40,7 +42,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
             ));
             keyframes::sampled_times(trajectory.duration_s(), rate)
         }
-        None => trajectory.bounds_s().iter().filter_map(|s| keyframes::millis(*s)).collect(),
+        None => trajectory.bounds_s().iter().filter_map(|s| keyframes::span(*s)).collect(),
     };
     let course = |axis| match options.rate_hz {
         Some(_) => Course::Straight,
@@ -49,7 +51,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let device = |(axis, (name, unit)): (usize, &(&str, &str))| DeviceMotion {
         device: (*name).to_owned(),
         unit: (*unit).to_owned(),
-        keyframes: times.iter().map(|at_ms| sample(&trajectory, axis, *at_ms)).collect(),
+        keyframes: times.iter().map(|at| sample(&trajectory, axis, *at)).collect(),
         course: course(axis),
     };
     let devices = AXES.iter().enumerate().map(device).collect();
@@ -57,9 +59,9 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
 }
 
 /// The value at the time as it will be written, so that rounding a time moves nothing.
-fn sample(trajectory: &Trajectory, axis: usize, at_ms: u64) -> Keyframe {
-    let value = trajectory.value(axis, at_ms as f64 / 1_000.0);
-    Keyframe { at_ms, value: keyframes::rounded(value, DIGITS) }
+fn sample(trajectory: &Trajectory, axis: usize, at: Span) -> Keyframe {
+    let value = trajectory.value(axis, keyframes::seconds(at));
+    Keyframe { at, value: keyframes::rounded(value, DIGITS) }
 }
 
 fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece> {
@@ -152,15 +154,15 @@ fn read_piece(row: &Row<'_>, names: &[String], source: &Source, sink: &mut Sink)
     None
 }
 
-/// The end of the piece; a finding where its boundaries cannot be told apart in milliseconds.
+/// The end of the piece; a finding where its boundaries are the same nanosecond.
 fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: &mut Sink) -> f64 {
     let end_s = start_s + piece.duration_s;
-    match (keyframes::millis(start_s), keyframes::millis(end_s)) {
-        (Some(start), Some(end)) if start < end => {}
-        (Some(start), Some(_)) => {
-            let message = format!("the piece of {} s begins and ends at {start} ms", piece.duration_s);
-            let hint = Some("times are kept in milliseconds: join the piece with its neighbour");
-            sink.found(source, row.spot(0), Code::TimesCollide, message, "pieces of at least 1 ms", hint);
+    match (keyframes::span(start_s), keyframes::span(end_s)) {
+        (Some(start), Some(end)) if start < end && keyframes::span(piece.duration_s) > Some(Span::ZERO) => {}
+        (Some(_), Some(_)) => {
+            let message = format!("a piece lasts {} s", piece.duration_s);
+            let hint = Some("join the piece with its neighbour");
+            sink.found(source, row.spot(0), Code::TimesCollide, message, "pieces of at least 1 ns", hint);
         }
         _ => {
             let message = format!("the trajectory lasts {end_s} s");

@@ -7,7 +7,7 @@ use urrcp::InitializationBlock;
 
 use super::grid::{self, Grid, grid_of};
 use super::yaml::{Scenes, line, number, one_line, scalar, scenario_text};
-use super::{Course, DeviceMotion, Imported, Piece, bernstein};
+use super::{Course, DeviceMotion, Imported, Piece, bernstein, keyframes};
 
 /// Most steps that a generated block asks for at least.
 const STEPS_MIN: usize = 2;
@@ -148,7 +148,7 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
 fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
     let Course::Pieces(pieces) = &motion.course else { return motion.keyframes.len() };
     let chords = |piece: &Piece| {
-        let seconds = piece.nanos as f64 / 1e9;
+        let seconds = keyframes::seconds(piece.length);
         seconds * (bernstein::bend(piece) / (CHORDS * tolerance)).sqrt()
     };
     pieces.iter().map(|piece| chords(piece).clamp(0.0, STEPS_PIECE_MAX).ceil() as usize + 2).sum()

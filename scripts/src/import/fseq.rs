@@ -2,6 +2,8 @@
 
 use std::io::Read;
 
+use urrcp::Span;
+
 use crate::finding::Code;
 use crate::node::shortened;
 
@@ -21,12 +23,19 @@ struct Header {
     data: usize,
     channels: usize,
     frames: usize,
-    step_ms: u64,
+    step_ms: i64,
     packed: Packed,
     blocks: Vec<usize>,
     /// First channel, from 0, and count.
     ranges: Vec<(usize, usize)>,
     variables: Vec<String>,
+}
+
+impl Header {
+    /// When the frame of this number begins, counted from 0.
+    fn begin(&self, frame: usize) -> Span {
+        Span::from_millis(i64::try_from(frame).unwrap_or(i64::MAX).saturating_mul(self.step_ms))
+    }
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -114,7 +123,7 @@ fn read_header(bytes: &[u8]) -> Result<Header, String> {
         data: number(bytes, 4, 2)?,
         channels: number(bytes, 10, 4)?,
         frames: number(bytes, 14, 4)?,
-        step_ms: number(bytes, 18, 1)? as u64,
+        step_ms: number(bytes, 18, 1)? as i64,
         packed,
         blocks: (0..blocks).map(block).collect::<Result<_, String>>()?,
         ranges: (0..count).map(range).collect::<Result<_, String>>()?,
@@ -292,10 +301,10 @@ impl Frames<'_> {
         if self.index == self.header.frames {
             return Ok(());
         }
-        let at_ms = self.index as u64 * self.header.step_ms;
+        let at = self.header.begin(self.index);
         self.index += 1;
         for mapped in &mut *self.mapped {
-            mapped.add(at_ms, frame);
+            mapped.add(at, frame);
         }
         let all = || {
             self.mapped
@@ -314,8 +323,8 @@ impl Frames<'_> {
         match self.index == frames {
             true => {
                 // The last frame lasts as long as any other.
-                let end_ms = frames as u64 * self.header.step_ms;
-                self.mapped.iter_mut().for_each(|mapped| mapped.end(end_ms));
+                let end = self.header.begin(frames);
+                self.mapped.iter_mut().for_each(|mapped| mapped.end(end));
                 Ok(frames)
             }
             false => Err(format!("the file has {} frames, its header says {frames}", self.index)),
@@ -325,20 +334,20 @@ impl Frames<'_> {
 
 impl Mapped {
     /// Adds a keyframe if the values have changed.
-    fn add(&mut self, at_ms: u64, frame: &[u8]) {
+    fn add(&mut self, at: Span, frame: &[u8]) {
         let same = self.last.len() == self.places.len()
             && self.places.iter().zip(&self.last).all(|(place, value)| frame[*place] == *value);
         if !same {
             self.last.clear();
             self.last.extend(self.places.iter().map(|place| frame[*place]));
-            self.end(at_ms);
+            self.end(at);
         }
     }
 
     /// Adds a keyframe with the latest values.
-    fn end(&mut self, at_ms: u64) {
+    fn end(&mut self, at: Span) {
         let values: Vec<f64> = self.last.iter().copied().map(f64::from).collect();
-        self.motion.keyframes.push(Keyframe { at_ms, value: values[0] });
+        self.motion.keyframes.push(Keyframe { at, value: values[0] });
         if let Course::Several(all) = &mut self.motion.course {
             all.push(values);
         }

@@ -6,6 +6,8 @@ use std::io::Read;
 use mcap::records::{ChunkHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use urrcp::Span;
+
 use crate::finding::{Code, names};
 
 use super::input::Input;
@@ -23,7 +25,6 @@ const JOINTS_MAX: usize = 1_000;
 const NAME_BYTES_MAX: usize = 1_024;
 /// Most topics.
 const TOPICS_MAX: usize = 10_000;
-const NANOS_PER_MS: u64 = 1_000_000;
 
 /// How the numbers of a message are written.
 #[derive(Clone, Copy, PartialEq)]
@@ -271,18 +272,16 @@ impl Topic {
             positions.sort_by_key(|(at_ns, _)| *at_ns);
             let mut keyframes: Vec<Keyframe> = Vec::with_capacity(positions.len());
             for (at_ns, value) in positions {
-                let at_s = (at_ns - first) as f64 / 1e9;
-                let at_ms = (at_ns - first + NANOS_PER_MS / 2) / NANOS_PER_MS;
-                sink.moved(at_s, at_ms);
-                match keyframes.last_mut().filter(|last| last.at_ms == at_ms) {
+                let at = Span::from_nanos(i64::try_from(at_ns - first).unwrap_or(i64::MAX));
+                match keyframes.last_mut().filter(|last| last.at == at) {
                     Some(last) => {
                         replaced += 1;
                         last.value = value;
                     }
-                    None => keyframes.push(Keyframe { at_ms, value }),
+                    None => keyframes.push(Keyframe { at, value }),
                 }
             }
-            if keyframes.last().is_some_and(|last| keyframes::millis(last.at_ms as f64 / 1_000.0).is_none()) {
+            if keyframes.last().is_some_and(|last| keyframes::seconds(last.at) > keyframes::SECONDS_MAX) {
                 let message = format!("`{topic}` lasts longer than {} s", keyframes::SECONDS_MAX);
                 sink.about(file, Code::ImportTime, message, "stamps of one recording", None);
             }
@@ -293,10 +292,9 @@ impl Topic {
                 ..DeviceMotion::default()
             });
         }
-        for (count, text) in [
-            (replaced, "position: another follows within the same millisecond"),
-            (self.empty, "message without positions"),
-        ] {
+        for (count, text) in
+            [(replaced, "position: another has the same time"), (self.empty, "message without positions")]
+        {
             if count > 0 {
                 sink.note(format!("{file}: `{topic}`: left out {count} {text}"));
             }

@@ -1,5 +1,7 @@
 //! The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML or JSON.
 
+use urrcp::Span;
+
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::Node;
@@ -17,8 +19,7 @@ const DIGITS: i32 = 7;
 
 /// One point of all joints.
 struct JointPoint {
-    at_s: f64,
-    at_ms: u64,
+    at: Span,
     positions: Vec<f64>,
     velocities: Option<Vec<f64>>,
     /// It has accelerations or efforts.
@@ -38,7 +39,7 @@ impl Between {
     fn of(points: &[JointPoint], options: &ImportOptions) -> Self {
         match (are_curved(points), options.rate_hz) {
             (true, Some(rate)) => Self::Sampled(rate),
-            (true, None) if points.len() > 1 && points[0].at_s == 0.0 => Self::Cubic,
+            (true, None) if points.len() > 1 && points[0].at == Span::ZERO => Self::Cubic,
             _ => Self::Straight,
         }
     }
@@ -52,8 +53,7 @@ fn are_curved(points: &[JointPoint]) -> bool {
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let read = tree::read(source, sink, |root, findings, _| read_points(root, findings));
     let Some((joints, points)) = read else { return Vec::new() };
-    points.iter().for_each(|point| sink.moved(point.at_s, point.at_ms));
-    if points.first().is_some_and(|point| point.at_ms == 0) {
+    if points.first().is_some_and(|point| point.at == Span::ZERO) {
         sink.note(format!(
             "{}: the first point is at 0 s: the robot must be there when it starts",
             source.name
@@ -67,9 +67,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
         unit: OF_JOINTS.to_owned(),
         keyframes: match between {
             Between::Sampled(_) => curve(&points, index, &times),
-            _ => {
-                points.iter().map(|p| Keyframe { at_ms: p.at_ms, value: p.positions[index] + 0.0 }).collect()
-            }
+            _ => points.iter().map(|p| Keyframe { at: p.at, value: p.positions[index] + 0.0 }).collect(),
         },
         course: match between {
             Between::Cubic => Course::Pieces(pieces(&points, index)),
@@ -83,13 +81,12 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
 /// The cubics through positions and velocities.
 fn pieces(points: &[JointPoint], joint: usize) -> Vec<Piece> {
     let at = |point: &JointPoint| Point {
-        at_s: point.at_s,
+        at_s: keyframes::seconds(point.at),
         value: point.positions[joint],
         slope: point.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]),
     };
-    let nanos = |point: &JointPoint| keyframes::nanos(point.at_s).unwrap_or(0);
     let piece = |pair: &[JointPoint]| Piece {
-        nanos: nanos(&pair[1]).saturating_sub(nanos(&pair[0])),
+        length: pair[1].at - pair[0].at,
         coefficients: hermite::coefficients(at(&pair[0]), at(&pair[1])),
     };
     points.windows(2).map(piece).collect()
@@ -122,29 +119,30 @@ fn times(
     joints: usize,
     source: &Source,
     sink: &mut Sink,
-) -> Vec<u64> {
+) -> Vec<Span> {
     let (Between::Sampled(rate), Some(last)) = (between, points.last()) else { return Vec::new() };
-    let samples = (last.at_s * rate + 2.0) * joints as f64;
+    let last_s = keyframes::seconds(last.at);
+    let samples = (last_s * rate + 2.0) * joints as f64;
     if !sink.has_room_for(samples) {
         sink.too_many(&source.name, samples);
         return Vec::new();
     }
-    keyframes::sampled_times(last.at_s, rate)
+    keyframes::sampled_times(last_s, rate)
 }
 
 /// Samples from the first point on: before it the robot is on its way there.
-fn curve(points: &[JointPoint], joint: usize, times: &[u64]) -> Vec<Keyframe> {
+fn curve(points: &[JointPoint], joint: usize, times: &[Span]) -> Vec<Keyframe> {
     let point = |p: &JointPoint| {
         let slope = p.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]);
-        Point { at_s: p.at_s, value: p.positions[joint], slope }
+        Point { at_s: keyframes::seconds(p.at), value: p.positions[joint], slope }
     };
     let joint: Vec<Point> = points.iter().map(point).collect();
-    let first = points.first().map_or(0, |point| point.at_ms);
+    let first = points.first().map_or(Span::ZERO, |point| point.at);
     let begin = (!times.contains(&first)).then_some(first);
-    let times = begin.into_iter().chain(times.iter().copied().filter(|at_ms| *at_ms >= first));
-    let sample = |at_ms: u64| {
-        let value = hermite::value(&joint, at_ms as f64 / 1_000.0).unwrap_or(0.0);
-        Keyframe { at_ms, value: rounded(value, DIGITS) }
+    let times = begin.into_iter().chain(times.iter().copied().filter(|at| *at >= first));
+    let sample = |at: Span| {
+        let value = hermite::value(&joint, keyframes::seconds(at)).unwrap_or(0.0);
+        Keyframe { at, value: rounded(value, DIGITS) }
     };
     times.map(sample).collect()
 }
@@ -189,8 +187,8 @@ fn read_point(
     let has_more = given("accelerations") || given("effort");
     let time = tree::required(at, "time_from_start", &what, findings)?;
     let at_s = read_time(&time, &what, findings)?;
-    let at_ms = checked_time(&time, &what, at_s, before, findings)?;
-    Some(JointPoint { at_s, at_ms, positions: positions?, velocities, has_more })
+    let at = checked_time(&time, &what, at_s, before, findings)?;
+    Some(JointPoint { at, positions: positions?, velocities, has_more })
 }
 
 fn is_empty(node: &Node) -> bool {
@@ -243,17 +241,17 @@ fn checked_time(
     at_s: f64,
     before: Option<&JointPoint>,
     findings: &mut Reader,
-) -> Option<u64> {
-    let Some(at_ms) = keyframes::millis(at_s) else {
+) -> Option<Span> {
+    let Some(time) = keyframes::span(at_s) else {
         let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
         findings.add(Code::ImportTime, at.place(), format!("{what} is at {at_s} s"), expected, None);
         return None;
     };
-    let before_s = before.map(|point| point.at_s);
-    if let Some((code, message, hint)) = before_s.and_then(|before| keyframes::check_later(before, at_s)) {
-        let expected = format!("a time after {} s", before_s.unwrap_or(0.0));
+    let before = before.map(|point| point.at);
+    if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, time)) {
+        let expected = format!("a time after {} s", before.map_or(0.0, keyframes::seconds));
         findings.add(code, at.place(), format!("{what}: {message}"), expected, Some(hint.into()));
         return None;
     }
-    Some(at_ms)
+    Some(time)
 }

@@ -1,5 +1,10 @@
-//! Times in whole milliseconds, in order; values with as many digits as they are worth.
+//! Times to the nanosecond, in order; values with as many digits as they are worth.
 
+use std::cmp::Ordering;
+
+use urrcp::Span;
+
+use crate::exact::{Exact, Fraction, fraction};
 use crate::finding::Code;
 
 use super::Keyframe;
@@ -7,27 +12,24 @@ use super::Keyframe;
 /// Longest time that is read, in seconds: 100 days and more, within what the protocol carries.
 pub(super) const SECONDS_MAX: f64 = 1e7;
 
-/// Seconds to whole milliseconds; `None` where they are negative or beyond all measure.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is checked before")]
-pub(super) fn millis(seconds: f64) -> Option<u64> {
-    (0.0..=SECONDS_MAX).contains(&seconds).then(|| (seconds * 1_000.0).round() as u64)
+/// Seconds to the nearest nanosecond; `None` where they are negative or beyond all measure.
+#[expect(clippy::cast_possible_truncation, reason = "the range is checked before")]
+pub(super) fn span(seconds: f64) -> Option<Span> {
+    (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
 }
 
-/// Seconds to whole nanoseconds; `None` where they are negative or beyond all measure.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is checked before")]
-pub(super) fn nanos(seconds: f64) -> Option<u64> {
-    (0.0..=SECONDS_MAX).contains(&seconds).then(|| (seconds * 1e9).round() as u64)
+/// In seconds, for notes and curves.
+pub(super) fn seconds(span: Span) -> f64 {
+    span.as_nanos() as f64 / 1e9
 }
 
-/// All multiples of the sampling period up to a duration, and the duration itself, in milliseconds.
-pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<u64> {
-    let Some(end) = millis(duration_s) else { return Vec::new() };
-    let mut times: Vec<u64> = (0_u32..)
-        .map_while(|index| millis(f64::from(index) / rate_hz).filter(|at_ms| *at_ms < end))
-        .collect();
+/// All multiples of the sampling period up to a duration, and the duration itself.
+pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<Span> {
+    let Some(end) = span(duration_s) else { return Vec::new() };
+    let second = Exact::from(Span::from_millis(1_000));
+    let at = |index: i128| second.times(Fraction::from_integer(index) / fraction(rate_hz)).rounded();
+    let mut times: Vec<Span> = (0..).map(at).take_while(|at| *at < end).collect();
     times.push(end);
-    // Above 1000 Hz two samples would share a millisecond.
-    times.dedup();
     times
 }
 
@@ -54,19 +56,20 @@ pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
     jumps
 }
 
-/// What is wrong with a time after another one of the same device, in seconds: the code, a sentence and a hint.
-pub(super) fn check_later(before_s: f64, at_s: f64) -> Option<(Code, String, &'static str)> {
-    if at_s < before_s {
-        let message = format!("the time {at_s} s comes after {before_s} s");
-        return Some((Code::ImportTime, message, "times go forward: sort the lines, or correct the time"));
+/// The fault of a time that does not follow `before`, the previous one of the device: the code, a sentence and a hint.
+pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'static str)> {
+    let [before_s, at_s] = [before, at].map(seconds);
+    match at.cmp(&before) {
+        Ordering::Greater => None,
+        Ordering::Less => {
+            let message = format!("the time {at_s} s comes after {before_s} s");
+            Some((Code::ImportTime, message, "times go forward: sort the lines, or correct the time"))
+        }
+        Ordering::Equal => {
+            let message = format!("the time {at_s} s appears twice");
+            Some((Code::TimesCollide, message, "two values at one time: keep one of them"))
+        }
     }
-    if at_s == before_s {
-        let message = format!("the time {at_s} s appears twice");
-        return Some((Code::TimesCollide, message, "two values at one time: keep one of them"));
-    }
-    let at_ms = millis(at_s).filter(|at_ms| millis(before_s) == Some(*at_ms))?;
-    let message = format!("the times {before_s} s and {at_s} s both are {at_ms} ms");
-    Some((Code::TimesCollide, message, "times are kept in milliseconds: keep one of the two"))
 }
 
 #[cfg(test)]
@@ -77,14 +80,15 @@ mod tests {
     fn a_rate_gives_its_multiples_and_the_end() {
         assert_eq!(sampled_times(4.25, 50.0).len(), 214);
         assert_eq!(sampled_times(198.0, 10.0).len(), 1_981);
-        assert_eq!(sampled_times(0.05, 30.0), [0, 33, 50]);
+        let times: Vec<i64> = sampled_times(0.1, 30.0).into_iter().map(Span::as_nanos).collect();
+        assert_eq!(times, [0, 33_333_333, 66_666_667, 100_000_000]);
     }
 
     #[test]
     fn headings_go_on_past_a_turn_in_either_direction() {
         let values = [350.0, 10.0, 30.0, 340.0, 0.0, 355.0];
         let mut keyframes: Vec<_> =
-            (0..).zip(values).map(|(at_ms, value)| Keyframe { at_ms, value }).collect();
+            (0..).zip(values).map(|(ms, value)| Keyframe { at: Span::from_millis(ms), value }).collect();
         assert_eq!(unwrap(&mut keyframes, 360.0), 4);
         let values: Vec<_> = keyframes.iter().map(|keyframe| keyframe.value).collect();
         assert_eq!(values, [350.0, 370.0, 390.0, 340.0, 360.0, 355.0]);
@@ -92,7 +96,7 @@ mod tests {
 
     #[test]
     fn times_are_rounded_and_bounded() {
-        assert_eq!(millis(0.372734245), Some(373));
-        assert_eq!([millis(-0.1), millis(f64::NAN), millis(1e9)], [None; 3]);
+        assert_eq!(span(0.372_734_245), Some(Span::from_nanos(372_734_245)));
+        assert_eq!([span(-0.1), span(f64::NAN), span(1e9)], [None; 3]);
     }
 }

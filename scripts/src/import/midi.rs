@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use midly::{MetaMessage, MidiMessage, PitchBend, Smf, Timing, TrackEventKind};
+use urrcp::Span;
 
 use crate::finding::Code;
 
@@ -175,27 +176,26 @@ fn devices(read: &Read, timing: Timing, name: &str, sink: &mut Sink) -> Option<V
     let mut replaced = 0_usize;
     for set in &read.sets {
         let at_s = clock.seconds(set.tick);
-        let Some(at_ms) = keyframes::millis(at_s) else {
+        let Some(at) = keyframes::span(at_s) else {
             let expected = format!("at most {} s", keyframes::SECONDS_MAX);
             sink.about(name, Code::ImportTime, format!("the file lasts {at_s} s"), &expected, None);
             return None;
         };
-        sink.moved(at_s, at_ms);
         let own = devices.entry((set.channel, set.what)).or_default();
-        if own.is_empty() && at_ms > 0 && matches!(set.what, What::Note(_)) {
-            own.push(Keyframe { at_ms: 0, value: 0.0 });
+        if own.is_empty() && at > Span::ZERO && matches!(set.what, What::Note(_)) {
+            own.push(Keyframe { at: Span::ZERO, value: 0.0 });
         }
-        match own.last_mut().filter(|last| last.at_ms == at_ms) {
+        match own.last_mut().filter(|last| last.at == at) {
             Some(last) => {
                 replaced += usize::from(last.value != set.value);
                 last.value = set.value;
             }
-            None => own.push(Keyframe { at_ms, value: set.value }),
+            None => own.push(Keyframe { at, value: set.value }),
         }
     }
     if replaced > 0 {
         let values = crate::counted(replaced, "value");
-        sink.note(format!("{name}: left out {values} that another replaces within the same millisecond"));
+        sink.note(format!("{name}: left out {values} that another replaces at the same time"));
     }
     let device = |((channel, what), keyframes): ((u8, What), Vec<Keyframe>)| DeviceMotion {
         device: device_name(channel, what),

@@ -35,9 +35,10 @@ mod waypoints;
 mod webots;
 mod yaml;
 
+use std::ops::Add;
 use std::path::PathBuf;
 
-use urrcp::InitializationBlock;
+use urrcp::{InitializationBlock, Span};
 
 use crate::finding::{Code, Finding};
 use crate::identify;
@@ -167,8 +168,8 @@ pub struct ImportOptions {
     pub holds: Vec<String>,
     /// The values at which devices begin again, such as 360: `device` or `robot/device`.
     pub unwraps: Vec<(String, f64)>,
-    /// When the first value of each scene is set, in milliseconds; otherwise when the file sets it.
-    pub start_ms: Option<u64>,
+    /// When the first value of each scene is set; otherwise when the file sets it.
+    pub start: Option<Span>,
     /// The block of the robots that shall play it.
     pub init: Option<InitializationBlock>,
 }
@@ -236,8 +237,8 @@ pub enum Course {
 /// A polynomial: p(t) = sum of c_i t^i, with t in seconds from the beginning of the piece.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
-    /// How long it lasts, in nanoseconds.
-    pub nanos: u64,
+    /// How long it lasts.
+    pub length: Span,
     /// In the device's unit, the constant first.
     pub coefficients: Vec<f64>,
 }
@@ -245,8 +246,8 @@ pub struct Piece {
 /// A value and when it is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keyframe {
-    /// Milliseconds since the scene began.
-    pub at_ms: u64,
+    /// Since the scene began.
+    pub at: Span,
     /// In the device's unit.
     pub value: f64,
 }
@@ -272,36 +273,36 @@ impl Imported {
         self.devices().map(|(_, device)| device.keyframes.len()).sum()
     }
 
-    /// The length of all scenes one after the other, in milliseconds.
+    /// The length of all scenes one after the other.
     #[must_use]
-    pub fn duration_ms(&self) -> u64 {
-        self.scenes.iter().map(Scene::duration_ms).sum()
+    pub fn duration(&self) -> Span {
+        self.scenes.iter().map(Scene::duration).fold(Span::ZERO, Add::add)
     }
 }
 
 impl Scene {
-    /// The time of the last keyframe, in milliseconds.
+    /// The time of the last keyframe.
     #[must_use]
-    pub fn duration_ms(&self) -> u64 {
-        self.robots.iter().map(RobotMotion::duration_ms).max().unwrap_or(0)
+    pub fn duration(&self) -> Span {
+        self.robots.iter().map(RobotMotion::duration).max().unwrap_or_default()
     }
 }
 
 impl RobotMotion {
-    /// The time of the last keyframe, in milliseconds.
+    /// The time of the last keyframe.
     #[must_use]
-    pub fn duration_ms(&self) -> u64 {
-        self.devices.iter().map(DeviceMotion::duration_ms).max().unwrap_or(0)
+    pub fn duration(&self) -> Span {
+        self.devices.iter().map(DeviceMotion::duration).max().unwrap_or_default()
     }
 }
 
 impl DeviceMotion {
-    /// The first whole millisecond by which it has ended.
+    /// When it has ended.
     #[must_use]
-    pub fn duration_ms(&self) -> u64 {
+    pub fn duration(&self) -> Span {
         match &self.course {
-            Course::Pieces(pieces) => pieces.iter().map(|piece| piece.nanos).sum::<u64>().div_ceil(1_000_000),
-            _ => self.keyframes.last().map_or(0, |keyframe| keyframe.at_ms),
+            Course::Pieces(pieces) => pieces.iter().map(|piece| piece.length).fold(Span::ZERO, Add::add),
+            _ => self.keyframes.last().map_or(Span::ZERO, |keyframe| keyframe.at),
         }
     }
 
@@ -492,7 +493,6 @@ fn finish(
     mut sink: Sink,
 ) -> ImportOutcome {
     let imported = assemble::assemble(format, paths, motions, options, &mut sink);
-    sink.note_moved();
     let Sink { mut findings, notes, .. } = sink;
     for finding in &mut findings {
         if finding.hint.is_none()

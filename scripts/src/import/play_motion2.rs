@@ -1,5 +1,7 @@
 //! The motions of PAL Robotics' `play_motion2`: `joints`, flat `positions`, `times_from_start`; each motion is a scene.
 
+use urrcp::Span;
+
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::Node;
@@ -14,7 +16,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     let motions =
         tree::read(source, sink, |root, findings, _| read_motions(root, findings)).unwrap_or_default();
     let at_zero = |(_, devices): &&(String, Vec<DeviceMotion>)| {
-        devices.iter().any(|device| device.keyframes.first().is_some_and(|k| k.at_ms == 0))
+        devices.iter().any(|device| device.keyframes.first().is_some_and(|k| k.at == Span::ZERO))
     };
     let from_zero: Vec<_> = motions.iter().filter(at_zero).map(|(name, _)| name.as_str()).collect();
     if !from_zero.is_empty() {
@@ -79,8 +81,7 @@ fn read_motion(name: &str, at: &At<'_>, findings: &mut Reader) -> Option<Vec<Dev
     let count = joints.len();
     let device = |(index, device): (usize, String)| {
         let values = positions.iter().skip(index).step_by(count);
-        let keyframes =
-            times.iter().zip(values).map(|(at_ms, value)| Keyframe { at_ms: *at_ms, value: value + 0.0 });
+        let keyframes = times.iter().zip(values).map(|(at, value)| Keyframe { at: *at, value: value + 0.0 });
         DeviceMotion {
             unit: unit_of(&device).to_owned(),
             device,
@@ -91,7 +92,7 @@ fn read_motion(name: &str, at: &At<'_>, findings: &mut Reader) -> Option<Vec<Dev
     Some(joints.into_iter().enumerate().map(device).collect())
 }
 
-fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<u64>> {
+fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<Span>> {
     let seconds = tree::numbers(at, &format!("`times_from_start` of {what}"), findings)?;
     if seconds.is_empty() {
         findings.add(
@@ -103,30 +104,24 @@ fn read_times(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<u64>
         );
         return None;
     }
-    let mut times = Vec::with_capacity(seconds.len());
+    let mut times: Vec<Span> = Vec::with_capacity(seconds.len());
     for (index, at_s) in seconds.iter().enumerate() {
         let place = || match at.node {
             Node::List(items) => at.item(index, &items[index]).place(),
             _ => at.place(),
         };
-        let before = index.checked_sub(1).map(|before| seconds[before]);
-        if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, *at_s)) {
-            let expected = format!("a time after {} s", before.unwrap_or(0.0));
+        let Some(time) = keyframes::span(*at_s) else {
+            let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
+            let message = format!("{what} has the time {at_s} s");
+            findings.add(Code::ImportTime, place(), message, expected, None);
+            return None;
+        };
+        let before = times.last().copied();
+        if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, time)) {
+            let expected = format!("a time after {} s", before.map_or(0.0, keyframes::seconds));
             findings.add(code, place(), format!("{what}: {message}"), expected, Some(hint.into()));
         }
-        match keyframes::millis(*at_s) {
-            Some(at_ms) => times.push(at_ms),
-            None => {
-                let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
-                findings.add(
-                    Code::ImportTime,
-                    place(),
-                    format!("{what} has the time {at_s} s"),
-                    expected,
-                    None,
-                );
-            }
-        }
+        times.push(time);
         if tree::is_full(findings) {
             return None;
         }

@@ -40,7 +40,7 @@ impl Trajectory {
             let own = &piece.coefficients[axis];
             let needed = own.iter().rposition(|c| *c != 0.0).map_or(1, |last| last + 1);
             super::Piece {
-                nanos: keyframes::nanos(piece.duration_s).unwrap_or(0),
+                length: keyframes::span(piece.duration_s).unwrap_or_default(),
                 coefficients: own[..needed].iter().map(|c| c + 0.0).collect(),
             }
         };

@@ -11,8 +11,6 @@ use super::{KEYFRAMES_MAX, Motion};
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
 /// Longest line that a finding carries, in bytes.
 const LINE_BYTES_MAX: usize = 4_000;
-/// Times that move by less than this, in milliseconds, are not worth a word.
-const MOVED_MS_MIN: f64 = 0.0005;
 
 /// Collects.
 #[derive(Default)]
@@ -23,8 +21,6 @@ pub(super) struct Sink {
     keyframes: usize,
     /// Values that repeat the one before.
     pub(super) held: usize,
-    /// The most by which whole milliseconds moved a time, in milliseconds.
-    moved_ms: f64,
 }
 
 /// A place in a text file: part of a line.
@@ -41,21 +37,6 @@ pub(super) struct Spot<'a> {
 impl Sink {
     pub(super) fn note(&mut self, text: impl Into<String>) {
         self.notes.push(text.into());
-    }
-
-    /// Counts a time that is kept in whole milliseconds.
-    pub(super) fn moved(&mut self, at_s: f64, at_ms: u64) {
-        self.moved_ms = self.moved_ms.max((at_s * 1_000.0 - at_ms as f64).abs());
-    }
-
-    /// Says how far times were moved, where that is more than their own digits.
-    pub(super) fn note_moved(&mut self) {
-        if self.moved_ms > MOVED_MS_MIN {
-            self.note(format!(
-                "times are kept in whole milliseconds: moved by at most {:.3} ms",
-                self.moved_ms
-            ));
-        }
     }
 
     /// A finding about a part of a line.

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use urrcp::Span;
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, names};
@@ -239,13 +240,13 @@ impl Show<'_> {
         let mut devices = Vec::new();
         let Some(way) = self.part(&drone.trajectory, &whose, sink, read_way) else { return devices };
         self.told.still += usize::from(way.still > 0);
-        let end_ms = way.end_ns.div_ceil(1_000_000);
+        let end_ms = way.end.as_nanos().unsigned_abs().div_ceil(1_000_000);
         devices.extend((0..3).map(|axis| way.device(axis)));
         if let Some(yaw) = &drone.yaw {
             let read = self.part(yaw, &whose, sink, read_yaw);
             if let Some(Yaw { auto, keyframes }) = read {
                 self.told.auto_yaw += usize::from(auto);
-                self.told.late_yaw += usize::from(way.takeoff_ns > 0 && !keyframes.is_empty());
+                self.told.late_yaw += usize::from(way.takeoff > Span::ZERO && !keyframes.is_empty());
                 let motion = DeviceMotion {
                     device: "yaw".into(),
                     unit: "deg".into(),
@@ -267,7 +268,10 @@ impl Show<'_> {
         self.told.endless += usize::from(lights.endless);
         self.told.fades += usize::from(lights.glows.iter().any(|glow| glow.until_ms > glow.from_ms));
         let samples = light_program::sampled(lights, self.period_ms);
-        let keyframe = |(at_ms, color): &(u64, Color)| Keyframe { at_ms: *at_ms, value: f64::from(color[0]) };
+        let keyframe = |(at_ms, color): &(u64, Color)| {
+            let at = Span::from_millis(i64::try_from(*at_ms).unwrap_or(i64::MAX));
+            Keyframe { at, value: f64::from(color[0]) }
+        };
         let values = samples.iter().map(|(_, color)| color.map(f64::from).to_vec()).collect();
         let mut lamp = DeviceMotion {
             device: "lamp".into(),
@@ -282,50 +286,50 @@ impl Show<'_> {
 
 /// The way of a drone, from the start of the show.
 struct Way {
-    takeoff_ns: u64,
-    end_ns: u64,
+    takeoff: Span,
+    end: Span,
     points: Vec<Waypoint>,
     still: usize,
 }
 
 struct Waypoint {
-    at_ns: u64,
+    at: Span,
     position: [f64; 3],
     /// Control points of the way from the previous point to here.
     controls: Vec<[f64; 3]>,
 }
 
 impl Way {
-    /// Straight ways between whole milliseconds are keyframes, all else is curves.
+    /// Straight ways are keyframes, all else is curves.
     fn device(&self, axis: usize) -> DeviceMotion {
-        let keyframe = |at_ns: u64, value| Keyframe { at_ms: (at_ns + 500_000) / 1_000_000, value };
         let first = self
             .points
             .first()
-            .filter(|first| first.at_ns > 0)
-            .map(|first| keyframe(0, first.position[axis]));
-        let rest = self.points.iter().map(|point| keyframe(point.at_ns, point.position[axis] + 0.0));
-        let mut keyframes: Vec<Keyframe> = first.into_iter().chain(rest).collect();
-        let plain = self.points.iter().all(|point| point.controls.is_empty() && point.at_ns % 1_000_000 == 0);
+            .filter(|first| first.at > Span::ZERO)
+            .map(|first| Keyframe { at: Span::ZERO, value: first.position[axis] + 0.0 });
+        let rest =
+            self.points.iter().map(|point| Keyframe { at: point.at, value: point.position[axis] + 0.0 });
+        let keyframes: Vec<Keyframe> = first.into_iter().chain(rest).collect();
+        let plain = self.points.iter().all(|point| point.controls.is_empty());
         let course =
             if plain && self.points.len() > 1 { Course::Straight } else { Course::Pieces(self.pieces(axis)) };
-        keyframes.dedup_by_key(|keyframe| keyframe.at_ms);
         DeviceMotion { device: AXES[axis].into(), unit: "m".into(), keyframes, course }
     }
 
     fn pieces(&self, axis: usize) -> Vec<Piece> {
-        let waits = self.points.first().filter(|first| first.at_ns > 0);
-        let still = waits.map(|first| Piece { nanos: first.at_ns, coefficients: vec![first.position[axis]] });
+        let waits = self.points.first().filter(|first| first.at > Span::ZERO);
+        let still = waits.map(|first| Piece { length: first.at, coefficients: vec![first.position[axis]] });
         let pieces = self.points.windows(2).map(|pair| {
-            let nanos = pair[1].at_ns - pair[0].at_ns;
+            let length = pair[1].at - pair[0].at;
             let controls = pair[1].controls.iter().map(|control| control[axis]);
             let points =
                 std::iter::once(pair[0].position[axis]).chain(controls).chain([pair[1].position[axis]]);
-            Piece { nanos, coefficients: coefficients(&points.collect::<Vec<f64>>(), nanos as f64 / 1e9) }
+            let points: Vec<f64> = points.collect();
+            Piece { length, coefficients: coefficients(&points, keyframes::seconds(length)) }
         });
         let mut pieces: Vec<Piece> = still.into_iter().chain(pieces).collect();
         if let (true, Some(only)) = (pieces.is_empty(), self.points.first()) {
-            pieces.push(Piece { nanos: 1_000_000, coefficients: vec![only.position[axis]] });
+            pieces.push(Piece { length: Span::from_millis(1), coefficients: vec![only.position[axis]] });
         }
         pieces
     }
@@ -350,54 +354,54 @@ fn coefficients(points: &[f64], seconds: f64) -> Vec<f64> {
 
 fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<Way> {
     version(at, "the trajectory", findings);
-    let takeoff_ns = match tree::optional(at, "takeoffTime").filter(|at| *at.node != Node::Null) {
-        Some(at) => nanos(&at, "the takeoff", findings)?,
-        None => 0,
+    let takeoff = match tree::optional(at, "takeoffTime").filter(|at| *at.node != Node::Null) {
+        Some(at) => time_of(&at, "the takeoff", findings)?,
+        None => Span::ZERO,
     };
     let list = tree::required(at, "points", "the trajectory", findings)?;
     let items = tree::points(&list, findings);
-    let mut way = Way { takeoff_ns, end_ns: 0, points: Vec::with_capacity(items.len()), still: 0 };
+    let mut way = Way { takeoff, end: Span::ZERO, points: Vec::with_capacity(items.len()), still: 0 };
     for (index, item) in items.iter().enumerate() {
-        if let Some(point) = read_point(item, index, takeoff_ns, findings) {
+        if let Some(point) = read_point(item, index, takeoff, findings) {
             way.add(point, item, index, findings);
         }
         if tree::is_full(findings) {
             return None;
         }
     }
-    way.end_ns = way.points.last()?.at_ns;
+    way.end = way.points.last()?.at;
     Some(way)
 }
 
 impl Way {
     fn add(&mut self, point: Waypoint, at: &At<'_>, index: usize, findings: &mut Reader) {
         let Some(last) = self.points.last() else { return self.points.push(point) };
-        if last.at_ns < point.at_ns {
+        if last.at < point.at {
             return self.points.push(point);
         }
-        if last.at_ns == point.at_ns && last.position == point.position {
+        if last.at == point.at && last.position == point.position {
             self.still += 1;
             return;
         }
-        let (before, now) = (last.at_ns as f64 / 1e9, point.at_ns as f64 / 1e9);
+        let [before, now] = [last.at, point.at].map(keyframes::seconds);
         let message = format!("point {} at {now} s comes after one at {before} s", index + 1);
         let hint = "times go forward, and nothing moves in no time".to_owned();
         findings.add(Code::ImportTime, at.place(), message, format!("a time after {before} s"), Some(hint));
     }
 }
 
-fn nanos(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<u64> {
+fn time_of(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Span> {
     let seconds = tree::number(at, &format!("the time of {what}"), findings)?;
-    let nanos = keyframes::nanos(seconds);
-    if nanos.is_none() {
+    let time = keyframes::span(seconds);
+    if time.is_none() {
         let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
         findings.add(Code::ImportTime, at.place(), format!("{what} is at {seconds} s"), expected, None);
     }
-    nanos
+    time
 }
 
 /// `[time, [x, y, z], [control points]]`.
-fn read_point(at: &At<'_>, index: usize, takeoff_ns: u64, findings: &mut Reader) -> Option<Waypoint> {
+fn read_point(at: &At<'_>, index: usize, takeoff: Span, findings: &mut Reader) -> Option<Waypoint> {
     let what = format!("point {}", index + 1);
     let parts = findings.list(at, "[time, [x, y, z], control points]");
     let [time, position, rest @ ..] = parts.as_slice() else {
@@ -407,7 +411,7 @@ fn read_point(at: &At<'_>, index: usize, takeoff_ns: u64, findings: &mut Reader)
         }
         return None;
     };
-    let at_ns = nanos(time, &what, findings)?.checked_add(takeoff_ns)?;
+    let reached = time_of(time, &what, findings)? + takeoff;
     let position = vector(position, &what, findings)?;
     let controls = match rest.first().filter(|at| *at.node != Node::Null) {
         Some(at) => findings.list(at, "a list of control points"),
@@ -419,7 +423,7 @@ fn read_point(at: &At<'_>, index: usize, takeoff_ns: u64, findings: &mut Reader)
         return None;
     }
     let controls: Option<Vec<_>> = controls.iter().map(|at| vector(at, &what, findings)).collect();
-    Some(Waypoint { at_ns, position, controls: controls? })
+    Some(Waypoint { at: reached, position, controls: controls? })
 }
 
 fn vector(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<[f64; 3]> {
@@ -457,11 +461,10 @@ fn read_yaw(at: &At<'_>, findings: &mut Reader) -> Option<Yaw> {
             );
             return None;
         };
-        let at_ms = keyframes::millis(seconds);
-        match (at_ms, keyframes.last()) {
-            (Some(at_ms), None) => keyframes.push(Keyframe { at_ms, value }),
-            (Some(at_ms), Some(last)) if last.at_ms < at_ms => keyframes.push(Keyframe { at_ms, value }),
-            (Some(at_ms), Some(last)) if last.at_ms == at_ms && last.value == value => {}
+        match (keyframes::span(seconds), keyframes.last()) {
+            (Some(at), None) => keyframes.push(Keyframe { at, value }),
+            (Some(at), Some(last)) if last.at < at => keyframes.push(Keyframe { at, value }),
+            (Some(at), Some(last)) if last.at == at && last.value == value => {}
             _ => {
                 let message = format!("{what} is at {seconds} s");
                 findings.add(

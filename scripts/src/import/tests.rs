@@ -9,6 +9,7 @@ use super::*;
 use crate::node::{self, Node};
 
 mod bvh;
+mod exact_times;
 mod fseq;
 mod joint_states;
 mod midi;
@@ -22,11 +23,16 @@ fn fixture_of(name: &str) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// The keyframes of the first device of this name.
-fn keyframes_of(imported: &Imported, name: &str) -> Vec<(u64, f64)> {
+/// The keyframes of the first device of this name: milliseconds and values.
+fn keyframes_of(imported: &Imported, name: &str) -> Vec<(f64, f64)> {
     let mut devices = imported.devices();
     let (_, device) = devices.find(|(_, device)| device.device == name).unwrap();
-    device.keyframes.iter().map(|keyframe| (keyframe.at_ms, keyframe.value)).collect()
+    keyframes(device)
+}
+
+/// Milliseconds and values.
+fn keyframes(device: &DeviceMotion) -> Vec<(f64, f64)> {
+    device.keyframes.iter().map(|keyframe| (keyframe.at.as_millis_f64(), keyframe.value)).collect()
 }
 
 #[track_caller]
@@ -77,7 +83,7 @@ fn check_outcome(format: ImportFormat, text: &str) {
     let Some(imported) = imported else { return };
     for (_, device) in imported.devices() {
         assert!(device.keyframes.iter().all(|keyframe| keyframe.value.is_finite()));
-        assert!(device.keyframes.windows(2).all(|pair| pair[0].at_ms < pair[1].at_ms), "{device:?}");
+        assert!(device.keyframes.windows(2).all(|pair| pair[0].at < pair[1].at), "{device:?}");
     }
     let written = scenario_text(&imported, Scenes::Acts, None, None);
     let source = Source { name: "written".into(), text: written };
@@ -95,21 +101,22 @@ fn every_format_is_read() {
 
 #[test]
 fn what_is_read_is_what_stands_there() {
-    let devices = |format, text| -> Vec<(String, Vec<(u64, f64)>)> {
+    let devices = |format, text| -> Vec<(String, Vec<(f64, f64)>)> {
         let imported = imported(format, text).imported.unwrap();
-        let keyframes = |device: &DeviceMotion| device.keyframes.iter().map(|k| (k.at_ms, k.value)).collect();
         imported.devices().map(|(_, device)| (device.device.clone(), keyframes(device))).collect()
     };
     let expected = [
         // Held for its pause, and again where the second keyframe leaves it out.
-        ("a".to_owned(), vec![(1_000, 1.0), (1_500, 1.0), (2_500, 1.0), (3_500, 2.0)]),
-        ("b".to_owned(), vec![(2_500, 1.0)]),
+        ("a".to_owned(), vec![(1_000.0, 1.0), (1_500.0, 1.0), (2_500.0, 1.0), (3_500.0, 2.0)]),
+        ("b".to_owned(), vec![(2_500.0, 1.0)]),
     ];
     assert_eq!(devices(ImportFormat::Bitbots, BITBOTS), expected);
-    let expected = [("a".to_owned(), vec![(0, 1.0), (10, 2.0)]), ("b".to_owned(), vec![(10, 3.0)])];
+    let expected = [("a".to_owned(), vec![(0.0, 1.0), (10.0, 2.0)]), ("b".to_owned(), vec![(10.0, 3.0)])];
     assert_eq!(devices(ImportFormat::Csv, CSV), expected);
-    let expected =
-        [("a".to_owned(), vec![(500, 0.0), (1_000, 2.0)]), ("b".to_owned(), vec![(500, 1.0), (1_000, 3.0)])];
+    let expected = [
+        ("a".to_owned(), vec![(500.0, 0.0), (1_000.0, 2.0)]),
+        ("b".to_owned(), vec![(500.0, 1.0), (1_000.0, 3.0)]),
+    ];
     assert_eq!(devices(ImportFormat::PlayMotion2, MOTION), expected);
 }
 

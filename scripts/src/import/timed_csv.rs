@@ -2,6 +2,8 @@
 
 use std::collections::HashSet;
 
+use urrcp::Span;
+
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
@@ -175,7 +177,7 @@ fn read_row(
     row: &Row<'_>,
     width: usize,
     time: &TimeColumn,
-    before: &mut Option<f64>,
+    before: &mut Option<Span>,
     mapped: &mut [Mapped],
     source: &Source,
     sink: &mut Sink,
@@ -183,7 +185,7 @@ fn read_row(
     if !row.has(width, source, sink) {
         return;
     }
-    let at_ms = seconds(row, time, source, sink)
+    let at = seconds(row, time, source, sink)
         .and_then(|at_s| checked_time(row, time.index, at_s, before, source, sink));
     for column in mapped {
         if column.indices.iter().all(|index| row.cells[*index].text.is_empty()) {
@@ -194,15 +196,15 @@ fn read_row(
         let values: Vec<_> =
             column.indices.iter().map(|index| row.number(*index, &what, source, sink)).collect();
         let values: Option<Vec<f64>> = values.into_iter().map(|value| Some(value? + 0.0)).collect();
-        if let (Some(at_ms), Some(values)) = (at_ms, values) {
-            column.add(at_ms, values);
+        if let (Some(at), Some(values)) = (at, values) {
+            column.add(at, values);
         }
     }
 }
 
 impl Mapped {
-    fn add(&mut self, at_ms: u64, values: Vec<f64>) {
-        self.motion.keyframes.push(Keyframe { at_ms, value: values[0] });
+    fn add(&mut self, at: Span, values: Vec<f64>) {
+        self.motion.keyframes.push(Keyframe { at, value: values[0] });
         if let Course::Several(all) = &mut self.motion.course {
             all.push(values);
         }
@@ -227,11 +229,11 @@ fn checked_time(
     row: &Row<'_>,
     index: usize,
     at_s: f64,
-    before: &mut Option<f64>,
+    before: &mut Option<Span>,
     source: &Source,
     sink: &mut Sink,
-) -> Option<u64> {
-    let Some(at_ms) = keyframes::millis(at_s) else {
+) -> Option<Span> {
+    let Some(at) = keyframes::span(at_s) else {
         let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
         sink.found(
             source,
@@ -243,14 +245,13 @@ fn checked_time(
         );
         return None;
     };
-    if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, at_s)) {
-        let expected = format!("a time after {} s", before.unwrap_or(0.0));
+    if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, at)) {
+        let expected = format!("a time after {} s", before.map_or(0.0, keyframes::seconds));
         sink.found(source, row.spot(index), code, message, expected, Some(hint));
         return None;
     }
-    *before = Some(at_s);
-    sink.moved(at_s, at_ms);
-    Some(at_ms)
+    *before = Some(at);
+    Some(at)
 }
 
 fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut Sink) -> Vec<Motion> {

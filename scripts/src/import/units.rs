@@ -15,6 +15,15 @@ pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
+/// A full turn in a unit of angles.
+pub(super) fn turn(unit: &str) -> Option<f64> {
+    match (factor(unit, "deg"), factor(unit, "rad")) {
+        (Some(1.0), _) => Some(360.0),
+        (_, Some(1.0)) => Some(std::f64::consts::TAU),
+        _ => None,
+    }
+}
+
 /// `x[m]` and `x (m)` as name and unit.
 pub(super) fn name_and_unit(header: &str) -> (&str, &str) {
     let header = header.trim();

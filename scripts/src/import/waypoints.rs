@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use urrcp::Span;
+
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
@@ -19,8 +21,7 @@ const COLUMNS: [(&str, &str); 5] = [("id", ""), ("x", "m"), ("y", "m"), ("z", "m
 const NOTES_MAX: usize = 20;
 
 struct Waypoint {
-    at_ms: u64,
-    at_s: f64,
+    at: Span,
     position: [f64; 3],
 }
 
@@ -42,7 +43,6 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
         count += 3;
         if let Some((robot, waypoint)) = read_waypoint(&row, &factors, source, sink) {
             let own = robots.entry(robot).or_default();
-            sink.moved(waypoint.at_s, waypoint.at_ms);
             if own.last().is_none_or(|last| is_later(last, &waypoint, &row, source, sink)) {
                 own.push(waypoint);
             }
@@ -112,19 +112,19 @@ fn read_waypoint(
     }
     let [x, y, z, at_s] = numbers;
     let at_s = at_s?;
-    let Some(at_ms) = keyframes::millis(at_s) else {
+    let Some(at) = keyframes::span(at_s) else {
         let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
         sink.found(source, row.spot(4), Code::ImportTime, format!("the time is {at_s} s"), expected, None);
         return None;
     };
     let position = [x?, y?, z?];
-    (!robot.is_empty()).then_some((robot, Waypoint { at_ms, at_s, position }))
+    (!robot.is_empty()).then_some((robot, Waypoint { at, position }))
 }
 
 fn is_later(last: &Waypoint, next: &Waypoint, row: &Row<'_>, source: &Source, sink: &mut Sink) -> bool {
-    keyframes::check_later(last.at_s, next.at_s).is_none_or(|(code, message, hint)| {
+    keyframes::check_later(last.at, next.at).is_none_or(|(code, message, hint)| {
         let message = format!("robot `{}`: {message}", shortened(&row.cells[0].text));
-        let expected = format!("a time after {} s", last.at_s);
+        let expected = format!("a time after {} s", keyframes::seconds(last.at));
         sink.found(source, row.spot(4), code, message, expected, Some(hint));
         false
     })
@@ -146,7 +146,7 @@ fn robot_motion(robot: String, own: &[Waypoint]) -> RobotMotion {
     let device = |axis: usize| DeviceMotion {
         device: COLUMNS[axis + 1].0.to_owned(),
         unit: "m".to_owned(),
-        keyframes: own.iter().map(|w| Keyframe { at_ms: w.at_ms, value: w.position[axis] + 0.0 }).collect(),
+        keyframes: own.iter().map(|w| Keyframe { at: w.at, value: w.position[axis] + 0.0 }).collect(),
         ..DeviceMotion::default()
     };
     RobotMotion { robot, devices: (0..3).map(device).collect() }

@@ -1,5 +1,7 @@
 //! Webots' `.motion` files: `#WEBOTS_MOTION,V1.0,joint,..`, then a pose a line with its time, its name and a value a joint.
 
+use urrcp::Span;
+
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
@@ -8,7 +10,7 @@ use super::input::Input;
 use super::sink::Sink;
 use super::table::{Row, every_row};
 use super::units::OF_JOINTS;
-use super::{DeviceMotion, Keyframe, Motion, RobotMotion};
+use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 const MAGIC: &str = "#WEBOTS_MOTION";
 const VERSION: &str = "V1.0";
@@ -18,7 +20,7 @@ const AHEAD: usize = 2;
 /// A joint with the time until which it is told nothing.
 struct Joint {
     motion: DeviceMotion,
-    untold: Option<u64>,
+    untold: Option<Span>,
     gaps: usize,
 }
 
@@ -81,7 +83,7 @@ fn joints(header: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<Vec<Join
 fn read_pose(
     row: &Row<'_>,
     joints: &mut [Joint],
-    before: &mut Option<u64>,
+    before: &mut Option<Span>,
     source: &Source,
     sink: &mut Sink,
 ) {
@@ -89,43 +91,42 @@ fn read_pose(
         return;
     }
     let text = row.cells[0].text.as_ref();
-    let Some(at_ms) = millis(text) else {
+    let Some(at) = millis(text) else {
         let message = format!("the time is `{}`", shortened(text));
         let expected = "minutes:seconds:milliseconds";
         sink.found(source, row.spot(0), Code::ImportNumber, message, expected, None);
         return;
     };
-    if let Some(last) = before.filter(|last| at_ms <= *last) {
-        let message = format!("the time {at_ms} ms comes after {last} ms");
-        let hint = Some("times go forward: sort the lines, or correct the time");
-        sink.found(source, row.spot(0), Code::ImportTime, message, format!("a time after {last} ms"), hint);
+    if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, at)) {
+        let expected = format!("a time after {} s", before.map_or(0.0, keyframes::seconds));
+        sink.found(source, row.spot(0), code, message, expected, Some(hint));
         return;
     }
-    *before = Some(at_ms);
+    *before = Some(at);
     for (index, joint) in joints.iter_mut().enumerate() {
         if row.cells[AHEAD + index].text == "*" {
-            joint.skip(at_ms);
+            joint.skip(at);
             continue;
         }
         let what = format!("`{}`", shortened(&joint.motion.device));
         if let Some(value) = row.number(AHEAD + index, &what, source, sink) {
-            joint.add(at_ms, value + 0.0);
+            joint.add(at, value + 0.0);
         }
     }
 }
 
 impl Joint {
     /// Webots tells the motor nothing, so it stays where it is.
-    fn skip(&mut self, at_ms: u64) {
+    fn skip(&mut self, at: Span) {
         self.gaps += 1;
-        self.untold = Some(at_ms);
+        self.untold = Some(at);
     }
 
-    fn add(&mut self, at_ms: u64, value: f64) {
+    fn add(&mut self, at: Span, value: f64) {
         if let (Some(until), Some(last)) = (self.untold.take(), self.motion.keyframes.last().copied()) {
-            self.motion.keyframes.push(Keyframe { at_ms: until, ..last });
+            self.motion.keyframes.push(Keyframe { at: until, ..last });
         }
-        self.motion.keyframes.push(Keyframe { at_ms, value });
+        self.motion.keyframes.push(Keyframe { at, value });
     }
 }
 
@@ -143,16 +144,16 @@ fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
 }
 
 /// `[[minutes:]seconds:]milliseconds`, each of any size.
-fn millis(text: &str) -> Option<u64> {
-    let mut sum = 0_u64;
+fn millis(text: &str) -> Option<Span> {
+    let mut sum = 0_i64;
     let parts: Vec<&str> = text.trim().split(':').collect();
     if parts.len() > 3 {
         return None;
     }
     for (part, size) in parts.iter().rev().zip([1, 1_000, 60_000]) {
         let digits = !part.is_empty() && part.len() <= 9 && part.bytes().all(|byte| byte.is_ascii_digit());
-        let number: u64 = digits.then(|| part.parse().ok())??;
+        let number: i64 = digits.then(|| part.parse().ok())??;
         sum += number * size;
     }
-    super::keyframes::millis(sum as f64 / 1_000.0).map(|_| sum)
+    keyframes::span(sum as f64 / 1_000.0).map(|_| Span::from_millis(sum))
 }

@@ -44,23 +44,23 @@ pub fn scenario_text(
     match (imported.scenes.as_slice(), scenes) {
         ([one], _) => {
             text.push_str("cues:\n");
-            Cues { text: &mut text, indent: 2 }.scene(one, "", 0, &mut Joints::default());
+            Cues { text: &mut text, indent: 2 }.scene(one, "", Span::ZERO, &mut Joints::default());
         }
         (all, Scenes::Joined) => {
             text.push_str("cues:\n");
             let mut cues = Cues { text: &mut text, indent: 2 };
             let mut joints = Joints::default();
-            let mut start_ms = 0;
+            let mut start = Span::ZERO;
             for scene in all {
-                cues.scene(scene, &format!("{}: ", scene.name), start_ms, &mut joints);
-                start_ms += scene.duration_ms();
+                cues.scene(scene, &format!("{}: ", scene.name), start, &mut joints);
+                start += scene.duration();
             }
         }
         (all, Scenes::Acts) => {
             text.push_str("acts:\n");
             for scene in all {
                 line(&mut text, format_args!("  - act: {}\n    cues:", scalar(&scene.name)));
-                Cues { text: &mut text, indent: 6 }.scene(scene, "", 0, &mut Joints::default());
+                Cues { text: &mut text, indent: 6 }.scene(scene, "", Span::ZERO, &mut Joints::default());
             }
         }
     }
@@ -74,38 +74,37 @@ pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
         return imported.devices().map(|(_, device)| device.written()).sum();
     }
     let mut joints = Joints::default();
-    let mut start_ms = 0;
+    let mut start = Span::ZERO;
     let mut steps = 0;
     for scene in &imported.scenes {
         for robot in &scene.robots {
             let written = |device: &DeviceMotion| match device.course {
                 Course::Pieces(_) => device.written(),
-                _ => joints.rest(&robot.robot, device, start_ms).len(),
+                _ => joints.rest(&robot.robot, device, start).len(),
             };
             steps += robot.devices.iter().map(written).sum::<usize>();
         }
-        start_ms += scene.duration_ms();
+        start += scene.duration();
     }
     steps
 }
 
 /// Where each device of each robot was left, and when.
 #[derive(Default)]
-struct Joints(std::collections::HashMap<(String, String), (u64, f64)>);
+struct Joints(std::collections::HashMap<(String, String), (Span, f64)>);
 
 impl Joints {
     /// The keyframes of a device without the one that only repeats where the scene before left it.
-    fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start_ms: u64) -> &'a [Keyframe] {
+    fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start: Span) -> &'a [Keyframe] {
         let all = device.keyframes.as_slice();
         if let Course::Pieces(_) | Course::Several(_) = device.course {
             return all;
         }
         let (Some(first), Some(last)) = (all.first(), all.last()) else { return all };
         let key = (robot.to_owned(), device.device.clone());
-        let before = self.0.insert(key, (start_ms + last.at_ms, last.value));
-        let repeats = before.is_some_and(|(at_ms, value)| {
-            at_ms == start_ms + first.at_ms && (value - first.value).abs() <= SAME
-        });
+        let before = self.0.insert(key, (start + last.at, last.value));
+        let repeats =
+            before.is_some_and(|(at, value)| at == start + first.at && (value - first.value).abs() <= SAME);
         if repeats && all.len() > 1 { &all[1..] } else { all }
     }
 }
@@ -132,17 +131,17 @@ struct Cues<'a> {
 }
 
 impl Cues<'_> {
-    fn scene(&mut self, scene: &Scene, prefix: &str, start_ms: u64, joints: &mut Joints) {
+    fn scene(&mut self, scene: &Scene, prefix: &str, start: Span, joints: &mut Joints) {
         for robot in &scene.robots {
             let name = scalar(&robot.robot);
             let cue = format!("{prefix}{}", robot.robot);
             self.line(0, format_args!("- cue: {}", scalar(&cue)));
-            self.line(2, format_args!("at: {}", time(start_ms)));
+            self.line(2, format_args!("at: {}", time(start)));
             self.line(2, format_args!("robots: {name}"));
             self.line(2, format_args!("tracks:"));
             for device in &robot.devices {
                 self.line(4, format_args!("{}:", scalar(&device.device)));
-                self.track(device, joints.rest(&robot.robot, device, start_ms));
+                self.track(device, joints.rest(&robot.robot, device, start));
             }
         }
     }
@@ -152,21 +151,20 @@ impl Cues<'_> {
             Course::Pieces(pieces) => {
                 self.line(6, format_args!("polynomial:"));
                 for piece in pieces {
-                    let length = Span::from_nanos(i64::try_from(piece.nanos).unwrap_or(i64::MAX));
-                    let (length, coefficients) = (duration::written(length), list(&piece.coefficients));
+                    let (length, coefficients) = (duration::written(piece.length), list(&piece.coefficients));
                     self.line(8, format_args!("- {{for: {length}, coefficients: {coefficients}}}"));
                 }
             }
             Course::Several(values) => {
                 let skipped = values.len().saturating_sub(rest.len());
                 for (keyframe, values) in rest.iter().zip(&values[skipped..]) {
-                    self.line(6, format_args!("- {{at: {}, to: {}}}", time(keyframe.at_ms), list(values)));
+                    self.line(6, format_args!("- {{at: {}, to: {}}}", time(keyframe.at), list(values)));
                 }
             }
             course @ (Course::Straight | Course::Held) => {
                 let ease = if *course == Course::Held { ", ease: step" } else { "" };
-                for Keyframe { at_ms, value } in rest {
-                    self.line(6, format_args!("- {{at: {}, to: {}{ease}}}", time(*at_ms), number(*value)));
+                for Keyframe { at, value } in rest {
+                    self.line(6, format_args!("- {{at: {}, to: {}{ease}}}", time(*at), number(*value)));
                 }
             }
         }
@@ -183,11 +181,13 @@ pub(super) fn line(text: &mut String, content: std::fmt::Arguments<'_>) {
     let _infallible = writeln!(text, "{content}");
 }
 
-/// Whole seconds as such, all else in milliseconds.
-fn time(at_ms: u64) -> String {
-    match at_ms % 1_000 {
-        0 => format!("{}s", at_ms / 1_000),
-        _ => format!("{at_ms}ms"),
+/// Whole seconds and milliseconds as such.
+fn time(at: Span) -> String {
+    let nanos = at.as_nanos();
+    match (nanos % 1_000_000_000, nanos % 1_000_000) {
+        (0, _) => format!("{}s", nanos / 1_000_000_000),
+        (_, 0) => format!("{}ms", nanos / 1_000_000),
+        _ => duration::written(at),
     }
 }
 

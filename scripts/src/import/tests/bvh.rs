@@ -18,10 +18,9 @@ fn every_value_of_every_frame_arrives_as_it_stands_there() {
         assert_eq!(found.len(), lines.len());
         for (frame, (line, (at_ms, value))) in lines.iter().zip(found).enumerate() {
             let expected: f64 = line.split(' ').nth(column).unwrap().parse().unwrap();
-            assert_eq!((at_ms, value), ((frame as f64 * 33.3333).round() as u64, expected));
+            assert_eq!((at_ms, value), ((frame as f64 * 33.3333 * 1e6).round() / 1e6, expected));
         }
     }
-    assert!(outcome.notes.iter().any(|note| note.contains("moved by at most 0.")), "{:?}", outcome.notes);
     let unwraps = vec![("Chest.Yrotation".to_owned(), 360.0)];
     let turned =
         import_bytes(ImportFormat::Bvh, "nod.bvh", text.as_bytes(), &ImportOptions { unwraps, ..options });

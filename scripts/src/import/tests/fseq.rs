@@ -35,14 +35,17 @@ fn packed_channels_in_ranges_arrive_where_they_change() {
     assert_eq!(imported.robots(), ["star", "top"]);
     let lamp = &imported.scenes[0].robots[0].devices[0];
     let Course::Several(colors) = &lamp.course else { panic!() };
-    assert_eq!((lamp.keyframes.len(), lamp.keyframes[39].at_ms), (41, 975));
+    assert_eq!((lamp.keyframes.len(), lamp.keyframes[39].at.as_millis_f64()), (41, 975.0));
     for (frame, color) in colors.iter().enumerate().take(40) {
         let second = if frame >= 20 { 255.0 } else { 0.0 };
         assert_eq!(color, &vec![(frame * 6 % 256) as f64, second, 10.0]);
     }
     assert_eq!(colors[40], colors[39]);
-    assert_eq!(keyframes_of(&imported, "px2"), [(0, 2.0), (1_000, 2.0)]);
-    assert_eq!(keyframes_of(&imported, "dim"), [(0, 0.0), (250, 1.0), (500, 2.0), (750, 3.0), (1_000, 3.0)]);
+    assert_eq!(keyframes_of(&imported, "px2"), [(0.0, 2.0), (1_000.0, 2.0)]);
+    assert_eq!(
+        keyframes_of(&imported, "dim"),
+        [(0.0, 0.0), (250.0, 1.0), (500.0, 2.0), (750.0, 3.0), (1_000.0, 3.0)]
+    );
     for part in ["40 frames, one every 25 ms", "left out 2 channels", "what else the file says: sp"] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }

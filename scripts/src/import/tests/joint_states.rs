@@ -12,7 +12,7 @@ fn recorded_positions_arrive_bit_by_bit() {
     assert_eq!((elbow.len(), wrist.len()), (101, 101));
     for (index, (elbow, wrist)) in elbow.iter().zip(&wrist).enumerate() {
         let t = index as f64 * 0.02;
-        assert_eq!((elbow.0, wrist.0), (index as u64 * 20, index as u64 * 20));
+        assert_eq!((elbow.0, wrist.0), (index as f64 * 20.0, index as f64 * 20.0));
         assert!((elbow.1 - t.sin()).abs() < 1e-15 && (wrist.1 - 0.25 * t).abs() < 1e-15);
     }
     for part in ["left out 1 other topic: `/chatter`", "left out velocities and efforts"] {

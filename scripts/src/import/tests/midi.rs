@@ -1,4 +1,4 @@
-//! MIDI: notes, controllers and tempi against the times that another reader (mido) gives them.
+//! MIDI: notes, controllers and tempi against the times of an independent reading in exact fractions.
 
 use super::{fixture_of, keyframes_of, refused};
 use crate::import::{Course, ImportFormat, ImportOptions, import_bytes};
@@ -9,14 +9,15 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
     let outcome = import_bytes(ImportFormat::Midi, "beat.mid", &bytes, &ImportOptions::default());
     let imported = outcome.imported.unwrap();
     assert!(imported.devices().all(|(_, device)| device.course == Course::Held));
-    let controller = [(0, 0.0), (463, 30.0), (925, 60.0), (1_388, 90.0), (1_850, 120.0)];
+    let controller =
+        [(0.0, 0.0), (462.500_231, 30.0), (925.000_463, 60.0), (1_387.500_694, 90.0), (1_850.000_925, 120.0)];
     assert_eq!(keyframes_of(&imported, "ch1-cc7"), controller);
     let drum = keyframes_of(&imported, "ch10-note36");
-    assert_eq!(drum[..4], [(0, 100.0), (333, 0.0), (667, 99.0), (1_000, 0.0)]);
+    assert_eq!(drum[..4], [(0.0, 100.0), (333.333_5, 0.0), (666.667, 99.0), (1_000.000_5, 0.0)]);
     // The tempo changes after three beats.
-    assert_eq!(drum[6..9], [(2_000, 97.0), (2_214, 0.0), (2_429, 96.0)]);
-    assert_eq!(drum[drum.len() - 1], (3_929, 0.0));
-    assert_eq!(keyframes_of(&imported, "ch1-bend"), [(1_989, -8_192.0)]);
+    assert_eq!(drum[6..9], [(2_000.001, 97.0), (2_214.286_5, 0.0), (2_428.572, 96.0)]);
+    assert_eq!(drum[drum.len() - 1], (3_928.570_5, 0.0));
+    assert_eq!(keyframes_of(&imported, "ch1-bend"), [(1_988.889_883, -8_192.0)]);
     for part in ["times follow 2 tempo", "1 system exclusive message", "1 text", "1 signature"] {
         assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
     }

@@ -3,6 +3,7 @@
 use std::io::{Cursor, Write};
 
 use serde_json::{Value, json};
+use urrcp::Span;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
@@ -66,11 +67,14 @@ fn curves_are_followed_to_a_millionth_of_a_micrometre() {
         assert_eq!(pieces.len(), points.len(), "a wait for the takeoff, and each way");
         assert_eq!(
             pieces[0],
-            Piece { nanos: 1_500_000_000, coefficients: vec![points[0][1][axis].as_f64().unwrap()] }
+            Piece {
+                length: Span::from_millis(1_500),
+                coefficients: vec![points[0][1][axis].as_f64().unwrap()]
+            }
         );
         for (piece, pair) in pieces[1..].iter().zip(points.windows(2)) {
             let seconds = pair[1][0].as_f64().unwrap() - pair[0][0].as_f64().unwrap();
-            assert_eq!(piece.nanos as f64, seconds * 1e9);
+            assert_eq!(piece.length, Span::from_millis_f64(seconds * 1e3));
             let controls = pair[1][2].as_array().unwrap().iter().map(|control| &control[axis]);
             let all = std::iter::once(&pair[0][1][axis]).chain(controls).chain([&pair[1][1][axis]]);
             let all: Vec<f64> = all.map(|value| value.as_f64().unwrap()).collect();
@@ -93,8 +97,9 @@ fn straight_ways_headings_and_lamps_arrive() {
         let mut devices = imported.scenes[0].robots[robot].devices.iter();
         devices.find(|device| device.device == name).unwrap()
     };
-    let keyframes: Vec<_> = device(1, "z").keyframes.iter().map(|k| (k.at_ms, k.value)).collect();
-    assert_eq!(keyframes, [(0, 0.0), (2_000, 4.0), (10_000, 4.0), (12_000, 0.0)]);
+    let keyframes: Vec<_> =
+        device(1, "z").keyframes.iter().map(|k| (k.at.as_millis_f64(), k.value)).collect();
+    assert_eq!(keyframes, [(0.0, 0.0), (2_000.0, 4.0), (10_000.0, 4.0), (12_000.0, 0.0)]);
     assert_eq!((&device(1, "z").course, device(0, "yaw").unit.as_str()), (&Course::Straight, "deg"));
     let Course::Several(colors) = &device(1, "lamp").course else { panic!() };
     assert_eq!((&colors[0], &colors[colors.len() - 1]), (&vec![128.0; 3], &vec![0.0; 3]));

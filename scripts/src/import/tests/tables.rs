@@ -1,6 +1,7 @@
 //! A second reading of tables: drawn with whole numbers, written in all spellings of times, and compared with what is imported.
 
 use proptest::prelude::*;
+use urrcp::Span;
 
 use super::keyframes_of;
 
@@ -157,7 +158,9 @@ fn found(device: &DeviceMotion) -> Vec<(u64, Vec<f64>)> {
         Course::Several(all) => all[index].clone(),
         _ => vec![device.keyframes[index].value],
     };
-    (0..device.keyframes.len()).map(|index| (device.keyframes[index].at_ms, values(index))).collect()
+    (0..device.keyframes.len())
+        .map(|index| (device.keyframes[index].at.as_nanos() as u64 / 1_000_000, values(index)))
+        .collect()
 }
 
 fn column(rows: usize) -> impl Strategy<Value = Column> {
@@ -231,11 +234,12 @@ fn a_scene_from_the_middle_of_a_timeline_is_noted_and_can_begin_at_once() {
         late.notes
     );
     for start in [0, 500] {
-        let options = ImportOptions { start_ms: Some(start), ..options.clone() };
+        let options = ImportOptions { start: Some(Span::from_millis(start)), ..options.clone() };
         let moved = import_bytes(ImportFormat::Csv, "test", text.as_bytes(), &options);
         assert!(!moved.notes.iter().any(|note| note.contains("--start")), "{:?}", moved.notes);
         let imported = moved.imported.unwrap();
-        assert_eq!(keyframes_of(&imported, "a"), [(start, 0.0), (start + 250, 1.0)]);
-        assert_eq!(keyframes_of(&imported, "b"), [(start + 250, 5.0)]);
+        let start = start as f64;
+        assert_eq!(keyframes_of(&imported, "a"), [(start, 0.0), (start + 250.0, 1.0)]);
+        assert_eq!(keyframes_of(&imported, "b"), [(start + 250.0, 5.0)]);
     }
 }
