@@ -2,17 +2,19 @@
 
 use std::collections::BTreeMap;
 
-use midly::{MetaMessage, MidiMessage, PitchBend, Smf, Timing, TrackEventKind};
 use urrcp::Span;
 
 use crate::finding::Code;
 
 use super::input::Input;
 use super::sink::Sink;
+use super::standard_midi::{self, Event, Song, Timing};
 use super::{Course, DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
 
 /// Microseconds of a beat where the file says no tempo.
 const BEAT_US: f64 = 500_000.0;
+/// Most notes about parts of a file that are no tracks.
+const PASSED_OVER_MAX: usize = 20;
 /// Most events of a file.
 const EVENTS_MAX: usize = 2_000_000;
 
@@ -41,7 +43,6 @@ struct Read {
     sets: Vec<Set>,
     /// Ticks and microseconds a beat from there on.
     tempi: Vec<(u64, f64)>,
-    end: u64,
     exclusive: usize,
     texts: usize,
     other: usize,
@@ -49,7 +50,7 @@ struct Read {
 
 /// Reads one file: one robot in one scene.
 pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
-    let (timing, read) = match read_events(bytes) {
+    let (song, read) = match read_events(bytes) {
         Ok(read) => read,
         Err((code, message)) => {
             sink.about(name, code, message, "a standard MIDI file", None);
@@ -61,13 +62,12 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
         sink.about(name, Code::NothingToDo, "the file sets nothing".into(), expected, None);
         return Vec::new();
     }
-    let Some(devices) = devices(&read, timing, name, sink) else { return Vec::new() };
-    note(&read, timing, name, sink);
+    let Some(devices) = devices(&read, song.timing, name, sink) else { return Vec::new() };
+    note(&read, &song, name, sink);
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
-fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
-    let unreadable = |message: String| (Code::Unreadable, message);
+fn read_events(bytes: &[u8]) -> Result<(Song, Read), (Code, String)> {
     // An event takes at least two bytes, and tens of them in memory.
     if bytes.len() > 2 * EVENTS_MAX {
         return Err((
@@ -75,70 +75,43 @@ fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
             format!("the file has {} bytes, the limit is {}", bytes.len(), 2 * EVENTS_MAX),
         ));
     }
-    if names_no_frame_rate(bytes) {
-        return Err(unreadable("this is not a MIDI file: invalid smpte fps".to_owned()));
-    }
-    let smf = Smf::parse(bytes).map_err(|error| unreadable(format!("this is not a MIDI file: {error}")))?;
-    if matches!(smf.header.format, midly::Format::Sequential) && smf.tracks.len() > 1 {
-        return Err(unreadable("the tracks are songs of their own (format 2): save them one a file".into()));
-    }
     let mut read = Read::default();
-    for track in &smf.tracks {
-        let mut tick = 0_u64;
-        for event in track {
-            tick += u64::from(event.delta.as_int());
-            read.add(tick, &event.kind);
-        }
-        read.end = read.end.max(tick);
-    }
+    let song = standard_midi::read(bytes, |tick, event| read.add(tick, event));
+    let song = song.map_err(|message| (Code::Unreadable, message))?;
     read.sets.sort_by_key(|set| set.tick);
     read.tempi.sort_by_key(|(tick, _)| *tick);
-    Ok((smf.header.timing, read))
-}
-
-/// The one rate of frames, -128, that midly 0.5 negates without a look, in any header: it reads those behind the first as well.
-fn names_no_frame_rate(bytes: &[u8]) -> bool {
-    bytes.windows(13).any(|header| header.starts_with(b"MThd") && header[12] == 0x80)
+    Ok((song, read))
 }
 
 impl Read {
-    fn add(&mut self, tick: u64, kind: &TrackEventKind<'_>) {
-        match kind {
-            TrackEventKind::Midi { channel, message } => {
-                let (what, value) = what(message);
-                self.sets.push(Set { tick, channel: channel.as_int() + 1, what, value });
+    fn add(&mut self, tick: u64, event: Event<'_>) {
+        match event {
+            Event::Channel { channel, status, data } => {
+                let (what, value) = what(status, data);
+                self.sets.push(Set { tick, channel, what, value });
             }
-            TrackEventKind::Meta(MetaMessage::Tempo(us)) => {
-                self.tempi.push((tick, f64::from(us.as_int().max(1))));
+            Event::Meta { kind: 0x51, data: [a, b, c] } => {
+                let us = u32::from_be_bytes([0, *a, *b, *c]);
+                self.tempi.push((tick, f64::from(us.max(1))));
             }
-            TrackEventKind::Meta(MetaMessage::EndOfTrack) => {}
-            TrackEventKind::Meta(
-                MetaMessage::Text(_)
-                | MetaMessage::Lyric(_)
-                | MetaMessage::Marker(_)
-                | MetaMessage::CuePoint(_)
-                | MetaMessage::TrackName(_)
-                | MetaMessage::InstrumentName(_)
-                | MetaMessage::Copyright(_),
-            ) => self.texts += 1,
-            TrackEventKind::Meta(_) => self.other += 1,
-            TrackEventKind::SysEx(_) | TrackEventKind::Escape(_) => self.exclusive += 1,
+            Event::Meta { kind: 1..=15, .. } => self.texts += 1,
+            Event::Meta { .. } => self.other += 1,
+            Event::Exclusive => self.exclusive += 1,
         }
     }
 }
 
-fn what(message: &MidiMessage) -> (What, f64) {
-    let value = |value: midly::num::u7| f64::from(value.as_int());
-    match *message {
-        MidiMessage::NoteOn { key, vel } => (What::Note(key.as_int()), value(vel)),
-        MidiMessage::NoteOff { key, .. } => (What::Note(key.as_int()), 0.0),
-        MidiMessage::Aftertouch { key, vel } => (What::PressureOf(key.as_int()), value(vel)),
-        MidiMessage::Controller { controller, value: set } => {
-            (What::Controller(controller.as_int()), value(set))
-        }
-        MidiMessage::ProgramChange { program } => (What::Program, value(program)),
-        MidiMessage::ChannelAftertouch { vel } => (What::Pressure, value(vel)),
-        MidiMessage::PitchBend { bend: PitchBend(bend) } => (What::Bend, f64::from(bend.as_int()) - 8_192.0),
+/// What the message of a channel sets.
+fn what(status: u8, [first, second]: [u8; 2]) -> (What, f64) {
+    let value = f64::from(second);
+    match status {
+        0x80 => (What::Note(first), 0.0),
+        0x90 => (What::Note(first), value),
+        0xa0 => (What::PressureOf(first), value),
+        0xb0 => (What::Controller(first), value),
+        0xc0 => (What::Program, f64::from(first)),
+        0xd0 => (What::Pressure, f64::from(first)),
+        _ => (What::Bend, value * 128.0 + f64::from(first) - 8_192.0),
     }
 }
 
@@ -163,8 +136,8 @@ impl Clock<'_> {
     fn after(&self, tick: u64) -> f64 {
         let ticks = (tick - self.at.0) as f64;
         let seconds = match self.timing {
-            Timing::Metrical(beat) => self.beat_us / f64::from(beat.as_int().max(1)) / 1e6,
-            Timing::Timecode(rate, frame) => 1.0 / f64::from(rate.as_f32()) / f64::from(frame.max(1)),
+            Timing::Beats(ticks) => self.beat_us / ticks / 1e6,
+            Timing::Frames(rate, ticks) => 1.0 / rate / ticks,
         };
         self.at.1 + ticks * seconds
     }
@@ -217,14 +190,14 @@ fn device_name(channel: u8, what: What) -> String {
     }
 }
 
-fn note(read: &Read, timing: Timing, name: &str, sink: &mut Sink) {
+fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     let tempi = crate::counted(read.tempi.len(), "tempo");
-    sink.note(match timing {
-        Timing::Metrical(_) if read.tempi.is_empty() => {
+    sink.note(match song.timing {
+        Timing::Beats(_) if read.tempi.is_empty() => {
             format!("{name}: no tempo is stated: 120 beats a minute")
         }
-        Timing::Metrical(_) => format!("{name}: times follow {tempi} of the file"),
-        Timing::Timecode(rate, _) => format!("{name}: times are frames, {} a second", rate.as_f32()),
+        Timing::Beats(_) => format!("{name}: times follow {tempi} of the file"),
+        Timing::Frames(rate, _) => format!("{name}: times are frames, {rate:.2} a second"),
     });
     sink.note(format!(
         "{name}: a note is its velocity while it sounds, and 0 else; how fast it is let go is left out"
@@ -237,5 +210,14 @@ fn note(read: &Read, timing: Timing, name: &str, sink: &mut Sink) {
         if count > 0 {
             sink.note(format!("{name}: left out {}", crate::counted(count, what)));
         }
+    }
+    if song.resumed > 0 {
+        let events = crate::counted(song.resumed, "event");
+        sink.note(format!(
+            "{name}: {events} continue a running status behind a text or an exclusive message"
+        ));
+    }
+    for part in song.passed_over.iter().take(PASSED_OVER_MAX) {
+        sink.note(format!("{name}: left out {part}"));
     }
 }

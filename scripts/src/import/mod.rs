@@ -25,6 +25,7 @@ mod polynomial;
 mod remarks;
 mod sink;
 mod skybrush;
+mod standard_midi;
 mod table;
 mod timed_csv;
 mod tree;

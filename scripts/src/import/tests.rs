@@ -209,6 +209,21 @@ proptest! {
         let changes: Vec<_> = changes.into_iter().map(|(at, kind, t)| (at, if kind > 2 { 1 } else { kind }, t)).collect();
         check_outcome(format, &mutated(text, &changes));
     }
+
+    #[test]
+    fn broken_songs_never_panic(changes in prop::collection::vec((any::<usize>(), any::<u8>()), 1..8), length in any::<usize>()) {
+        let mut bytes = fixture_of("beat.mid");
+        for (at, byte) in changes {
+            let at = at % bytes.len();
+            bytes[at] = byte;
+        }
+        bytes.truncate(length % (2 * bytes.len()));
+        let outcome = import_bytes(ImportFormat::Midi, "a.mid", &bytes, &ImportOptions::default());
+        prop_assert_eq!(outcome.imported.is_some(), outcome.findings.is_empty());
+        for (_, device) in outcome.imported.iter().flat_map(Imported::devices) {
+            prop_assert!(device.keyframes.windows(2).all(|pair| pair[0].at < pair[1].at), "{:?}", device);
+        }
+    }
 }
 
 /// ROS and Webots have radians and metres.
