@@ -502,3 +502,24 @@ fn wrong_usage_is_told() {
         .says(1, &["DB0067", "2 names for 3 robots"]);
     import(&session, &["--help"]).says(0, &["Examples:", "downbeat import crazyswarm pp*.csv"]);
 }
+
+#[test]
+fn files_of_equal_names_are_told_apart_by_their_folders() {
+    let session = Session::new();
+    let bytes = std::fs::read(fixture("star.fseq")).unwrap();
+    for folder in ["left", "right"] {
+        std::fs::create_dir(session.path(folder)).unwrap();
+        session.file(&format!("{folder}/show.fseq"), &bytes);
+        session.file(&format!("{folder}/one.csv"), "t [s],a\n0,1\n1,2\n");
+        session.file(&format!("{folder}/two.csv"), "t [s],a\n0,3\n1,4\n");
+    }
+    let files = ["fseq", "left/show.fseq", "right/show.fseq"];
+    let ran = import(&session, &[&files[..], &["--map", "star/dim=1"]].concat());
+    ran.says(0, &["1 robot, 2 scenes", "- act: left\n", "- act: right\n"]);
+    let ran = import(&session, &[&files[..], &["--map", "dim=1"]].concat());
+    ran.says(0, &["2 robots, 1 scene", "named by their folders", "robots: left\n", "robots: right\n"]);
+    let ran = import(&session, &["csv", "left", "right", "--map", "a=a"]);
+    ran.says(0, &["2 robots, 2 scenes", "- act: left\n", "robots: one\n", "robots: two\n"]);
+    import(&session, &["fseq", "left/show.fseq", "left/show.fseq", "--map", "star/dim=1"])
+        .says(1, &["DB0067", "two files move `star`"]);
+}

@@ -1,5 +1,6 @@
 //! From the arguments to the files, and from their names to robots and scenes.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -147,13 +148,8 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
             false => files.push(path.clone()),
         }
     }
-    if format == ImportFormat::Csv && robot_a_file(options) {
-        files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
-        if files.len() > 1 {
-            sink.note(format!("{} files, a robot each, named by them", files.len()));
-        }
-        let own = |path: PathBuf| Input { robot: stem(&path), path, scene: String::new() };
-        return files.into_iter().map(own).collect();
+    if format.is_mapped() && robot_a_file(options) {
+        return robots_apart(files, sink);
     }
     if files.len() > 1 && files.iter().all(|file| is_number(&stem(file))) {
         files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
@@ -162,15 +158,69 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
     let kind = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
     let apart = format.is_single() && files.len() > 1 && files.len() == options.robots.len();
     let alone = files.len() == 1;
-    let inputs = files.into_iter().enumerate().map(|(index, path)| {
-        let scene = if alone || apart { String::new() } else { scene_name(&stem(&path)) };
+    let scenes = scene_names(&files);
+    let inputs = files.into_iter().zip(scenes).enumerate().map(|(index, (path, scene))| {
+        let scene = if alone || apart { String::new() } else { scene };
         let robot = if apart { options.robots[index].clone() } else { kind.clone() };
         Input { path, robot, scene }
     });
     inputs.collect()
 }
 
-/// Whether each CSV moves a robot of its own: so it is where no column is told whose it is.
+/// One robot per file, named by the file. If files have equal names, their folders distinguish them: a folder of one file names the
+/// robot, and otherwise each folder is a scene.
+fn robots_apart(mut files: Vec<PathBuf>, sink: &mut Sink) -> Vec<Input> {
+    files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
+    let folders = folder_names(&files);
+    let (by_name, by_folder) =
+        (are_distinct(files.iter().map(|file| stem(file))), are_distinct(folders.iter().cloned()));
+    if files.len() > 1 {
+        let names = if by_name || !by_folder { "them" } else { "their folders" };
+        sink.note(format!("{} files, a robot each, named by {names}", files.len()));
+    }
+    let input = |(path, folder): (PathBuf, String)| match (by_name, by_folder) {
+        (true, _) => Input { robot: stem(&path), path, scene: String::new() },
+        (false, true) => Input { robot: folder, path, scene: String::new() },
+        (false, false) => Input { robot: stem(&path), path, scene: folder },
+    };
+    let mut inputs: Vec<Input> = files.into_iter().zip(folders).map(input).collect();
+    inputs.sort_by(|a, b| natural_order(&a.scene, &b.scene));
+    inputs
+}
+
+/// The names of files as scenes, with their folders where they are equal otherwise.
+fn scene_names(files: &[PathBuf]) -> Vec<String> {
+    let stems: Vec<String> = files.iter().map(|file| stem(file)).collect();
+    let folders = folder_names(files);
+    if are_distinct(stems.iter().cloned()) {
+        stems.iter().map(|stem| scene_name(stem)).collect()
+    } else if are_distinct(folders.iter().cloned()) {
+        folders
+    } else {
+        folders.iter().zip(&stems).map(|(folder, stem)| format!("{folder}/{stem}")).collect()
+    }
+}
+
+/// The folder of each file: its name, or its whole path where two folders have the same name.
+fn folder_names(files: &[PathBuf]) -> Vec<String> {
+    let of = |file: &PathBuf| file.parent().map(Path::to_path_buf).unwrap_or_default();
+    let name = |folder: &PathBuf| {
+        folder.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+    };
+    let mut folders: Vec<PathBuf> = files.iter().map(of).collect();
+    let names: Vec<String> = folders.iter().map(name).collect();
+    let paths: Vec<String> = folders.iter().map(|folder| folder.display().to_string()).collect();
+    folders.sort();
+    folders.dedup();
+    if are_distinct(folders.iter().map(name)) { names } else { paths }
+}
+
+fn are_distinct(names: impl Iterator<Item = String>) -> bool {
+    let mut seen = HashSet::new();
+    names.into_iter().all(|name| seen.insert(name))
+}
+
+/// Whether each file moves a robot of its own: no `--map` names a robot.
 fn robot_a_file(options: &ImportOptions) -> bool {
     !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
