@@ -504,6 +504,29 @@ fn wrong_usage_is_told() {
 }
 
 #[test]
+fn messages_of_ros_that_were_printed_are_scenes() {
+    let session = Session::new();
+    let message = |position: f64, time: u32| {
+        format!(
+            "header:\n  frame_id: ''\njoint_names:\n- elbow\npoints:\n- positions:\n  - {position}\n  velocities: []\n  time_from_start:\n    sec: {time}\n    nanosec: 5\n---\n"
+        )
+    };
+    session.file("one.yaml", message(0.5, 1));
+    import(&session, &["joint-trajectory", "one.yaml"]).says(0, &["cues:\n", "at: 1.000000005s, to: 0.5"]);
+    session.file("two.yaml", message(0.5, 1) + &message(0.75, 2));
+    import(&session, &["joint-trajectory", "two.yaml"]).says(
+        0,
+        &["2 messages, a scene each", "- act: message 1", "- act: message 2", "at: 2.000000005s, to: 0.75"],
+    );
+    session.file("cut.yaml", message(0.5, 1) + &message(0.75, 2).replace("- 0.75", "- 0.75\n  - '...'"));
+    import(&session, &["joint-trajectory", "cut.yaml"])
+        .says(1, &["DB0061", "cut.yaml:20:5", "--full-length"]);
+    session.file("states.yaml", "header:\n  frame_id: ''\nname:\n- elbow\nposition:\n- 0.5\n---\n".repeat(3));
+    import(&session, &["joint-trajectory", "states.yaml"])
+        .says(1, &["DB0006", "joint states", "ros2 bag record", "1 error"]);
+}
+
+#[test]
 fn files_of_equal_names_are_told_apart_by_their_folders() {
     let session = Session::new();
     let bytes = std::fs::read(fixture("star.fseq")).unwrap();

@@ -49,8 +49,55 @@ fn are_curved(points: &[JointPoint]) -> bool {
     !points.is_empty() && points.iter().all(|point| point.velocities.is_some())
 }
 
-/// Reads one file: one robot in one scene.
+/// Reads one file: one robot in a scene for each message. `ros2 topic echo` ends each with `---`.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
+    let messages = messages(source);
+    let several = messages.len() > 1;
+    if several {
+        sink.note(format!("{}: {} messages, a scene each", source.name, messages.len()));
+    }
+    let mut motions = Vec::new();
+    for (index, (line, message)) in messages.iter().enumerate() {
+        let found = sink.findings.len();
+        let scene = match (several, input.scene.as_str()) {
+            (false, scene) => scene.to_owned(),
+            (true, "") => format!("message {}", index + 1),
+            (true, scene) => format!("{scene}: message {}", index + 1),
+        };
+        motions.extend(read_message(&Input { scene, ..input.clone() }, message, options, sink));
+        if sink.findings.len() > found {
+            sink.findings[found..].iter_mut().for_each(|finding| finding.line += line);
+            break;
+        }
+    }
+    motions
+}
+
+/// The documents of a text, each with the number of lines before it.
+fn messages(source: &Source) -> Vec<(usize, Source)> {
+    let of = |text: String| Source { name: source.name.clone(), text };
+    let mut messages = vec![(0, String::new())];
+    for (index, line) in source.text.split_inclusive('\n').enumerate() {
+        match (line.trim_end(), messages.last_mut()) {
+            ("---", _) => messages.push((index + 1, String::new())),
+            (_, Some((_, text))) => text.push_str(line),
+            (_, None) => {}
+        }
+    }
+    let is_empty =
+        |text: &str| text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#'));
+    let mut filled: Vec<_> = messages
+        .into_iter()
+        .filter(|(_, text)| !is_empty(text))
+        .map(|(line, text)| (line, of(text)))
+        .collect();
+    if filled.is_empty() {
+        filled.push((0, of(source.text.clone())));
+    }
+    filled
+}
+
+fn read_message(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let read = tree::read(source, sink, |root, findings, _| read_points(root, findings));
     let Some((joints, points)) = read else { return Vec::new() };
     if points.first().is_some_and(|point| point.at == Span::ZERO) {
@@ -151,6 +198,18 @@ fn read_points(root: &At<'_>, findings: &mut Reader) -> Option<(Vec<String>, Vec
     // Goals of actions and displays wrap the message in a field of this name.
     let inner = tree::optional(root, "trajectory").or_else(|| tree::optional(root, "joint_trajectory"));
     let root = inner.as_ref().unwrap_or(root);
+    if tree::optional(root, "name").is_some() && tree::optional(root, "position").is_some() {
+        let message = "this is a message of joint states, not a joint trajectory";
+        let hint = "record the topic with `ros2 bag record --storage mcap`, and import the recording as mcap";
+        findings.add(
+            Code::MissingKey,
+            root.place(),
+            message,
+            "`joint_names` and `points`",
+            Some(hint.into()),
+        );
+        return None;
+    }
     let what = "a joint trajectory";
     let joints = tree::required(root, "joint_names", what, findings);
     let joints = joints.and_then(|at| tree::unique_names(&at, "joint", findings));

@@ -161,7 +161,9 @@ pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f
         Node::Number(value) if value.is_finite() => Some(*value),
         other => {
             let message = format!("{what} is {}", other.kind());
-            findings.add(Code::ImportNumber, at.place(), message, "a finite number", None);
+            let is_cut = matches!(other, Node::Text(text) if text == "...");
+            let hint = is_cut.then(|| "print all of it with `ros2 topic echo --full-length`".to_owned());
+            findings.add(Code::ImportNumber, at.place(), message, "a finite number", hint);
             None
         }
     }
