@@ -54,7 +54,8 @@ impl Source {
 
 /// A file whose bytes are text up to here only.
 fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
-    let save = || "save the file with the encoding UTF-8".to_owned();
+    let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
+    let save = || format!("save the file with the encoding UTF-8{in_excel}");
     let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
     let (message, hint) = match identify::binary(bytes) {
         Some(what) => {

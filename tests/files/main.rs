@@ -6,3 +6,4 @@ mod export;
 mod host;
 mod import;
 mod import_real;
+mod import_tables;

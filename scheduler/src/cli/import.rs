@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use clap::builder::PossibleValue;
 use downbeat_scripts::import::{
-    self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit,
+    self, Decimal, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit,
 };
 use downbeat_scripts::{Finding, Source, counted};
 use serde::Serialize;
@@ -61,7 +61,8 @@ pub(super) struct ImportArgs {
     /// The description of the robots. By default one is made from the range of the data.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Sample curves at this rate. By default they stay curves if possible.
+    /// Sample curves at this rate. By default they stay curves if possible. For a csv with frame numbers or timecodes: the frames per
+    /// second.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
     /// Largest number of polynomial pieces per robot and scene. A Crazyflie has 4 KB for pieces of 132 bytes.
@@ -88,6 +89,12 @@ pub(super) struct ImportArgs {
     /// The unit of the times of a csv, if its header does not name one: h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss or mm:ss:ms.
     #[arg(long, value_name = "UNIT")]
     time_unit: Option<TimeUnit>,
+    /// Leave out the first lines of a csv, for example a title.
+    #[arg(long, value_name = "LINES")]
+    skip: Option<usize>,
+    /// The decimal mark of a csv. By default the one on which its numbers agree.
+    #[arg(long, value_name = "point|comma")]
+    decimal: Option<Decimal>,
     /// The column of a csv, or the channel of an fseq, that moves a device. Several columns are separated by commas. A `*` stands
     /// for any text, and `*=*` for all columns that no other --map names. Without a robot, each file is a robot.
     #[arg(long, value_name = "[ROBOT/]DEVICE=COLUMN", value_parser = column)]
@@ -251,7 +258,13 @@ fn exit_of(findings: &[Finding]) -> Exit {
 
 /// What is wrong with the options for a format.
 fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> {
-    let for_csv = [args.time.is_some(), args.time_unit.is_some(), !args.hold.is_empty()];
+    let for_csv = [
+        args.time.is_some(),
+        args.time_unit.is_some(),
+        args.skip.is_some(),
+        args.decimal.is_some(),
+        !args.hold.is_empty(),
+    ];
     // What a star stands for may say the robot.
     let whose = |(to, _): &(String, String)| to.contains('/');
     let nobodys = |(to, _): &(String, String)| !to.contains(['/', '*']);
@@ -260,7 +273,7 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
             "csv needs to know which column moves which device: add --map ROBOT/DEVICE=COLUMN, or --map DEVICE=COLUMN if each file is a robot",
         )
     } else if from != ImportFormat::Csv && for_csv.contains(&true) {
-        Some("--time, --time-unit and --hold are options of csv only: leave them out")
+        Some("--time, --time-unit, --skip, --decimal and --hold are options of csv only: leave them out")
     } else if !from.is_mapped() && !args.map.is_empty() {
         Some("--map is an option of csv and fseq only: leave it out")
     } else if args.map.iter().any(whose) && args.map.iter().any(nobodys) {
@@ -296,6 +309,8 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
         scales: args.scale.clone(),
         time_column: args.time.clone(),
         time_unit: args.time_unit,
+        skip: args.skip.unwrap_or(0),
+        decimal: args.decimal,
         holds: args.hold.clone(),
         unwraps: args.unwrap.clone(),
         start: args.start,

@@ -43,7 +43,7 @@ pub(super) fn assemble(
     unwrap(&mut scenes, options, &file, sink);
     remarks::note_turns(&scenes, sink);
     scale(&mut scenes, options, &file, sink);
-    start(&mut scenes, options, sink);
+    start(&mut scenes, options, &file, sink);
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
     }
@@ -199,25 +199,34 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
 /// A first value at this time or later is late: the scene may come from the middle of a timeline.
 const LATE: Span = Span::from_millis(1_000);
 
-/// Shifts each scene so that its first value comes at the time that the user gives, or notes that it is late.
-fn start(scenes: &mut [Scene], options: &ImportOptions, sink: &mut Sink) {
+/// Shifts each scene so that its first value comes at the time that the user gives, and dates so that it comes at 0 s. Other
+/// first values that are late are noted.
+fn start(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for scene in scenes {
         let mut devices: Vec<_> = scene.robots.iter_mut().flat_map(|robot| &mut robot.devices).collect();
         let firsts = devices.iter().filter_map(|device| device.keyframes.first().map(|first| first.at));
         let Some(first) = firsts.min() else { continue };
         // Curves begin with their scene.
         let are_points = devices.iter().all(|device| !matches!(device.course, Course::Pieces(_)));
-        match options.start {
-            Some(start) if are_points => {
-                let keyframes = devices.iter_mut().flat_map(|device| &mut device.keyframes);
-                keyframes.for_each(|keyframe| keyframe.at = keyframe.at - first + start);
-            }
-            None if are_points && first >= LATE => sink.note(format!(
-                "`{}` sets its first value at {} s, and devices move there until then; --start 0s begins with it",
-                shortened(&scene.name),
+        let name = shortened(&scene.name);
+        if options.start.is_none() && keyframes::is_date(first) {
+            sink.note(format!("`{name}`: times are dates, they count from the first value"));
+        } else if options.start.is_none() && are_points && first >= LATE {
+            sink.note(format!(
+                "`{name}` sets its first value at {} s, and devices move there until then; --start 0s begins with it",
                 keyframes::seconds(first)
-            )),
-            _ => {}
+            ));
+        }
+        let start = options.start.filter(|_| are_points);
+        if let Some(start) = start.or(keyframes::is_date(first).then_some(Span::ZERO)) {
+            let keyframes = devices.iter_mut().flat_map(|device| &mut device.keyframes);
+            keyframes.for_each(|keyframe| keyframe.at = keyframe.at - first + start);
+        }
+        if keyframes::seconds(scene.duration()) > keyframes::SECONDS_MAX {
+            let message = format!("`{name}` lasts {} s", keyframes::seconds(scene.duration()));
+            let expected = format!("at most {} s", keyframes::SECONDS_MAX);
+            let hint = Some("import files of different days as scenes of their own");
+            sink.about(file, Code::ImportTime, message, &expected, hint);
         }
     }
 }

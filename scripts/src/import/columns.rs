@@ -33,10 +33,12 @@ pub(super) struct Chosen {
 impl<'a> Header<'a> {
     /// `time` may be in a cell: then this is not a header.
     pub(super) fn new(mut row: Row<'a>) -> Self {
+        // Also clock times, dates and numbers with decimal commas.
         let value = |text: &str| {
-            text.is_empty()
-                || text.parse::<f64>().is_ok()
-                || text.bytes().all(|b| b.is_ascii_digit() || b":.".contains(&b))
+            let begins =
+                text.is_empty() || text.starts_with(|c: char| c.is_ascii_digit() || "+-.,".contains(c));
+            let is_time = |b: u8| b.is_ascii_digit() || b":;.,+-TZeE ".contains(&b);
+            text.parse::<f64>().is_ok() || begins && text.bytes().all(is_time)
         };
         let named = row.cells.iter().any(|cell| !value(&cell.text));
         row.drop_trailing(row.cells.len().saturating_sub(1));

@@ -6,6 +6,7 @@ use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
 
+use super::dialect::Dialect;
 use super::input::Input;
 use super::keyframes;
 use super::polynomial::{AXES, COEFFICIENTS, Piece, Trajectory};
@@ -65,7 +66,7 @@ fn sample(trajectory: &Trajectory, axis: usize, at: Span) -> Keyframe {
 }
 
 fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece> {
-    let mut rows = rows(source, ',');
+    let mut rows = rows(source, Dialect::of(source, 0, None));
     let names = column_names();
     let Some(mut header) = rows.next() else {
         sink.about(
@@ -174,7 +175,7 @@ fn check_end(start_s: f64, piece: &Piece, row: &Row<'_>, source: &Source, sink: 
 }
 
 fn too_many_pieces(pieces_max: usize, row: &Row<'_>, source: &Source, sink: &mut Sink) {
-    let all = rows(source, ',').count() - 1;
+    let all = rows(source, Dialect::of(source, 0, None)).count() - 1;
     let message = format!("the trajectory has {all} pieces, one robot holds {pieces_max}");
     let hint =
         "a Crazyflie has 4 KB for pieces of 132 bytes; split the file into scenes, or say --max-pieces";

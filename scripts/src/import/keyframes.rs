@@ -18,6 +18,14 @@ pub(super) fn span(seconds: f64) -> Option<Span> {
     (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
 }
 
+/// From 1990 to 2200, in seconds since 1970.
+const DATES_S: std::ops::Range<f64> = 631_152_000.0..7_258_118_400.0;
+
+/// Whether a time is one of a calendar and cannot count from the start of a scene.
+pub(super) fn is_date(at: Span) -> bool {
+    DATES_S.contains(&seconds(at))
+}
+
 /// In seconds, for notes and curves.
 pub(super) fn seconds(span: Span) -> f64 {
     span.as_nanos() as f64 / 1e9

@@ -8,6 +8,7 @@ mod bitbots;
 mod bvh;
 mod columns;
 mod crazyswarm;
+mod dialect;
 mod fleet_part;
 mod fseq;
 mod grid;
@@ -27,6 +28,7 @@ mod sink;
 mod skybrush;
 mod standard_midi;
 mod table;
+mod text;
 mod timed_csv;
 mod tree;
 mod units;
@@ -47,6 +49,7 @@ use crate::source::{Source, read_bytes};
 use input::Input;
 use sink::Sink;
 
+pub use dialect::Decimal;
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
 pub use urdf::{UrdfOutcome, urdf};
@@ -144,7 +147,8 @@ impl ImportFormat {
 /// What the user wishes.
 #[derive(Clone, Debug, Default)]
 pub struct ImportOptions {
-    /// Samples a second for curves, from 0.001 to 1000; piece boundaries or points where absent.
+    /// Samples a second for curves, from 0.001 to 1000; piece boundaries or points where absent. Frames a second for a CSV whose
+    /// times are numbers of frames or timecodes.
     pub rate_hz: Option<f64>,
     /// Most polynomial pieces that a robot holds.
     pub pieces_max: Option<usize>,
@@ -162,6 +166,10 @@ pub struct ImportOptions {
     pub time_column: Option<String>,
     /// What the times of a CSV mean; otherwise its header has to say it.
     pub time_unit: Option<TimeUnit>,
+    /// Lines of a CSV before its header.
+    pub skip: usize,
+    /// The decimal mark of a CSV; otherwise the one on which its numbers agree.
+    pub decimal: Option<Decimal>,
     /// `robot/device`, or `device` where each file is a robot; and its column, several with commas between. A `*` in both
     /// stands for what differs.
     pub columns: Vec<(String, String)>,
@@ -377,7 +385,7 @@ pub struct ImportOutcome {
 pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) -> ImportOutcome {
     let mut sink = Sink::default();
     let inputs = input::gather(format, paths, options, &mut sink);
-    if options.rate_hz.is_some() && !format.has_curves() {
+    if options.rate_hz.is_some() && !format.has_curves() && format != ImportFormat::Csv {
         sink.note(format!("{} has no curves: --rate samples nothing", format.word()));
     }
     let mut motions = Vec::new();
@@ -428,7 +436,7 @@ fn read(
         ImportFormat::Midi => midi::read(input, &name, &bytes, sink),
         ImportFormat::Fseq => fseq::read(input, &name, &bytes, options, sink),
         ImportFormat::Mcap => joint_states::read(input, &name, &bytes, sink),
-        _ => match Source::of_bytes(&name, bytes) {
+        _ => match text::source(&name, bytes) {
             Ok(source) => read_text(format, input, &source, options, sink),
             Err(finding) => {
                 sink.findings.push(finding);

@@ -224,6 +224,17 @@ proptest! {
             prop_assert!(device.keyframes.windows(2).all(|pair| pair[0].at < pair[1].at), "{:?}", device);
         }
     }
+
+    #[test]
+    fn times_of_any_text_never_panic(text in "[0-9]{0,30}[0-9:;.,eE+TZ -]{0,30}[0-9]{0,30}", rate in 0.001..1_000.0) {
+        use TimeUnit::{Date, Frames, HoursMinutesSeconds, MinutesSeconds, MinutesSecondsMillis, Nanos, Timecode};
+        for unit in [Nanos(1), Nanos(3_600_000_000_000), Frames(rate), Timecode(rate), Timecode(29.97)] {
+            unit.time(&text);
+        }
+        for unit in [HoursMinutesSeconds, MinutesSeconds, MinutesSecondsMillis, Date] {
+            unit.time(&text);
+        }
+    }
 }
 
 /// ROS and Webots have radians and metres.

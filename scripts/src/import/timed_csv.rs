@@ -9,10 +9,11 @@ use crate::node::shortened;
 use crate::source::Source;
 
 use super::columns::Header;
+use super::dialect::{self, Decimal, Dialect};
 use super::input::Input;
 use super::moments::{self, Said, TimeUnit, UNITS};
 use super::sink::Sink;
-use super::table::{Row, rows, separator_of};
+use super::table::{Row, rows};
 use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot, keyframes};
 
 /// Columns that move a device.
@@ -31,9 +32,19 @@ struct TimeColumn {
     unit: TimeUnit,
 }
 
+/// A table with its header and the options of the user.
+#[derive(Clone, Copy)]
+struct Table<'a> {
+    source: &'a Source,
+    dialect: Dialect,
+    header: &'a Header<'a>,
+    options: &'a ImportOptions,
+}
+
 /// Reads one file: all mapped robots in one scene.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
-    let mut rows = rows(source, separator_of(source)).peekable();
+    let dialect = Dialect::of(source, options.skip, options.decimal);
+    let mut rows = rows(source, dialect).peekable();
     let Some(first) = rows.peek().cloned() else {
         let expected = "a header and a line a time";
         sink.about(&source.name, Code::ImportTable, "the file is empty".into(), expected, None);
@@ -43,19 +54,29 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     if header.named {
         rows.next();
     }
-    let Some((time, mut mapped)) = columns(&header, input, options, source, sink) else { return Vec::new() };
+    let table = Table { source, dialect, header: &header, options };
+    if begins_with_title(&table, sink) {
+        return Vec::new();
+    }
+    let Some((time, mut mapped)) = columns(&table, input, sink) else { return Vec::new() };
+    if dialect.decimal == Some(Decimal::Comma) && options.decimal.is_none() {
+        sink.note(format!("{}: numbers have decimal commas", source.name));
+    }
     let found = sink.findings.len();
-    let mut before = None;
+    let mut clock = Clock { time, first: None, last: None };
     for mut row in rows {
         row.drop_trailing(header.width);
-        read_row(&row, header.width, &time, &mut before, &mut mapped, source, sink);
+        if row.has(header.width, source, sink) {
+            let at = clock.read(&row, source, sink);
+            read_row(&row, at, &mut mapped, source, sink);
+        }
         let keyframes =
             mapped.iter().map(|mapped| mapped.motion.keyframes.len() * mapped.indices.len()).sum::<usize>();
         if sink.is_full(source) || !sink.has_room_for(keyframes as f64) {
             break;
         }
     }
-    if before.is_none() && sink.findings.len() == found {
+    if clock.last.is_none() && sink.findings.len() == found {
         sink.about(
             &source.name,
             Code::NothingToDo,
@@ -64,18 +85,27 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
             None,
         );
     }
+    clock.note(options, source, sink);
     motions(input, mapped, source, sink)
 }
 
-fn columns(
-    header: &Header<'_>,
-    input: &Input,
-    options: &ImportOptions,
-    source: &Source,
-    sink: &mut Sink,
-) -> Option<(TimeColumn, Vec<Mapped>)> {
+/// Whether lines with fewer cells are before the table; a finding then.
+fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
+    let Some((before, cells)) = dialect::table_behind_title(table.source, table.dialect) else {
+        return false;
+    };
+    let own = crate::counted(table.header.width, "column");
+    let message = format!("the first line has {own}, but those from line {} on have {cells}", before + 1);
+    let hint = format!("if the lines before it are a title, --skip {before} leaves them out");
+    let expected = "the names of all columns";
+    sink.found(table.source, table.header.row.spot(0), Code::ImportTable, message, expected, Some(&hint));
+    true
+}
+
+fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeColumn, Vec<Mapped>)> {
+    let Table { header, options, source, .. } = *table;
     let index = header.index(options.time_column.as_deref().unwrap_or("t"), source, sink);
-    let unit = index.and_then(|index| time_unit(header, index, options, source, sink));
+    let unit = index.and_then(|index| time_unit(table, index, sink));
     let mut mapped: Vec<Mapped> = Vec::new();
     let mut complete = true;
     let mut used: HashSet<usize> = index.into_iter().collect();
@@ -115,13 +145,8 @@ fn columns(
 }
 
 /// What the times mean: as the user says, else as the header says, else as the times show by themselves. Never a guess.
-fn time_unit(
-    header: &Header<'_>,
-    index: usize,
-    options: &ImportOptions,
-    source: &Source,
-    sink: &mut Sink,
-) -> Option<TimeUnit> {
+fn time_unit(table: &Table<'_>, index: usize, sink: &mut Sink) -> Option<TimeUnit> {
+    let Table { header, options, source, .. } = *table;
     let said = moments::said_by(header.text(index));
     if let Some(unit) = options.time_unit {
         if matches!(said, Said::Unit(other) if other != unit) {
@@ -133,60 +158,75 @@ fn time_unit(
         }
         return Some(unit);
     }
-    let skipped = usize::from(header.named);
-    let time = |row: Row<'_>| row.cells.get(index).map(|cell| cell.text.clone().into_owned());
-    let times =
-        || rows(source, separator_of(source)).skip(skipped).filter_map(time).filter(|text| !text.is_empty());
-    let clock = times().next().is_some_and(|text| text.contains(':'));
-    if clock {
-        let texts: Vec<String> = times().collect();
-        let fitting = moments::clocks(texts.iter().map(String::as_str));
-        return match fitting.as_slice() {
-            [(_, one)] => Some(*one),
-            // Which line is wrong is found when it is read.
-            [] => moments::clocks(texts.first().map(String::as_str).into_iter())
-                .first()
-                .map(|(_, unit)| *unit)
-                .or_else(|| {
-                    unclear(header, index, "the times can be read in no way", source, sink);
-                    None
-                }),
-            several => {
-                let words: Vec<_> = several.iter().map(|(word, _)| *word).collect();
-                let message = format!("the times may be {}", words.join(" or "));
-                unclear(header, index, &message, source, sink);
-                None
+    let times = || {
+        let rows = rows(source, table.dialect).skip(usize::from(header.named));
+        rows.map(move |row| row.plain(index).into_owned()).filter(|text| !text.is_empty())
+    };
+    let first = times().next().unwrap_or_default();
+    if TimeUnit::Date.time(&first).is_some() {
+        return Some(TimeUnit::Date);
+    }
+    match (first.matches([':', ';']).count(), said, options.rate_hz) {
+        (3, _, Some(rate)) => Some(TimeUnit::Timecode(rate)),
+        (3, _, None) => {
+            table.unclear(index, "nothing says how many frames a second the timecodes have", FRAMES, sink)
+        }
+        (1.., ..) => clock(table, index, &first, &times().collect::<Vec<_>>(), sink),
+        (0, Said::Unit(unit), _) => Some(unit),
+        (0, Said::Nothing | Said::Frames, Some(rate)) => Some(TimeUnit::Frames(rate)),
+        (0, Said::Frames, None) => {
+            table.unclear(index, "nothing says how many frames there are a second", FRAMES, sink)
+        }
+        (0, Said::Unclear, _) => table.unclear(index, "the unit of the times is not known", UNIT, sink),
+        (0, Said::Nothing, None) => match moments::unix(&first, &times().last().unwrap_or_default()) {
+            Some((word, unit)) => {
+                sink.note(format!("{}: the times are Unix times in {word}", source.name));
+                Some(unit)
             }
-        };
+            None => table.unclear(index, "nothing says in which unit the times are", UNIT, sink),
+        },
     }
-    match said {
-        Said::Unit(unit) => return Some(unit),
-        Said::Unclear => unclear(header, index, "the unit of the times is not known", source, sink),
-        Said::Nothing => unclear(header, index, "nothing says in which unit the times are", source, sink),
-    }
-    None
 }
 
-fn unclear(header: &Header<'_>, index: usize, message: &str, source: &Source, sink: &mut Sink) {
-    let hint = Some("say it with --time-unit, such as --time-unit s");
-    let expected = format!("{UNITS}, in the name of the column or by --time-unit");
-    sink.found(source, header.row.spot(index), Code::ImportTime, message, expected, hint);
-}
-
-fn read_row(
-    row: &Row<'_>,
-    width: usize,
-    time: &TimeColumn,
-    before: &mut Option<Span>,
-    mapped: &mut [Mapped],
-    source: &Source,
+/// The only way in which all clock times can be read.
+fn clock(
+    table: &Table<'_>,
+    index: usize,
+    first: &str,
+    texts: &[String],
     sink: &mut Sink,
-) {
-    if !row.has(width, source, sink) {
-        return;
+) -> Option<TimeUnit> {
+    match moments::clocks(texts.iter().map(String::as_str)).as_slice() {
+        [(_, one)] => Some(*one),
+        // Which line is wrong is found when it is read.
+        [] => match moments::clocks(std::iter::once(first)).first() {
+            Some((_, unit)) => Some(*unit),
+            None => table.unclear(index, "the times can be read in no way", UNIT, sink),
+        },
+        several => {
+            let words: Vec<_> = several.iter().map(|(word, _)| *word).collect();
+            table.unclear(index, &format!("the times may be {}", words.join(" or ")), UNIT, sink)
+        }
     }
-    let at = seconds(row, time, source, sink)
-        .and_then(|at_s| checked_time(row, time.index, at_s, before, source, sink));
+}
+
+/// What to do where a unit is missing, or the rate of frames.
+const UNIT: &str = "say it with --time-unit, such as --time-unit s";
+const FRAMES: &str = "say it with --rate, such as --rate 25";
+
+impl Table<'_> {
+    fn unclear(&self, index: usize, message: &str, hint: &str, sink: &mut Sink) -> Option<TimeUnit> {
+        let expected = match hint {
+            FRAMES => "frames a second, by --rate".to_owned(),
+            _ => format!("{UNITS}, in the name of the column or by --time-unit"),
+        };
+        let spot = self.header.row.spot(index);
+        sink.found(self.source, spot, Code::ImportTime, message, expected, Some(hint));
+        None
+    }
+}
+
+fn read_row(row: &Row<'_>, at: Option<Span>, mapped: &mut [Mapped], source: &Source, sink: &mut Sink) {
     for column in mapped {
         if column.indices.iter().all(|index| row.cells[*index].text.is_empty()) {
             column.empty += 1;
@@ -211,47 +251,66 @@ impl Mapped {
     }
 }
 
-fn seconds(row: &Row<'_>, time: &TimeColumn, source: &Source, sink: &mut Sink) -> Option<f64> {
-    let text = row.cells[time.index].text.as_ref();
-    if let TimeUnit::Seconds(size) = time.unit {
-        return row.number(time.index, "the time", source, sink).map(|at| at * size);
-    }
-    let seconds = time.unit.seconds(text);
-    if seconds.is_none() {
-        let message = format!("the time is `{}`", shortened(text));
-        let expected = "a time like those before";
-        sink.found(source, row.spot(time.index), Code::ImportNumber, message, expected, None);
-    }
-    seconds
+/// The times of one line after the other.
+struct Clock {
+    time: TimeColumn,
+    first: Option<Span>,
+    last: Option<Span>,
 }
 
-fn checked_time(
-    row: &Row<'_>,
-    index: usize,
-    at_s: f64,
-    before: &mut Option<Span>,
-    source: &Source,
-    sink: &mut Sink,
-) -> Option<Span> {
-    let Some(at) = keyframes::span(at_s) else {
-        let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
-        sink.found(
-            source,
-            row.spot(index),
-            Code::ImportTime,
-            format!("the time is {at_s} s"),
-            expected,
-            None,
-        );
-        return None;
-    };
-    if let Some((code, message, hint)) = before.and_then(|before| keyframes::check_later(before, at)) {
-        let expected = format!("a time after {} s", before.map_or(0.0, keyframes::seconds));
-        sink.found(source, row.spot(index), code, message, expected, Some(hint));
-        return None;
+impl Clock {
+    fn read(&mut self, row: &Row<'_>, source: &Source, sink: &mut Sink) -> Option<Span> {
+        let TimeColumn { index, unit } = self.time;
+        if let TimeUnit::Nanos(_) | TimeUnit::Frames(_) = unit {
+            row.number(index, "the time", source, sink)?;
+        }
+        let spot = row.spot(index);
+        let Some(at) = unit.time(&row.plain(index)) else {
+            let message = format!("the time is `{}`", shortened(&row.cells[index].text));
+            let expected = "a time like those before";
+            sink.found(source, spot, Code::ImportNumber, message, expected, None);
+            return None;
+        };
+        // Dates count from the first one.
+        let origin = self.first.filter(|first| keyframes::is_date(*first)).unwrap_or_default();
+        let is_within = (0.0..=keyframes::SECONDS_MAX).contains(&keyframes::seconds(at - origin));
+        let is_known =
+            if self.first.is_none() { keyframes::is_date(at) } else { origin > at && origin > Span::ZERO };
+        if !is_within && !is_known {
+            let message = format!("the time is {} s", keyframes::seconds(at));
+            let [from, to] = [0.0, keyframes::SECONDS_MAX].map(|end| end + keyframes::seconds(origin));
+            sink.found(
+                source,
+                spot,
+                Code::ImportTime,
+                message,
+                format!("a time from {from} to {to} s"),
+                None,
+            );
+            return None;
+        }
+        if let Some((code, message, hint)) = self.last.and_then(|last| keyframes::check_later(last, at)) {
+            let expected = format!("a time after {} s", self.last.map_or(0.0, keyframes::seconds));
+            sink.found(source, spot, code, message, expected, Some(hint));
+            return None;
+        }
+        self.first.get_or_insert(at);
+        self.last = Some(at);
+        Some(at)
     }
-    *before = Some(at);
-    Some(at)
+
+    /// Says what of the rate and of the first frame is not as the user may expect.
+    fn note(&self, options: &ImportOptions, source: &Source, sink: &mut Sink) {
+        let file = &source.name;
+        let is_counted = matches!(self.time.unit, TimeUnit::Frames(_) | TimeUnit::Timecode(_));
+        if options.rate_hz.is_some() && !is_counted {
+            sink.note(format!("{file}: the times count no frames, so --rate is left out"));
+        }
+        let late = self.first.filter(|first| *first > Span::ZERO && options.start.is_none());
+        if let (TimeUnit::Frames(_), Some(first)) = (self.time.unit, late) {
+            sink.note(format!("{file}: the first frame is at {first}; --start 0s begins with it"));
+        }
+    }
 }
 
 fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut Sink) -> Vec<Motion> {

@@ -8,6 +8,7 @@ use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
 
+use super::dialect::Dialect;
 use super::input::{Input, drone_name};
 use super::natural::natural_order;
 use super::sink::Sink;
@@ -27,7 +28,7 @@ struct Waypoint {
 
 /// Reads one file: several robots in one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
-    let mut rows = rows(source, ',');
+    let mut rows = rows(source, Dialect::of(source, 0, None));
     let Some(mut header) = rows.next() else {
         let expected = "the header id,x[m],y[m],z[m],t[s] and waypoints";
         sink.about(&source.name, Code::ImportTable, "the file is empty".into(), expected, None);

@@ -12,43 +12,72 @@ use crate::import::{Course, DeviceMotion, ImportFormat, ImportOptions, TimeUnit,
 enum Clock {
     Millis,
     Seconds,
+    Exponents,
     Micros,
     Frames,
     HoursMinutesSeconds,
     MinutesSecondsMillis,
+    Timecode,
+    Date,
+    Unix,
 }
+
+/// A frame of 25 a second, in microseconds.
+const FRAME_US: u64 = 40_000;
+/// 2026-11-23T00:00:00Z, in seconds since 1970.
+const DAY_S: u64 = 1_795_392_000;
 
 impl Clock {
     fn header(self) -> &'static str {
         match self {
             Self::Millis => "Time [msec]",
-            Self::Seconds => "t (s)",
+            Self::Seconds | Self::Exponents => "t (s)",
             Self::Micros => "time_us",
             Self::Frames => "frame",
-            Self::HoursMinutesSeconds | Self::MinutesSecondsMillis => "when",
+            _ => "when",
         }
     }
 
     fn unit(self) -> Option<TimeUnit> {
         match self {
-            Self::Frames => Some(TimeUnit::Frames(25.0)),
             Self::HoursMinutesSeconds => Some(TimeUnit::HoursMinutesSeconds),
             Self::MinutesSecondsMillis => Some(TimeUnit::MinutesSecondsMillis),
             _ => None,
         }
     }
 
-    fn text(self, ms: u64) -> String {
-        let (minutes, seconds, rest) = (ms / 60_000, ms / 1_000 % 60, ms % 1_000);
+    fn is_counted(self) -> bool {
+        matches!(self, Self::Frames | Self::Timecode)
+    }
+
+    /// The shortest time that it can state, in microseconds.
+    fn step_us(self) -> u64 {
         match self {
-            Self::Millis => ms.to_string(),
-            Self::Seconds => format!("{}.{rest:03}", ms / 1_000),
-            Self::Micros => format!("{ms}000"),
-            Self::Frames => (ms / 40).to_string(),
+            Self::Frames | Self::Timecode => FRAME_US,
+            Self::MinutesSecondsMillis => 1_000,
+            _ => 1,
+        }
+    }
+
+    fn text(self, us: u64) -> String {
+        let (minutes, seconds, rest) = (us / 60_000_000, us / 1_000_000 % 60, us % 1_000_000);
+        match self {
+            Self::Millis => format!("{}.{:03}", us / 1_000, us % 1_000),
+            Self::Seconds => format!("{}.{rest:06}", us / 1_000_000),
+            Self::Exponents => format!("{us}e-6"),
+            Self::Micros => us.to_string(),
+            Self::Frames => (us / FRAME_US).to_string(),
             Self::HoursMinutesSeconds => {
-                format!("{}:{:02}:{seconds:02}.{rest:03}", minutes / 60, minutes % 60)
+                format!("{}:{:02}:{seconds:02}.{rest:06}", minutes / 60, minutes % 60)
             }
-            Self::MinutesSecondsMillis => format!("{minutes}:{seconds:02}:{rest:03}"),
+            Self::MinutesSecondsMillis => format!("{minutes}:{seconds:02}:{:03}", rest / 1_000),
+            Self::Timecode => {
+                format!("{:02}:{:02}:{seconds:02}:{:02}", minutes / 60, minutes % 60, rest / FRAME_US)
+            }
+            Self::Date => {
+                format!("2026-11-23T{:02}:{:02}:{seconds:02}.{rest:06}Z", minutes / 60, minutes % 60)
+            }
+            Self::Unix => format!("{}.{rest:06}", DAY_S + us / 1_000_000),
         }
     }
 }
@@ -67,6 +96,9 @@ enum Column {
 struct Table {
     clock: Clock,
     separator: char,
+    /// Decimal commas; between cells then no commas.
+    commas: bool,
+    /// In microseconds.
     times: Vec<u64>,
     columns: Vec<(Column, Option<i64>)>,
 }
@@ -82,18 +114,25 @@ impl Table {
     fn written(&self) -> (String, ImportOptions) {
         let mut options = ImportOptions { time_unit: self.clock.unit(), ..ImportOptions::default() };
         options.time_column = Some(self.clock.header().to_owned());
+        options.rate_hz = self.clock.is_counted().then_some(25.0);
+        let number = |value: i64| {
+            let text = quarters(value).to_string();
+            if self.commas { text.replace('.', ",") } else { text }
+        };
         let mut lines: Vec<Vec<String>> = vec![vec![self.clock.header().to_owned()]];
-        lines.extend(self.times.iter().map(|ms| vec![self.clock.text(*ms)]));
+        lines.extend(
+            self.times
+                .iter()
+                .map(|us| vec![self.clock.text(*us).replace('.', if self.commas { "," } else { "." })]),
+        );
         for (index, (column, scale)) in self.columns.iter().enumerate() {
             let device = format!("d{index}");
             let name = |part: usize| format!("col {index}.{part}");
             let cells = |row: usize| match column {
                 Column::Straight(values) | Column::Held(values) => {
-                    vec![values[row].map_or(String::new(), |value| quarters(value).to_string())]
+                    vec![values[row].map_or(String::new(), number)]
                 }
-                Column::Several(values) => {
-                    values[row].iter().map(|value| quarters(*value).to_string()).collect()
-                }
+                Column::Several(values) => values[row].iter().map(|value| number(*value)).collect(),
                 Column::Wrapped(values) => vec![values[row].to_string()],
             };
             let names: Vec<String> = (0..cells(0).len()).map(name).collect();
@@ -159,7 +198,7 @@ fn found(device: &DeviceMotion) -> Vec<(u64, Vec<f64>)> {
         _ => vec![device.keyframes[index].value],
     };
     (0..device.keyframes.len())
-        .map(|index| (device.keyframes[index].at.as_nanos() as u64 / 1_000_000, values(index)))
+        .map(|index| (device.keyframes[index].at.as_nanos() as u64 / 1_000, values(index)))
         .collect()
 }
 
@@ -181,26 +220,34 @@ fn column(rows: usize) -> impl Strategy<Value = Column> {
 }
 
 fn table() -> impl Strategy<Value = Table> {
-    use Clock::{Frames, HoursMinutesSeconds, Micros, Millis, MinutesSecondsMillis, Seconds};
+    use Clock::{
+        Date, Exponents, Frames, HoursMinutesSeconds, Micros, Millis, MinutesSecondsMillis, Seconds,
+        Timecode, Unix,
+    };
     let clock = prop::sample::select(vec![
         Millis,
         Seconds,
+        Exponents,
         Micros,
         Frames,
         HoursMinutesSeconds,
         MinutesSecondsMillis,
+        Timecode,
+        Date,
+        Unix,
     ]);
     let times = prop::collection::vec(1u64..200, 2..20);
-    (clock, prop::sample::select(vec![',', ';', '\t']), times, any::<bool>()).prop_flat_map(
-        |(clock, separator, gaps, fast)| {
-            // Whole frames.
-            let gap = if fast { 40 } else { 4_000 };
+    let dialect =
+        prop::sample::select(vec![(',', false), (';', false), (';', true), ('\t', false), ('\t', true)]);
+    (clock, dialect, times, prop::sample::select(vec![1u64, 40, 40_000, 4_000_000])).prop_flat_map(
+        |(clock, (separator, commas), gaps, gap)| {
+            let gap = gap.next_multiple_of(clock.step_us());
             let times: Vec<u64> =
                 gaps.iter().scan(0, |now, after| Some(std::mem::replace(now, *now + after * gap))).collect();
             let scale =
                 prop_oneof![2 => Just(None), 1 => prop::sample::select(vec![-8i64, 2, 6]).prop_map(Some)];
             let columns = prop::collection::vec((column(times.len()), scale), 1..6);
-            columns.prop_map(move |columns| Table { clock, separator, times: times.clone(), columns })
+            columns.prop_map(move |columns| Table { clock, separator, commas, times: times.clone(), columns })
         },
     )
 }
