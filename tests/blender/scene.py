@@ -48,7 +48,8 @@ def arm():
 
 def turntable():
     """What rides on another object turns with it: its angles come from a matrix and are unwrapped."""
-    bpy.ops.object.empty_add()
+    # Below the drones, which the import compares with it.
+    bpy.ops.object.empty_add(location=(0, 0, -1))
     table = bpy.context.active_object
     table.name = "Table"
     key(table, "rotation_euler", 2, [(1, 0), (150, math.radians(900))], "LINEAR")

@@ -503,6 +503,36 @@ fn wrong_usage_is_told() {
     import(&session, &["--help"]).says(0, &["Examples:", "downbeat import crazyswarm pp*.csv"]);
 }
 
+/// Two drones that fly towards each other up to this distance.
+fn two_routes(gap: f64) -> String {
+    format!("id,x[m],y[m],z[m],t[s]\n1,0,0,1,0\n1,1,0,1,4\n2,{0},0,1,0\n2,{1},0,1,4\n", 2.0, 1.0 + gap)
+}
+
+#[test]
+fn drones_that_come_too_near_to_each_other_are_found_after_an_import() {
+    let session = Session::new();
+    session.file("near.csv", two_routes(0.22));
+    import(&session, &["waypoints", "near.csv", "--output", "near"]).says(0, &[]);
+    session.run(&["check", "near/scenario.yaml"]).says(1, &["DB0052", "0.220 m", "4 s"]);
+    session.file("far.csv", two_routes(0.25));
+    import(&session, &["waypoints", "far.csv", "--output", "far"]).says(0, &[]);
+    session.run(&["check", "far/scenario.yaml"]).says(0, &["no errors, 2 robots"]);
+    let fleet = std::fs::read_to_string(session.path("far/fleet.yaml")).unwrap();
+    session.file("far/fleet.yaml", fleet.replace("{distance: 0.24}", "{distance: 0.3}"));
+    session.run(&["check", "far/scenario.yaml"]).says(1, &["DB0052", "0.250 m"]);
+    // A robot's own block says what its axes measure.
+    session.file(
+        "robot.yaml",
+        std::fs::read_to_string(session.path("far/robots/crazyflie.yaml"))
+            .unwrap()
+            .replace("unit: m", "unit: cm"),
+    );
+    import(&session, &["waypoints", "near.csv", "--init", "robot.yaml", "--output", "own"])
+        .says(0, &["from m to cm"]);
+    let fleet = std::fs::read_to_string(session.path("own/fleet.yaml")).unwrap();
+    assert!(fleet.contains("body: {x: x, y: y, z: z}"), "{fleet}");
+}
+
 #[test]
 fn messages_of_ros_that_were_printed_are_scenes() {
     let session = Session::new();

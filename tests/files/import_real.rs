@@ -141,6 +141,21 @@ fn the_sequence_of_nineteen_scenes() {
 }
 
 #[test]
+fn the_drones_of_both_shows_keep_the_distance_that_is_written_for_them() {
+    let Some(data) = data() else { return };
+    for show in ["swap6v_pps", "sequence_trajectories"] {
+        let session = Session::new();
+        let folder = drones(&data).join(show).display().to_string();
+        session.run(&["import", "crazyswarm", &folder, "--output", "out"]).says(0, &[]);
+        let plan = session.run(&["plan", "out/scenario.yaml", "--format", "json"]).json();
+        let acts = plan["acts"].as_array().unwrap();
+        let distances = acts.iter().map(|act| act["closest"]["distance_m"].as_f64().unwrap());
+        let closest = distances.fold(f64::INFINITY, f64::min);
+        assert!((0.28..0.31).contains(&closest), "{show}: {closest}");
+    }
+}
+
+#[test]
 fn the_trajectory_that_is_too_long() {
     let Some(data) = data() else { return };
     let folder = data.join("crazyswarm/crazyflie_examples/crazyflie_examples/data");

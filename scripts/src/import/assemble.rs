@@ -13,7 +13,7 @@ use super::natural::natural_order;
 use super::sink::Sink;
 use super::{
     Course, DeviceMotion, ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, keyframes,
-    remarks, units,
+    position, remarks, units,
 };
 
 /// Most robots of an import, and devices of a robot in a scene.
@@ -59,7 +59,9 @@ pub(super) fn assemble(
     });
     let kind = kind.chars().take(KIND_CHARS_MAX).collect();
     let origin = format!("{} {}", format.word(), origin(paths));
-    let imported = Imported { name, origin, kind, scenes, held: sink.held };
+    let clearance = sink.clearance.unwrap_or_default();
+    let imported = Imported { name, origin, kind, scenes, held: sink.held, clearance };
+    position::note_unknown(&imported, sink);
     (imported.steps() > 0).then_some(imported)
 }
 

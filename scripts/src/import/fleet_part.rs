@@ -7,7 +7,7 @@ use urrcp::InitializationBlock;
 
 use super::grid::{self, Grid, grid_of};
 use super::yaml::{Scenes, line, number, one_line, scalar, scenario_text};
-use super::{Course, DeviceMotion, Imported, Piece, bernstein, keyframes};
+use super::{Clearance, Course, DeviceMotion, Imported, Piece, bernstein, keyframes, position};
 
 /// Most steps that a generated block asks for at least.
 const STEPS_MIN: usize = 2;
@@ -91,13 +91,29 @@ fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {
 
 fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     let mut text = format!(
-        "# The robots of `{}`, simulated. Give a robot `address: tcp://host:port` to drive a real one.\nrobots:\n",
+        "# The robots of `{}`, simulated. Give a robot `address: tcp://host:port` to drive a real one.\n",
         one_line(&imported.name)
     );
+    let flying = position::robots(imported);
+    if !flying.is_empty() {
+        let Clearance { metres, origin } = imported.clearance;
+        let metres = number(metres);
+        line(
+            &mut text,
+            format_args!(
+                "# `check` reports robots whose centres come nearer to each other than `distance`, in metres.\n\
+                 # {metres} is {origin}: write what your robots need, or a `radius` for each `body`.\n\
+                 # Remove `body` from robots whose x, y and z do not count from the same origin.\n\
+                 space: {{distance: {metres}}}"
+            ),
+        );
+    }
+    text.push_str("robots:\n");
     for robot in imported.robots() {
         let kind = kinds.iter().find(|kind| kind.robots.iter().any(|name| name == robot));
         let path = kind.map(path_of).unwrap_or_default();
-        line(&mut text, format_args!("  {}: {{init: {}, address: sim}}", scalar(robot), scalar(&path)));
+        let body = if flying.contains(robot) { ", body: {x: x, y: y, z: z}" } else { "" };
+        line(&mut text, format_args!("  {}: {{init: {}, address: sim{body}}}", scalar(robot), scalar(&path)));
     }
     text
 }

@@ -23,6 +23,7 @@ mod moments;
 mod natural;
 mod play_motion2;
 mod polynomial;
+mod position;
 mod remarks;
 mod sink;
 mod skybrush;
@@ -52,6 +53,7 @@ use sink::Sink;
 pub use dialect::Decimal;
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
+pub use position::Clearance;
 pub use urdf::{UrdfOutcome, urdf};
 #[doc(hidden)]
 pub use yaml::scalar;
@@ -196,6 +198,8 @@ pub struct Imported {
     pub scenes: Vec<Scene>,
     /// Values that repeat the one before, because the file pauses or leaves a device out.
     pub held: usize,
+    /// How near to each other robots with a position in space may come.
+    pub clearance: Clearance,
 }
 
 /// A part that is played as a whole.

@@ -5,7 +5,7 @@ use crate::finding::{Code, Finding, Severity};
 use crate::locate::locate;
 use crate::source::Source;
 
-use super::{KEYFRAMES_MAX, Motion};
+use super::{Clearance, KEYFRAMES_MAX, Motion};
 
 /// Most findings of one file: a file that is of another format altogether is wrong in every line.
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
@@ -21,6 +21,8 @@ pub(super) struct Sink {
     keyframes: usize,
     /// Values that repeat the one before.
     pub(super) held: usize,
+    /// How near to each other robots may come, if the files say it.
+    pub(super) clearance: Option<Clearance>,
 }
 
 /// A place in a text file: part of a line.

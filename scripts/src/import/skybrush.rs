@@ -16,7 +16,9 @@ use super::archive::Archive;
 use super::input::Input;
 use super::light_program::{self, Color, Lights};
 use super::sink::Sink;
-use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree};
+use super::{
+    Clearance, Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, keyframes, tree,
+};
 
 /// Most control points between two points: curves of the seventh degree, as Skybrush's own.
 const CONTROLS_MAX: usize = 6;
@@ -26,7 +28,10 @@ const DRONES_MAX: usize = 10_000;
 const FADE_HZ: f64 = 50.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// What is used of a show, and of a drone's settings.
-const SHOW_KEYS: [&str; 2] = ["version", "swarm"];
+const SHOW_KEYS: [&str; 4] = ["version", "swarm", "settings", "environment"];
+/// Smallest distances of shows that state none, in metres: those of Skybrush's viewer.
+const INDOOR_M: f64 = 0.5;
+const OUTDOOR_M: f64 = 3.0;
 const DRONE_KEYS: [&str; 4] = ["name", "trajectory", "lights", "yawControl"];
 
 /// A drone's parts, each in its own file or in the show's.
@@ -53,6 +58,7 @@ struct Told {
     auto_yaw: usize,
     late_yaw: usize,
     still: usize,
+    clearance: Option<Clearance>,
 }
 
 /// What one drone's files are read with.
@@ -100,6 +106,7 @@ pub(super) fn read(
         }
     }
     show.told.note(name, show.period_ms, sink);
+    sink.clearance = sink.clearance.or(show.told.clearance);
     motions
 }
 
@@ -133,6 +140,7 @@ impl Told {
 fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Vec<Drone>> {
     version(root, "the show", findings);
     note_unused(root, "", &SHOW_KEYS, told);
+    told.clearance = Some(clearance(root));
     let swarm = tree::required(root, "swarm", "the show", findings)?;
     let list = tree::required(&swarm, "drones", "the swarm", findings)?;
     let items = findings.list(&list, "a list of drones");
@@ -161,6 +169,27 @@ fn read_show(root: &At<'_>, told: &mut Told, findings: &mut Reader) -> Option<Ve
         });
     }
     Some(drones)
+}
+
+/// The smallest distance between drones for which the show was checked.
+fn clearance(root: &At<'_>) -> Clearance {
+    let stated = tree::optional(root, "settings").and_then(|settings| {
+        let validation = tree::optional(&settings, "validation")?;
+        let metres = tree::optional(&validation, "minDistance")
+            .or_else(|| tree::optional(&validation, "min_distance"))?;
+        match metres.node {
+            Node::Number(metres) if *metres > 0.0 && metres.is_finite() => Some(*metres),
+            _ => None,
+        }
+    });
+    let is_indoor = tree::optional(root, "environment").and_then(|environment| {
+        tree::optional(&environment, "type").map(|at| at.node == &Node::Text("indoor".into()))
+    });
+    match (stated, is_indoor) {
+        (Some(metres), _) => Clearance { metres, origin: "what the Skybrush show states" },
+        (None, Some(true)) => Clearance { metres: INDOOR_M, origin: "what Skybrush demands of indoor shows" },
+        (None, _) => Clearance { metres: OUTDOOR_M, origin: "what Skybrush demands of outdoor shows" },
+    }
 }
 
 fn note_unused(at: &At<'_>, whose: &str, used: &[&str], told: &mut Told) {

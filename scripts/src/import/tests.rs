@@ -10,6 +10,7 @@ use crate::node::{self, Node};
 
 mod bvh;
 mod exact_times;
+mod fleet_files;
 mod fseq;
 mod joint_states;
 mod midi;

@@ -1,0 +1,58 @@
+//! Which robots have their position in space as devices: `x`, `y` and `z` in a unit of length.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::sink::Sink;
+use super::{Course, DeviceMotion, Imported, units};
+
+const AXES: [&str; 3] = ["x", "y", "z"];
+
+/// How near to each other the centres of two robots may come.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// In metres.
+    pub metres: f64,
+    /// Where the distance is from, for people.
+    pub origin: &'static str,
+}
+
+impl Default for Clearance {
+    /// A Crazyflie is 0.14 m wide with its propellers.
+    fn default() -> Self {
+        Self { metres: 0.24, origin: "for Crazyflies, 0.1 m from propeller to propeller" }
+    }
+}
+
+/// The robots that have all three, each in a unit of length.
+pub(super) fn robots(imported: &Imported) -> BTreeSet<&str> {
+    let units = axes(imported);
+    let is_length =
+        |units: &BTreeMap<&str, &str>| units.values().all(|unit| units::factor(unit, "m").is_some());
+    units.into_iter().filter(|(_, units)| is_length(units)).map(|(robot, _)| robot).collect()
+}
+
+/// Notes robots that are not compared with others because their units are unknown.
+pub(super) fn note_unknown(imported: &Imported, sink: &mut Sink) {
+    let unknown: Vec<_> =
+        axes(imported).into_iter().filter(|(_, units)| units.values().any(|unit| unit.is_empty())).collect();
+    if let [(robot, _), others @ ..] = unknown.as_slice() {
+        let more = if others.is_empty() { String::new() } else { format!(" and {} more", others.len()) };
+        sink.note(format!(
+            "the unit of `x`, `y`, `z` of `{robot}`{more} is not known, so distances between robots are not checked: \
+             name the columns with it, as in `x [m]`, or write a `body` in the fleet file"
+        ));
+    }
+}
+
+/// The units of the axes of all robots that have all three.
+fn axes(imported: &Imported) -> BTreeMap<&str, BTreeMap<&str, &str>> {
+    let mut units: BTreeMap<&str, BTreeMap<&str, &str>> = BTreeMap::new();
+    let is_axis = |device: &DeviceMotion| {
+        AXES.contains(&device.device.as_str()) && !matches!(device.course, Course::Several(_))
+    };
+    for (robot, device) in imported.devices().filter(|(_, device)| is_axis(device)) {
+        units.entry(&robot.robot).or_default().insert(&device.device, &device.unit);
+    }
+    units.retain(|_, units| units.len() == AXES.len());
+    units
+}
