@@ -80,16 +80,12 @@ pub(super) struct RunArgs {
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
-    /// How much later than `--at`, or than the time for which an act waits, it may start if this machine is too slow to start it
-    /// then, for example 10s. Without it, such an act fails before anything moves.
-    #[arg(long, value_parser = parse_span, value_name = "TIME", default_value = "0s", hide_default_value = true)]
-    start_within: Span,
     /// Time from sending the scripts to the start, for example 1500ms or 3s. By default it is computed.
     #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
     /// First move all robots to their first positions, in this time, for example 5s. Without it, a start at which a device
     /// would have to jump is refused.
-    #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["seize", "require_certificate"])]
+    #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["at", "seize", "require_certificate"])]
     approach: Option<Span>,
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
@@ -201,8 +197,6 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         metrics: args.metrics,
         traces: args.traces.clone(),
         at: args.at,
-        start_at_act: None,
-        start_within: args.start_within,
         lead: args.lead,
         join: match args.join {
             JoinArg::Refuse => Join::Refuse,
@@ -231,8 +225,6 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         metrics: MetricsArgs::default(),
         traces: TracesArgs::default(),
         at: None,
-        start_at_act: None,
-        start_within: Span::ZERO,
         lead: None,
         join: Join::Refuse,
         seize: false,
@@ -296,9 +288,6 @@ struct Work<'a> {
     metrics: MetricsArgs,
     traces: TracesArgs,
     at: Option<StartAt>,
-    /// The act that `at` is about, if an approach is played before it.
-    start_at_act: Option<usize>,
-    start_within: Span,
     lead: Option<Span>,
     join: Join,
     seize: bool,
@@ -449,8 +438,6 @@ impl Work<'_> {
             server_uncertainty,
             session: Some(session),
             start_at: self.start(clock.now())?,
-            start_at_act: self.start_at_act,
-            start_within: self.start_within,
             first_act,
             acts_max: None,
             join: self.join,
@@ -602,7 +589,7 @@ fn check_waits(
     options: &MissionOptions,
     now: Timestamp<Server>,
 ) -> Result<(), String> {
-    let acts = choreography.acts.iter().skip(options.start_at_act.unwrap_or(options.first_act));
+    let acts = choreography.acts.iter().skip(options.first_act);
     let mut from = options.start_at.unwrap_or(now);
     for act in acts.skip(usize::from(options.start_at.is_some())) {
         from = match &act.wait {

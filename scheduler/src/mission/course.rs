@@ -198,26 +198,16 @@ impl Mission {
 
     /// One more act begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
-        self.line_up_attempt(now, index, 0, None);
+        self.line_up_attempt(now, index, 0);
     }
 
-    /// Like `line_up_act`, after this number of withdrawn attempts. Another attempt starts at `latest_start` at the latest.
-    pub(super) fn line_up_attempt(
-        &mut self,
-        now: Timestamp<Server>,
-        index: usize,
-        attempts: u32,
-        latest_start: Option<Timestamp<Server>>,
-    ) {
+    /// Like `line_up_act`, after this number of withdrawn attempts.
+    pub(super) fn line_up_attempt(&mut self, now: Timestamp<Server>, index: usize, attempts: u32) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
         let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
-        if let Some(at) = self.options.start_of(index).filter(|_| attempts == 0 && !self.start_was_fixed) {
-            self.start_was_fixed = true;
-            act.starts_at(at);
-        }
         if attempts > 0 {
-            act.is_attempted_again(attempts, latest_start);
+            act.is_attempted_again(attempts);
         }
         if self.options.verify_motion {
             act.verify_motions(&self.robots);

@@ -129,8 +129,6 @@ pub struct Mission {
     then: Option<usize>,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
-    /// The act that the operator has given a start has been lined up.
-    start_was_fixed: bool,
     /// The delay of this machine that acts allow for, as for a slower link: at least twice the delay of the last withdrawn act.
     hold_up: Span,
     next_round: Option<Timestamp<Server>>,
@@ -227,7 +225,6 @@ impl Mission {
             detour: None,
             then: None,
             again: None,
-            start_was_fixed: false,
             hold_up: Span::ZERO,
             next_round: None,
             rounds_held_up: 0,

@@ -72,12 +72,8 @@ pub struct MissionOptions {
     pub server_uncertainty: Span,
     /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
     pub session: Option<Session>,
-    /// When the first act starts, instead of as soon as possible, or the act `start_at_act` if it comes later.
+    /// When the first act starts, instead of as soon as possible.
     pub start_at: Option<Timestamp<Server>>,
-    /// The act that `start_at` is about, by its index, if an approach is played before it.
-    pub start_at_act: Option<usize>,
-    /// How much later than its fixed time an act may start if this machine was too slow to start it then.
-    pub start_within: Span,
     /// With which act to begin, by its index.
     pub first_act: usize,
     /// No further act begins once so many have, those included that waited in vain; the mission then comes to its end as
@@ -96,11 +92,6 @@ pub struct MissionOptions {
 }
 
 impl MissionOptions {
-    /// When the act of this index starts the first time, if the operator has fixed that.
-    pub(crate) fn start_of(&self, act: usize) -> Option<Timestamp<Server>> {
-        self.start_at.filter(|_| act == self.start_at_act.unwrap_or(self.first_act))
-    }
-
     /// The session as robots are told it, which is not to be shown.
     pub(crate) fn session_on_the_wire(&self) -> Option<SessionId> {
         self.session.as_ref().map(|session| session.on_the_wire().clone())
@@ -126,8 +117,6 @@ impl Default for MissionOptions {
             server_uncertainty: Span::ZERO,
             session: None,
             start_at: None,
-            start_at_act: None,
-            start_within: Span::ZERO,
             first_act: 0,
             acts_max: None,
             join: Join::Refuse,

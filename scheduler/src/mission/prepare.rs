@@ -313,9 +313,8 @@ impl Mission {
         if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
-        // After an approach, the act begins when that has ended, which may be too late.
-        let safe_start = act.target().map_or(safe_start, |target| safe_start.max(target));
-        match act.start_limit(&self.options).filter(|start| *start < safe_start) {
+        let asked = self.options.start_at.filter(|_| act.number() == 0);
+        match asked.filter(|start| *start < safe_start) {
             Some(start) => Err(Outcome::StartTooSoon { start, safe_start }),
             None => Ok(()),
         }

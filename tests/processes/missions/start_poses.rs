@@ -112,27 +112,3 @@ fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
     let home = stage.play(&["run", "home.yaml", "--act", "home", "--approach", "3s"]);
     assert_eq!(home.code, Some(0), "{home}");
 }
-
-#[test]
-fn an_approach_is_played_at_once_and_the_show_starts_at_its_time() {
-    let stage = stage();
-    let before = left_at_80(&stage);
-    let soon = chrono::Utc::now() + chrono::TimeDelta::seconds(2);
-    let early = stage.run(&["run", "back.yaml", "--approach", "3s", "--at", &soon.to_rfc3339()]);
-    assert_eq!(early.code, Some(2), "{early}");
-    assert!(early.told.contains("and the approach takes 3 s"), "{early}");
-    for (robot, before) in stage.robots.iter().zip(&before) {
-        assert_eq!(robot.log().len(), *before, "{} moved", robot.id);
-    }
-    let start = chrono::Utc::now() + chrono::TimeDelta::seconds(15);
-    let played = stage.run(&["run", "back.yaml", "--approach", "3s", "--at", &start.to_rfc3339()]);
-    assert_eq!(played.code, Some(0), "{played}");
-    let start = start.timestamp_nanos_opt().unwrap();
-    for (robot, before) in stage.robots.iter().zip(before) {
-        let moved = robot.log_since(before);
-        let sets = |later: bool| moved.iter().filter(move |entry| (entry.due >= start) == later);
-        assert_eq!(sets(false).last().map(|entry| entry.value), Some(0.0), "{}: {moved:?}", robot.id);
-        assert_eq!(sets(true).next().map(|entry| entry.due), Some(start), "{}: {moved:?}", robot.id);
-        assert_eq!(sets(true).last().map(|entry| entry.value), Some(40.0), "{}: {moved:?}", robot.id);
-    }
-}

@@ -13,7 +13,6 @@ use crate::cli::{Exit, choice, console};
 use crate::fleet;
 use crate::mission::{Check, Failure, FailureKind, Greeting, Verdict};
 use crate::report::Outcome;
-use crate::server_clock::ServerClock;
 
 /// How long an approach may take.
 pub(super) fn parse(text: &str) -> Result<Span, String> {
@@ -34,30 +33,7 @@ impl Work<'_> {
     ) -> Result<(Choreography, usize), Exit> {
         let from = self.positions(choreography.clone(), first_act, fleet, fleet_path).await?;
         let approach = self.asked.approach.insert(Approach { over, from });
-        let acts = choreography.acts.len();
-        let (choreography, first) = choice::approached(choreography, first_act, fleet, approach)?;
-        self.start_at_act = (choreography.acts.len() > acts).then_some(first + 1);
-        self.allow_for(over)?;
-        Ok((choreography, first))
-    }
-
-    /// Refuses a start before the approach can have ended.
-    fn allow_for(&self, over: Span) -> Result<(), Exit> {
-        let now = ServerClock::anchored(Span::ZERO).now();
-        let start = self.start(now).map_err(|(message, exit)| {
-            console::error(&message);
-            exit
-        })?;
-        let left = start.filter(|_| self.start_at_act.is_some()).map(|start| start - now);
-        match left.filter(|left| *left <= over) {
-            Some(left) => {
-                console::error(&format!(
-                    "--at is {left} ahead, and the approach takes {over}; expected a later start or a shorter approach"
-                ));
-                Err(Exit::Usage)
-            }
-            None => Ok(()),
-        }
+        choice::approached(choreography, first_act, fleet, approach)
     }
 
     /// Asks the robots for the positions of their devices. Nothing moves.
@@ -78,7 +54,6 @@ impl Work<'_> {
             metrics: MetricsArgs::default(),
             traces: TracesArgs::default(),
             verify_motion: false,
-            at: None,
             approach: None,
             record: None,
             journal: false,

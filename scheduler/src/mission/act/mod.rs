@@ -27,7 +27,7 @@ use super::failure_kind::FailureKind;
 use super::motion::Watched;
 use super::robot_state::{Reading, RobotState};
 use super::script::{Script, ScriptRef};
-use super::{MissionOptions, Outcome, Progress, Record};
+use super::{Outcome, Progress, Record};
 use approaching::{Approach, Commitment};
 use member::Part;
 pub(crate) use member::{Member, members};
@@ -131,10 +131,6 @@ pub(crate) struct Act {
     follow: Way,
     /// How often the act was withdrawn and prepared again.
     attempts: u32,
-    /// The start that the operator has fixed.
-    start_at: Option<Timestamp<Server>>,
-    /// After this instant it is not attempted again.
-    latest_start: Option<Timestamp<Server>>,
     since: Timestamp<Server>,
     /// The planned end of the act before it, if that still played when this one began to wait.
     before: Option<Timestamp<Server>>,
@@ -167,8 +163,6 @@ impl Act {
             stage: Stage::Waiting(waiting::Waiting::default()),
             follow: choreography.acts[index].next,
             attempts: 0,
-            start_at: None,
-            latest_start: None,
             since,
             before,
             alone_since: None,
@@ -217,25 +211,9 @@ impl Act {
         self.attempts
     }
 
-    /// Fixes the start, as the operator wants it.
-    pub(crate) const fn starts_at(&mut self, at: Timestamp<Server>) {
-        self.start_at = Some(at);
-    }
-
-    /// The instant by which the operator wants the act to start, and after which it is not to start.
-    pub(crate) fn start_limit(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
-        if self.attempts == 0 { self.start_at } else { self.latest_start(options) }
-    }
-
-    /// The latest instant at which an act with a fixed start may start. `None`: it may start at any time.
-    pub(crate) fn latest_start(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
-        self.latest_start.or_else(|| Some(self.fixed_start(options)? + options.start_within))
-    }
-
     /// Sets the number of withdrawn attempts. The act no longer waits, because its condition has been met.
-    pub(crate) fn is_attempted_again(&mut self, attempts: u32, latest_start: Option<Timestamp<Server>>) {
+    pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
         self.attempts = attempts;
-        self.latest_start = latest_start;
         self.stage = Stage::Ready { target: None, look: None };
     }
 

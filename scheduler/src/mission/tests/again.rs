@@ -95,26 +95,6 @@ fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
     assert_eq!(played.run_to_the_end(), LATE);
 }
 
-#[test]
-fn an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
-    for (within, outcome) in [(10_000, Outcome::Done), (1, LATE)] {
-        let mut mission = begins_at_once(Everything);
-        mission.options.start_at = Some(at(2_000));
-        mission.options.start_within = ms(within);
-        let mut played = Played::begun(mission);
-        played.run_until(at(1_995));
-        played.is_withdrawn();
-        let ended = played.run_to_the_end();
-        match outcome {
-            Outcome::Done => assert_eq!(ended, Outcome::Done),
-            _ => assert!(
-                matches!(ended, Outcome::StartTooSoon { start, .. } if start == at(2_001)),
-                "{ended:?}"
-            ),
-        }
-    }
-}
-
 /// Two acts; the first one plays, and the second one has been sent and follows it at once.
 pub(super) fn chained(drops_undecided: bool) -> Played {
     let mut mission = waits_in(2);
@@ -186,7 +166,7 @@ fn an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer() {
 #[test]
 fn a_mission_that_ends_before_the_next_attempt_has_withdrawn_its_act() {
     let mut played = Played::begun(waits_in(0));
-    played.mission.acts[0].is_attempted_again(1, None);
+    played.mission.acts[0].is_attempted_again(1);
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.starts(), 0);
