@@ -275,7 +275,11 @@ impl Plan {
                 self.is_over_there = true;
             }
             PlanEvent::AssumedRunning => self.assumed = true,
-            PlanEvent::AssumedDone | PlanEvent::Failed(_) | PlanEvent::Cancelled => self.is_over_there = true,
+            PlanEvent::AssumedDone => {
+                self.assumed = true;
+                self.is_over_there = true;
+            }
+            PlanEvent::Failed(_) | PlanEvent::Cancelled => self.is_over_there = true,
         }
         Ok(at)
     }
@@ -292,9 +296,14 @@ impl Plan {
         Ok(())
     }
 
+    /// The driver no longer follows it. A driver that still had time to report a start has not begun it.
+    pub(crate) fn is_withdrawn(&mut self, now: Timestamp<Robot>) {
+        self.is_over_there |= now < self.held.starts(self.interpolation) + self.tolerance.report;
+    }
+
     /// Whether it is unknown whether it began: the hardware had it at its start and has not shown a start.
     pub(crate) fn may_have_begun(&self, now: Timestamp<Robot>) -> bool {
-        let had_it = self.given > 0 && !self.is_over_there && now >= self.held.start;
+        let had_it = self.given > 0 && !self.is_over_there && now >= self.held.starts(self.interpolation);
         self.began.is_none() && (self.assumed || had_it)
     }
 

@@ -259,6 +259,7 @@ impl Mailbox {
         let now = self.now();
         let mut state = self.lock();
         let mut pulse = Pulse::new(now, manners.ping_period);
+        pulse.signs_within(manners.silence_max);
         pulse.demand(now, state.demand);
         state.connection = connection;
         state.manners = Some(manners);
@@ -402,8 +403,7 @@ impl Mailbox {
     pub(crate) fn silence(&self) -> Option<Duration> {
         let now = self.now();
         let state = self.lock();
-        let declared = state.manners.and_then(|manners| manners.silence_max).unwrap_or_default();
-        state.pulse.as_ref()?.silence(now, self.tolerance.silence.max(declared))
+        state.pulse.as_ref()?.silence(now, self.tolerance.silence)
     }
 
     /// The next thing to do: values first, then signs of life, then readings where no movement is near.

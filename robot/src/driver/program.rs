@@ -305,8 +305,9 @@ fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
 
 /// A duration as a program writes it.
 fn milliseconds(text: &str) -> Option<Duration> {
-    let milliseconds: f64 = text.parse().ok()?;
-    Duration::try_from_secs_f64(milliseconds / 1_000.0).ok()
+    let milliseconds: f64 = text.parse().ok().filter(|milliseconds: &f64| milliseconds.is_finite())?;
+    // Stamps of another clock may lie a little ahead.
+    Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0).ok()
 }
 
 fn all_values(setpoint: &Setpoint) -> Vec<f64> {

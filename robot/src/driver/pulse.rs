@@ -42,6 +42,8 @@ pub(super) struct Pulse {
     seen: Instant,
     /// The driver reports when the hardware last showed itself: other answers are no signs of life.
     reports_signs: bool,
+    /// How long the hardware may show no sign of life, if its driver reports these signs and declares it.
+    signs_max: Duration,
     /// The longest of its recent calls.
     took: Duration,
     demand: Demand,
@@ -58,6 +60,7 @@ impl Pulse {
             answered: now,
             seen: now,
             reports_signs: false,
+            signs_max: Duration::ZERO,
             took: Duration::ZERO,
             demand,
             held_since: None,
@@ -71,6 +74,11 @@ impl Pulse {
         self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
         let asks = |demand: Demand| (demand.held, demand.start, demand.confirmation);
         asks(before) != asks(demand)
+    }
+
+    /// How long the hardware may show no sign of life, as its driver declares.
+    pub(super) fn signs_within(&mut self, silence_max: Option<Duration>) {
+        self.signs_max = silence_max.unwrap_or_default();
     }
 
     /// It has just answered.
@@ -136,12 +144,16 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// For how long it has not answered, while something is held. `None` up to `silence_max`, or longer if its calls are slow.
+    /// For how long its driver has not answered, or the hardware has not shown itself, while something is held. `None` up to
+    /// `silence_max`, or longer if its calls are slow.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
-        let asked = self.seen.max(self.held_since.filter(|_| !self.reading)?);
-        let most = silence_max.max(self.near * 3);
-        let too_long = now.saturating_duration_since(asked) > most + 2 * self.took;
-        too_long.then(|| now.saturating_duration_since(self.seen))
+        let held_since = self.held_since.filter(|_| !self.reading)?;
+        let since = |last: Instant, most: Duration| {
+            let silent = now.saturating_duration_since(last.max(held_since));
+            let too_long = silent > most.max(self.near * 3) + 2 * self.took;
+            too_long.then(|| now.saturating_duration_since(last))
+        };
+        since(self.answered, silence_max).or_else(|| since(self.seen, silence_max.max(self.signs_max)))
     }
 }
 
@@ -213,6 +225,14 @@ mod tests {
         assert_eq!(pulse.silence(begin + 300 * MS, SILENCE_MAX), Some(220 * MS));
         pulse.seen(begin + 310 * MS, MS);
         assert_eq!(pulse.silence(begin + 310 * MS, SILENCE_MAX), None);
+        pulse.signs_within(Some(9_000 * MS));
+        pulse.seen(begin + 320 * MS, 400 * MS);
+        assert_eq!(pulse.silence(begin + 320 * MS, SILENCE_MAX), None, "the hardware reports that rarely");
+        assert_eq!(
+            pulse.silence(begin + 520 * MS, SILENCE_MAX),
+            Some(200 * MS),
+            "the driver does not answer"
+        );
     }
 
     #[test]

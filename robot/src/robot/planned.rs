@@ -127,6 +127,9 @@ impl Robot {
     /// The driver has ended a script because it was asked to.
     pub fn plan_cancelled(&mut self, now: Now, id: PlanId, out: &mut Vec<Output>) {
         if let Some(Stage::Cancelling(error)) = self.plans.get(id).map(|plan| plan.stage.clone()) {
+            if let Some(plan) = self.plans.get_mut(id) {
+                plan.is_withdrawn(now);
+            }
             self.tell_failed(now, id, error);
             self.send_reports(now, out);
         }

@@ -132,6 +132,38 @@ fn an_end_that_no_hardware_has_shown_is_unknown_and_steps_that_are_assumed_do_no
 }
 
 #[test]
+fn a_script_that_is_withdrawn_before_its_driver_had_to_report_a_start_has_not_begun() {
+    for (until, steps_done) in [(1_010, Some(0)), (1_800, None)] {
+        let mut bench = whole("arm");
+        bench.paper();
+        bench.until(until);
+        bench.stop_arm(false);
+        bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+        let failed = bench.out.iter().rev().find_map(|output| match output {
+            crate::robot::Output::Send { message: urrcp::Message::ControlResponse(said), .. }
+                if said.status == urrcp::Status::Failed =>
+            {
+                Some(said.steps_done)
+            }
+            _ => None,
+        });
+        assert_eq!(failed, Some(steps_done), "after {until} ms");
+    }
+}
+
+#[test]
+fn an_assumed_end_is_unknown_without_an_assumed_start() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_410);
+    bench.hears(P1, 1_400, PlanEvent::AssumedDone);
+    assert_eq!(
+        (bench.statuses(), bench.last().steps_done),
+        (vec!["Accepted".to_owned(), "Failed internal".to_owned()], None)
+    );
+}
+
+#[test]
 fn an_end_that_the_hardware_has_shown_counts_without_an_observed_start() {
     let mut bench = whole("arm");
     bench.paper();
