@@ -194,7 +194,11 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
             let write = if here { format!("write `tcp://{place}`") } else { format!("write `{tls}`") };
             ("does not begin with `tls://` or `tcp://`", Some(write))
         }
-        _ => ("is not an address", None),
+        _ => {
+            let simulated =
+                ["simulated", "simulation", "simulator", "virtual", "sim:", "sim://"].contains(&text);
+            ("is not an address", simulated.then(|| "write `sim`".to_owned()))
+        }
     }
 }
 

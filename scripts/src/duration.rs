@@ -55,6 +55,19 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
         return Some(format!("a time cannot be negative: write `{rest}`, or let the others begin later"));
     }
+    if ["now", "start", "begin", "immediately"].contains(&text) {
+        return Some("the beginning is `0s`".to_owned());
+    }
+    let joined: String = text.split_whitespace().collect();
+    if joined != text && parse_duration(&joined).is_some() {
+        return Some(format!("write `{joined}`"));
+    }
+    if let Some(range) = range(text) {
+        return Some(format!("a range is written `{range}`"));
+    }
+    if let Some(hint) = of_frames(text).or_else(|| of_fraction(text)).or_else(|| relation(text)) {
+        return Some(hint);
+    }
     let with_point = text.replace(',', ".");
     if with_point != text && parse_duration(&with_point).is_some() {
         return Some(format!("write a decimal point: `{with_point}`"));
@@ -76,6 +89,48 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     }
     let span = in_words(&with_point)?;
     Some(format!("write `{}`", written(span)))
+}
+
+/// `2s to 4s`, `2s - 4s`: two times as a range.
+fn range(text: &str) -> Option<String> {
+    let (from, to) = [" to ", "-", "\u{2013}"].iter().find_map(|mark| text.split_once(mark))?;
+    let [from, to] = [from.trim(), to.trim()];
+    let [least, largest] = [parse_duration(from)?, parse_duration(to)?];
+    (least < largest).then(|| format!("{from}..{to}"))
+}
+
+/// `48 frames`, `00:00:02:12`: how long a frame is, only its maker knows.
+fn of_frames(text: &str) -> Option<String> {
+    let is_number = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
+    if text.split([':', ';']).filter(is_number).count() == 4 {
+        return Some(
+            "write seconds with decimals for the frames: of 25 a second, 12 frames are `480ms`".to_owned(),
+        );
+    }
+    let digits = text.find(|c: char| !c.is_ascii_digit())?;
+    let count: i64 = text[..digits].parse().ok()?;
+    let word = text[digits..].trim();
+    let millis = count.checked_mul(40).filter(|_| matches!(word, "f" | "fr" | "frame" | "frames"))?;
+    Some(format!("write a time: of 25 frames a second, {count} are `{}`", written(Span::from_millis(millis))))
+}
+
+/// `1/2 beat`: a part of a unit.
+fn of_fraction(text: &str) -> Option<String> {
+    let (whole, rest) = text.split_once('/')?;
+    let digits = rest.find(|c: char| !c.is_ascii_digit())?;
+    let unit = rest[digits..].trim();
+    let sound = [whole, &rest[..digits]].iter().all(|part| part.parse::<u32>().is_ok_and(|part| part > 0));
+    let musical = matches!(unit, "beat" | "beats" | "bar" | "bars");
+    let time = if musical { format!("{whole} {unit}") } else { format!("{whole}{unit}") };
+    (sound && (musical || unit_nanos(unit).is_some()))
+        .then(|| format!("write `{time} / {}`", &rest[..digits]))
+}
+
+/// `after rise`: the key belongs in front of the colon.
+fn relation(text: &str) -> Option<String> {
+    let (key, name) = text.split_once(' ')?;
+    matches!(key, "after" | "with" | "before")
+        .then(|| format!("write `{key}: {}` instead of `at`", name.trim()))
 }
 
 /// Whether a text would be a time if its numbers were smaller.
@@ -129,8 +184,17 @@ fn almost_of_clock(text: &str) -> Option<String> {
     }
 }
 
-/// `1 second`, `250 milliseconds`, `2 S`.
+/// `1 second`, `250 milliseconds`, `2 S`, `1e3ms`.
 fn in_words(text: &str) -> Option<Span> {
+    if let Some((number, unit)) =
+        text.char_indices().rev().find(|(_, c)| c.is_ascii_digit()).map(|(at, _)| text.split_at(at + 1))
+        && let (Ok(value), Some(nanos)) = (number.parse::<f64>(), unit_nanos(unit))
+        && number.contains(['e', 'E'])
+        && value >= 0.0
+    {
+        let millis = value * Span::from_nanos(i64::try_from(nanos).ok()?).as_millis_f64();
+        return (millis <= urrcp::OFFSET_MS_MAX).then(|| Span::from_millis_f64(millis));
+    }
     let number = text.find(|c: char| !c.is_ascii_digit() && c != '.')?;
     let (number, word) = text.split_at(number);
     let unit = match word.trim().to_ascii_lowercase().as_str() {
@@ -204,6 +268,18 @@ mod tests {
             ("1 second", "write `1s`"),
             ("2 S", "write `2s`"),
             ("0,3s", "write a decimal point: `0.3s`"),
+            ("1m 30s", "write `1m30s`"),
+            ("1e3ms", "write `1s`"),
+            ("2s to 4s", "a range is written `2s..4s`"),
+            ("2s - 4s", "a range is written `2s..4s`"),
+            ("48 frames", "write a time: of 25 frames a second, 48 are `1.92s`"),
+            (
+                "00:00:02:12",
+                "write seconds with decimals for the frames: of 25 a second, 12 frames are `480ms`",
+            ),
+            ("1/2 beat", "write `1 beat / 2`"),
+            ("1/3 s", "write `1s / 3`"),
+            ("after rise", "write `after: rise` instead of `at`"),
         ] {
             assert_eq!(hint(text).as_deref(), Some(right));
         }

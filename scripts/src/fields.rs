@@ -2,88 +2,25 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
+use std::collections::HashMap;
 use std::sync::Arc;
 
+pub(crate) use crate::at::At;
 use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
 use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::{self, Robots};
 use crate::finding::{
-    Code, Finding, Part, Pending, Place, Severity, Use, did_you_mean_this, names, nearest, one_of,
+    Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
 };
 use crate::music::Music;
 use crate::node::{Node, shortened};
 use crate::scenario::{Group, Nesting, Unset, is_spread};
 use crate::scope::Scope;
+use crate::shared_fault::{Affected, SharedFault};
+use crate::slips::{self, Units};
 use crate::syntax;
 use urrcp::Span;
-
-/// A node with the way that led to it.
-#[derive(Clone, Copy)]
-pub(crate) struct At<'a> {
-    pub(crate) node: &'a Node,
-    trail: Trail<'a>,
-}
-
-#[derive(Clone, Copy)]
-enum Trail<'a> {
-    Document(u16, Option<&'a Arc<Use>>),
-    Key(&'a At<'a>, &'a str, usize),
-    Index(&'a At<'a>, usize),
-}
-
-impl<'a> At<'a> {
-    /// The root of a file, counted from 0 for the scenario itself.
-    pub(crate) fn document(node: &'a Node, file: u16) -> Self {
-        Self { node, trail: Trail::Document(file, None) }
-    }
-
-    /// The root of a file for what is read of it because of a use.
-    pub(crate) fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
-        Self { node, trail: Trail::Document(file, used) }
-    }
-
-    /// Another node at the same place.
-    pub(crate) fn with(&self, node: &'a Node) -> At<'a> {
-        At { node, trail: self.trail }
-    }
-
-    pub(crate) fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
-        At { node, trail: Trail::Index(self, index) }
-    }
-
-    pub(crate) fn entry(&'a self, key: &'a str, occurrence: usize, node: &'a Node) -> At<'a> {
-        At { node, trail: Trail::Key(self, key, occurrence) }
-    }
-
-    /// The place of this node.
-    pub(crate) fn place(&self) -> Place {
-        let (file, used, path) = self.path();
-        Place { file, path, key: false, within: None, used: used.cloned() }
-    }
-
-    /// The place of the key that leads to it.
-    pub(crate) fn key_place(&self) -> Place {
-        let (file, used, path) = self.path();
-        Place { file, path, key: true, within: None, used: used.cloned() }
-    }
-
-    fn path(&self) -> (u16, Option<&'a Arc<Use>>, Vec<Part>) {
-        match self.trail {
-            Trail::Document(file, used) => (file, used, Vec::new()),
-            Trail::Key(parent, key, occurrence) => {
-                let (file, used, mut path) = parent.path();
-                path.push(Part::Key(key.to_owned(), occurrence));
-                (file, used, path)
-            }
-            Trail::Index(parent, index) => {
-                let (file, used, mut path) = parent.path();
-                path.push(Part::Index(index));
-                (file, used, path)
-            }
-        }
-    }
-}
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
 pub(crate) struct Reader {
@@ -104,6 +41,8 @@ pub(crate) struct Reader {
     pub(crate) nesting: Nesting,
     /// Where the times of cues count from, as far as that is known.
     pub(crate) origin: Beginning,
+    /// The devices of the fleet.
+    pub(crate) units: Units,
     /// Values that a decimal comma cut in two, of which that is told already.
     cut: Vec<Place>,
     /// Comparisons of names that are left.
@@ -112,6 +51,10 @@ pub(crate) struct Reader {
     told: [Told; 2],
     /// What is an error only if there is no other: otherwise one of the others is its cause.
     follow_ups: Vec<Pending>,
+    /// Which findings others of one cause join.
+    alike: HashMap<(Code, String), usize>,
+    /// Errors that have joined others.
+    joined: usize,
 }
 
 /// Findings of one severity.
@@ -143,10 +86,13 @@ impl Default for Reader {
             group: Group::default(),
             nesting: Nesting::default(),
             origin: Beginning(Some(Exact::ZERO)),
+            units: Units::default(),
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
             follow_ups: Vec::new(),
+            alike: HashMap::new(),
+            joined: 0,
         }
     }
 }
@@ -171,7 +117,34 @@ impl Reader {
         }
         (told.count, told.last) = (told.count + 1, self.found.len());
         let (message, expected) = (message.into(), expected.into());
-        self.found.push(Pending { code, place, message, expected, hint, related: Vec::new() });
+        self.found.push(Pending {
+            code,
+            place,
+            message,
+            expected,
+            hint,
+            related: Vec::new(),
+            affected: None,
+        });
+    }
+
+    /// A fault of some robots, which joins the finding of others that have it for the same reason.
+    pub(crate) fn add_shared(&mut self, fault: SharedFault) {
+        let key = (fault.code, fault.cause.clone());
+        let known = self.alike.get(&key).and_then(|known| self.found.get_mut(*known));
+        if let Some(Pending { affected: Some(affected), place, expected, hint, .. }) = known {
+            self.joined += usize::from(fault.code.severity() == Severity::Error);
+            if affected.add(&fault) {
+                (*place, *expected, *hint) = (fault.place, fault.expected, fault.hint);
+            }
+            return;
+        }
+        let (index, affected) = (self.found.len(), Affected::by(&fault));
+        self.add(fault.code, fault.place, affected.message(), fault.expected, fault.hint);
+        if let Some(found) = self.found.get_mut(index) {
+            found.affected = Some(Box::new(affected));
+            self.alike.insert(key, index);
+        }
     }
 
     /// A finding about a file, at the place at which the file is named.
@@ -203,6 +176,7 @@ impl Reader {
     /// Takes back every finding after the mark.
     pub(crate) fn forget(&mut self, mark: &FindingsMark) {
         self.found.truncate(mark.found);
+        self.alike.retain(|_, index| *index < mark.found);
         self.unset.truncate(mark.unset);
         self.told = mark.told;
     }
@@ -210,6 +184,7 @@ impl Reader {
     /// Takes back some of the findings because there were too many.
     pub(crate) fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
+        self.alike.retain(|_, index| *index < before);
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
@@ -227,12 +202,22 @@ impl Reader {
                 self.add(code, place, message, expected, hint);
             }
         }
+        for found in &mut self.found {
+            if let Some(affected) = found.affected.take() {
+                found.message = affected.message();
+            }
+        }
         for told in self.told.iter().filter(|told| told.more > 0) {
             if let Some(last) = self.found.get_mut(told.last) {
                 last.message.push_str(&format!(" (and {} more findings, which are not shown)", told.more));
             }
         }
         self.found
+    }
+
+    /// How many errors there are so far, each counted by itself.
+    pub(crate) const fn errors(&self) -> usize {
+        self.told[0].count + self.told[0].more + self.joined
     }
 
     /// Whether there are so many errors already that nothing more is reported.
@@ -253,25 +238,14 @@ impl Reader {
     }
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
-        let hint = match at.node {
-            Node::Text(text) if expected.contains("number") => number_hint(text),
-            Node::Map(_) if expected.starts_with("a list of") => {
-                Some("begin every entry of the list with a dash: `- `".to_owned())
-            }
-            Node::Number(value) if expected.starts_with("a list of keyframes") => {
-                Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
-            }
-            Node::List(_) if expected.starts_with("a map from robot id") => {
-                Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash".to_owned())
-            }
-            Node::List(_) if expected.starts_with("a map from") => {
-                Some("write `name: ...` for each entry instead of a dash".to_owned())
-            }
-            Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
-            Node::Text(text) if expected.contains(": a map") => syntax::without_space_at_all(text),
-            _ => None,
-        };
-        self.add(Code::WrongType, at.place(), format!("found {}", at.node.kind()), expected, hint);
+        self.wrong_value(at, at.node, expected);
+    }
+
+    /// The same for a value that stands elsewhere: the parameter of a move or a sequence where it is given.
+    fn wrong_value(&mut self, at: &At<'_>, value: &Node, expected: &str) {
+        let hint = slips::value(self, &at.place(), value, expected);
+        let place = self.given_at(at).map_or_else(|| at.place(), |given| Place::clone(&given));
+        self.add(Code::WrongType, place, format!("found {}", value.kind()), expected, hint);
     }
 
     /// The value of each known key; findings for the others, for duplicates and for missing ones.
@@ -313,7 +287,10 @@ impl Reader {
                         _ if syntax::without_space(key, &known).is_some() => {
                             syntax::without_space(key, &known)
                         }
-                        _ => self.did_you_mean(key, known).or_else(|| word_of(key, known)),
+                        _ => slips::key(self, what, key, node)
+                            .or_else(|| self.did_you_mean(key, known))
+                            .or_else(|| slips::word_of(key, known))
+                            .or_else(|| slips::parameter(what, key, node, entries)),
                     };
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
@@ -328,16 +305,22 @@ impl Reader {
                     ("the scenario", "scenario") => "the scenario has no name".to_owned(),
                     _ => format!("{what} has no `{key}`"),
                 };
-                let hint = missing(what, key).map(str::to_owned);
+                let hint = slips::missing(what, key).map(str::to_owned);
                 self.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
             }
         }
         Some(values)
     }
 
+    /// Whether a part of the scenario is of the wrong type as a whole, so that nothing in it is known.
+    pub(crate) fn is_wrong(&self, part: &str) -> bool {
+        let is_part = |place: &Place| matches!(place.path.as_slice(), [Part::Key(key, _)] if key == part);
+        self.found.iter().any(|found| found.code == Code::WrongType && is_part(&found.place))
+    }
+
     /// Whether the findings say already that one of the keys here was meant to be this one.
     pub(crate) fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
-        let (misspelt, joined) = (did_you_mean_this(key), syntax::spaced_key(key));
+        let meant = [did_you_mean_this(key), format!("`{key}`"), format!("`{key}:")];
         let place = at.place();
         let is_here = |found: &Pending| {
             let parent = found.place.path.split_last().map(|(_, parent)| parent);
@@ -346,7 +329,7 @@ impl Reader {
         let hints = self.found.iter().filter(|found| found.code == Code::UnknownKey && is_here(found));
         hints
             .filter_map(|found| found.hint.as_ref())
-            .any(|hint| *hint == misspelt || hint.starts_with(&joined))
+            .any(|hint| meant.iter().any(|meant| hint.contains(meant)))
     }
 
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
@@ -435,7 +418,7 @@ impl Reader {
         }
     }
 
-    /// Where the value of the parameter that stands here is given, if it is one of a sequence.
+    /// Where the value of the parameter that stands here is given, if it is one of a move or a sequence.
     pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
@@ -455,11 +438,18 @@ impl Reader {
                 let message = format!("a minus needs a number, and `{}` is not a number", shortened(name));
                 self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
             }
+            // The names as a whole have a finding already.
+            (None, _) if self.is_wrong("variables") => {}
             (None, _) => {
-                let hint = self.did_you_mean(name, self.scope.names());
-                let expected = match self.scope.names().next() {
-                    Some(_) => format!("one of the variables {}", names(self.scope.names())),
-                    None => "a name under `variables`".to_owned(),
+                let (hint, expected) = match self.scope.names().next() {
+                    Some(_) => (
+                        self.did_you_mean(name, self.scope.names()),
+                        format!("one of the variables {}", names(self.scope.names())),
+                    ),
+                    None => (
+                        Some(format!("define it, as in `variables: {{{}: 45}}`", shortened(name))),
+                        "a name under `variables`".to_owned(),
+                    ),
                 };
                 let message = format!("no variable `{}` is known here", shortened(name));
                 self.add(Code::Variable, at.place(), message, expected, hint);
@@ -499,8 +489,8 @@ impl Reader {
                 let text = self.spread(at)?;
                 self.number_of(at, &text, expected)
             }
-            _ => {
-                self.wrong_type(at, expected);
+            node => {
+                self.wrong_value(at, node, expected);
                 None
             }
         }
@@ -556,6 +546,10 @@ impl Reader {
                 let text = self.spread(at)?;
                 return self.time_of(at, &text);
             }
+            Node::Null => (
+                "found nothing where a time belongs".to_owned(),
+                Some("write a time, such as `0s`".to_owned()),
+            ),
             other => (format!("found {} where a time belongs", other.kind()), None),
         };
         self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
@@ -578,7 +572,7 @@ impl Reader {
         if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
             let value = self.scope.get(name).cloned();
             return match value {
-                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&At { node: &node, ..*at }),
+                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&at.with(&node)),
                 _ => self.variable(at, text).and(None),
             };
         }
@@ -594,7 +588,12 @@ impl Reader {
             None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),
             None => {
                 let found = format!("the time `{}` cannot be read", shortened(text));
-                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, duration::hint(text));
+                let is_number = text.parse::<f64>().is_ok_and(|value| value >= 0.0);
+                let hint = match is_number {
+                    true => Some(format!("add the unit: `{text}s` or `{text}ms`")),
+                    false => duration::hint(text),
+                };
+                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
             }
         }
         None
@@ -641,7 +640,8 @@ impl Reader {
         }
         let message = format!("unknown word `{}`", shortened(&text));
         let expected = one_of(known());
-        let hint = hint(&text).or_else(|| self.did_you_mean(&text, known()));
+        let hint =
+            hint(&text).or_else(|| slips::word(&text, known())).or_else(|| self.did_you_mean(&text, known()));
         self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None
     }
@@ -678,40 +678,6 @@ fn cut_in_brackets<'a>((key, value): &'a (String, Node), node: &Node) -> Option<
         Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => {
             Some((key, text))
         }
-        _ => None,
-    }
-}
-
-/// `control_type` for `control`: a key that is one word of what was written.
-fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
-    let mut known = known.into_iter().filter(|name| name.len() > 3);
-    known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
-}
-
-/// How a number is written that a person would understand: `45,5`, `45deg`.
-fn number_hint(text: &str) -> Option<String> {
-    let is_number = |text: &str| text.parse::<f64>().is_ok_and(f64::is_finite);
-    let with_point = text.trim().replacen(',', ".", 1);
-    if is_number(&with_point) {
-        return Some(format!("write a decimal point: `{with_point}`"));
-    }
-    let digits = with_point.trim_end_matches(|c: char| !c.is_ascii_digit()).trim();
-    is_number(digits).then(|| format!("write the number alone, in the unit of the device: `{digits}`"))
-}
-
-/// What to write for a key that beginners leave out.
-fn missing(what: &str, key: &str) -> Option<&'static str> {
-    match (what, key) {
-        ("the scenario", "scenario") => {
-            Some("give the show a name in the first line, such as `scenario: my-show`")
-        }
-        ("the fleet file", "robots") => {
-            Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
-        }
-        (_, "address") => {
-            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
-        }
-        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
         _ => None,
     }
 }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::node::shortened;
+use crate::shared_fault::Affected;
 
 /// How bad it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -131,6 +132,7 @@ codes! {
     WrongKind = "DB0078", Error, "a value of another kind than its parameter";
     UnknownPath = "DB0079", Error, "no path of this name";
     CrowdedPlace = "DB0080", Warning, "many robots at one place of a Zenoh network";
+    IgnoredKey = "DB0081", Warning, "a key of a robot's description that is ignored";
 }
 
 impl Code {
@@ -238,6 +240,8 @@ pub(crate) struct Pending {
     pub(crate) hint: Option<String>,
     /// Other places of the same file.
     pub(crate) related: Vec<(Place, String)>,
+    /// The robots that it concerns, if others may join them.
+    pub(crate) affected: Option<Box<Affected>>,
 }
 
 /// A place in a file: a node, or the key that leads to it.
@@ -350,6 +354,21 @@ pub(crate) fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
         "none" => "a name that is defined, but none is".to_owned(),
         names => format!("one of {names}"),
+    }
+}
+
+/// Most robots that a message lists.
+const LISTED_MAX: usize = 5;
+
+/// The robots that a message is about: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
+pub(crate) fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> String {
+    let (count, listed) = (ids.len(), ids.map(|id| format!("`{}`", shortened(id))));
+    match count {
+        0..=LISTED_MAX => listed.collect::<Vec<_>>().join(", "),
+        _ => {
+            let first: Vec<_> = listed.take(3).collect();
+            format!("{count} robots ({} and {} more)", first.join(", "), count - first.len())
+        }
     }
 }
 

@@ -1,24 +1,27 @@
 //! The fleet file: which robots there are, where they are reached, how they describe themselves.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
-use crate::address::{ADDRESS, Address, Reached, address_fault};
+use crate::address::{ADDRESS, Address, address_fault};
+use crate::composed::composed;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Finding, Severity};
+use crate::finding::{Code, Finding, Part, Place, Severity};
 use crate::identify::{self, Document};
 use crate::init::{Init, read_supplements};
 use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::project::{Project, folder_of};
+use crate::slips;
 use crate::source::Source;
 use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
 
+mod apart;
 mod body;
 mod calibration;
 mod declared;
@@ -31,6 +34,7 @@ mod sensors;
 mod urdf;
 
 pub use calibration::{Calibration, Taken};
+use declared::device_named;
 pub(crate) use declared::{devices_of, limits_of, settable_limits};
 pub use latency::{
     DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
@@ -44,8 +48,6 @@ const FLEET_KEYS: [&str; 10] =
     ["ntp", "handshake", "identity", "revoked", "zenoh", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
-/// With more, greeting them takes markedly longer than with the same number in several places (docs/zenoh.md).
-const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 const SIMULATE_KEYS: [&str; 8] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
@@ -331,15 +333,20 @@ impl FleetReader<'_> {
         self.latencies = latency.map(|at| self.latency_file(&at)).unwrap_or_default();
         let robots = robots?;
         latency::warn_of_robots(&mut self.findings, LATENCY_FILE, &self.latencies, robots.node);
+        let mut names: HashMap<String, &str> = HashMap::new();
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
+            if names.insert(composed(name).into_owned(), name).is_some() {
+                self.same_name(name, &robots);
+                continue;
+            }
             let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
         }
         if !insecure {
-            none_open(&mut self.findings, &robots, &fleet.robots);
+            apart::none_open(&mut self.findings, &robots, &fleet.robots);
         }
-        one_place_each(&mut self.findings, &robots, &fleet.robots);
-        none_crowded(&mut self.findings, &robots, &fleet.robots);
+        apart::one_place_each(&mut self.findings, &robots, &fleet.robots);
+        apart::none_crowded(&mut self.findings, &robots, &fleet.robots);
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
             self.findings.add(
                 Code::NothingToDo,
@@ -352,10 +359,21 @@ impl FleetReader<'_> {
         if let Some(groups) = groups {
             // Robots with findings of their own count as known: one fault, one finding.
             let Node::Map(named) = robots.node else { return Some(fleet) };
-            let named = named.iter().map(|(name, _)| name.as_str()).collect();
+            let named = named.iter().map(|(name, _)| (composed(name).into_owned(), name.as_str())).collect();
             self.groups(&groups, &named, &mut fleet);
         }
         Some(fleet)
+    }
+
+    /// Two robots whose names look alike.
+    fn same_name(&mut self, name: &str, robots: &At<'_>) {
+        let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
+        let message = format!(
+            "two robots are called `{}`, with letters that are encoded differently",
+            node::shortened(name)
+        );
+        let hint = Some("name one of them differently, or remove it".to_owned());
+        self.findings.add(Code::DuplicateKey, place, message, "names that differ to the eye", hint);
     }
 
     fn robot(&mut self, name: &str, at: &At<'_>, handshake: Handshake) -> Option<FleetRobot> {
@@ -437,8 +455,23 @@ impl FleetReader<'_> {
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
         let mut limits = BTreeMap::new();
+        if let Node::Map(entries) = at.node
+            && !entries.is_empty()
+            && entries.iter().all(|(key, _)| LIMIT_KEYS.contains(&key.as_str()) && init.device(key).is_none())
+        {
+            let device = init.devices.first().map_or("elbow", |device| device.id.as_str());
+            let hint = Some(format!("name the device first, as in `limits: {{{device}: {{speed: 90}}}}`"));
+            self.findings.add(
+                Code::WrongType,
+                at.place(),
+                "limits without their device",
+                "a map from device to its limits",
+                hint,
+            );
+            return limits;
+        }
         for (device, at) in self.findings.entries(at, "device to its largest speed and acceleration") {
-            if init.device(device).is_none() {
+            if device_named(init, device).is_none() {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
                 let message = format!("the robot has no device `{}`", node::shortened(device));
                 let expected = crate::finding::one_of(known());
@@ -451,7 +484,8 @@ impl FleetReader<'_> {
             let expected = "a number above 0, in the device's unit";
             let mut positive = |at: Option<At<'_>>| at.and_then(|at| self.findings.positive(&at, expected));
             let rates = RateLimits { speed: positive(speed), acceleration: positive(acceleration) };
-            limits.insert(device.to_owned(), rates);
+            let id = device_named(init, device).map_or(device, |device| device.id.as_str());
+            limits.insert(id.to_owned(), rates);
         }
         limits
     }
@@ -476,7 +510,7 @@ impl FleetReader<'_> {
         let init = self.inits.get(&path)?.as_ref()?;
         let supplements = match (devices, init) {
             (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
-            (Some(at), Init::Block(_)) => {
+            (Some(at), Init::Block(..)) => {
                 let message = format!("`{}` describes its devices whole", path.display());
                 let expected = "`devices` only with the description of a Thrift robot";
                 let hint = Some("change the init file instead".to_owned());
@@ -499,7 +533,13 @@ impl FleetReader<'_> {
 
     fn read_init(&mut self, at: &At<'_>, path: &Path) -> Option<Init> {
         match self.project.read(path) {
-            Ok(source) => Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok(),
+            Ok(source) => {
+                let read = Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok();
+                if let Some(Init::Block(_, warnings)) = &read {
+                    self.elsewhere.extend_from_slice(warnings);
+                }
+                read
+            }
             Err(finding) if finding.code == Code::OutsideProject => {
                 self.findings.add_named(at.place(), finding);
                 None
@@ -507,9 +547,13 @@ impl FleetReader<'_> {
             Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
                 let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
-                let hint =
-                    hint.or_else(|| Some("the path counts from the folder of the fleet file".to_owned()));
-                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", hint);
+                let hint = hint.unwrap_or_else(|| match path.to_str().filter(|path| path.contains('\\')) {
+                    Some(path) => {
+                        format!("folders are separated by `/`: write `{}`", path.replace('\\', "/"))
+                    }
+                    None => "the path counts from the folder of the fleet file".to_owned(),
+                });
+                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
                 None
             }
         }
@@ -550,106 +594,42 @@ impl FleetReader<'_> {
         readings
     }
 
-    fn groups(&mut self, at: &At<'_>, named: &HashSet<&str>, fleet: &mut Fleet) {
-        let ids: HashMap<String, RobotId> =
-            fleet.robots.iter().map(|r| (r.id.to_string(), r.id.clone())).collect();
-        let mut sorted: Vec<&str> = named.iter().copied().collect();
+    /// `named` has all robots by the composed forms of their names.
+    fn groups(&mut self, at: &At<'_>, named: &HashMap<String, &str>, fleet: &mut Fleet) {
+        let ids: HashMap<String, RobotId> = fleet
+            .robots
+            .iter()
+            .map(|robot| (composed(robot.id.as_str()).into_owned(), robot.id.clone()))
+            .collect();
+        let mut sorted: Vec<&str> = named.values().copied().collect();
         sorted.sort_unstable();
-        for (name, at) in self.findings.entries(at, "group to the list of its robots") {
-            if named.contains(name) {
+        let entries = self.findings.entries(at, "group to the list of its robots");
+        let groups: Vec<&str> = entries.iter().map(|(name, _)| *name).collect();
+        for (name, at) in entries {
+            if named.contains_key(composed(name).as_ref()) {
                 let message = format!("the group `{name}` has the name of a robot");
                 self.findings.add(Code::NameClash, at.key_place(), message, "a unique name", None);
             }
             let mut members = Vec::new();
             for item in self.findings.list(&at, "a list of robots") {
                 let Some(id) = self.findings.name(&item, "the id of a robot") else { continue };
-                match ids.get(&id) {
+                match ids.get(composed(&id).as_ref()) {
                     Some(id) => members.push(id.clone()),
-                    None if named.contains(id.as_str()) => {}
-                    None => unknown_robot(&mut self.findings, &item, &id, &sorted),
+                    None if named.contains_key(composed(&id).as_ref()) => {}
+                    None => unknown_robot(&mut self.findings, &item, &id, &sorted, &groups),
                 }
             }
-            fleet.groups.insert(name.to_owned(), members);
+            fleet.groups.insert(composed(name).into_owned(), members);
         }
     }
 }
 
-/// Anyone who can send a message to such a robot can move it.
-fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
-    for robot in fleet.iter().filter(|robot| robot.address.is_open()) {
-        findings.add(
-            Code::OpenNetwork,
-            robots.place().of_key(robot.id.as_str()).of_key("address"),
-            format!(
-                "`{}` would be moved over plain TCP, where anyone on the network can move it too",
-                robot.id
-            ),
-            "a `tls://` or `hmac://` address, for which `downbeat keys` makes the keys",
-            Some("in a network of its own, write `insecure: true` at the top of the fleet file".into()),
-        );
-    }
-}
-
-/// Robots that are reached at one place, or call themselves by one id, cannot be told from each other.
-fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
-    let mut reached: HashMap<Reached, &FleetRobot> = HashMap::new();
-    let mut called: HashMap<&RobotId, &FleetRobot> = HashMap::new();
-    for robot in fleet {
-        let at = |robot: &FleetRobot, key| robots.place().of_key(robot.id.as_str()).of_key(key);
-        let places = robot.address.places();
-        if let Some(other) = places.iter().find_map(|place| reached.get(place).copied()) {
-            let is_reached =
-                |robot: &FleetRobot| (at(robot, "address"), format!("`{}` at {}", robot.id, robot.address));
-            findings.add_related(
-                Code::OneAddress,
-                vec![is_reached(robot), is_reached(other)],
-                format!("`{}` and `{}` have the same address", other.id, robot.id),
-                "a different address for each robot",
-                Some("correct the address of one of them".to_owned()),
-            );
-        }
-        for place in places {
-            reached.entry(place).or_insert(robot);
-        }
-        let Some(own_id) = robot.init.as_ref().map(|init| &init.id) else { continue };
-        if let Some(other) = called.insert(own_id, robot) {
-            // The name of one of them may be what the other one has as its `robot_id`.
-            let named = if *own_id == robot.id { other } else { robot };
-            findings.add(
-                Code::NameTwice,
-                at(named, "robot_id"),
-                format!("`{}` and `{}` would both call themselves `{own_id}`", other.id, robot.id),
-                "a different id for each robot",
-                Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
-            );
-        }
-    }
-}
-
-/// Robots whose keys differ in the last word only. Routers of Zenoh compare each key that is declared with all that stand next to it.
-fn none_crowded(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
-    let mut crowds: BTreeMap<&str, Vec<&FleetRobot>> = BTreeMap::new();
-    for robot in fleet {
-        if let Address::Zenoh { key } = &robot.address {
-            let place = key.rsplit_once('/').map_or("", |(place, _)| place);
-            crowds.entry(place).or_default().push(robot);
-        }
-    }
-    for (place, crowd) in crowds {
-        let Some(first) = crowd.get(ROBOTS_AT_A_PLACE_MAX) else { continue };
-        let within = if place.is_empty() { String::new() } else { format!("{place}/") };
-        findings.add(
-            Code::CrowdedPlace,
-            robots.place().of_key(first.id.as_str()).of_key("address"),
-            format!("{} robots stand next to each other, at `zenoh:{within}...`", crowd.len()),
-            format!("at most {ROBOTS_AT_A_PLACE_MAX} robots whose keys differ in the last word only"),
-            Some(format!("give their keys one word more, as in `zenoh:{within}row-1/{}`", first.id)),
-        );
-    }
-}
-
-fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str]) {
-    let hint = findings.did_you_mean(name, known.iter().copied());
+fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str], groups: &[&str]) {
+    let hint = match groups.contains(&name) {
+        true => Some("a group lists robots, not groups: list those of this group".to_owned()),
+        false => slips::several_names(name, known.iter().copied())
+            .or_else(|| findings.did_you_mean(name, known.iter().copied())),
+    };
     let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
     let expected = crate::finding::one_of(known.iter().copied());
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);

@@ -91,6 +91,21 @@ pub(crate) fn mistaken(source: &Source, document: &Node, wanted: Document) -> Op
     Some(Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint)))
 }
 
+/// Why a file cannot be included, and a hint, if it is a document of its own.
+pub(crate) fn not_to_include(document: &Node) -> Option<(String, &'static str)> {
+    let Node::Map(entries) = document else { return None };
+    let found = Document::of(entries)?;
+    let hint = match found {
+        Document::Scenario => {
+            "move what both share, such as `moves`, into a file of its own, and include that"
+        }
+        Document::Fleet => "name it under `fleet` instead",
+        Document::Robot => "name it as the `init` of a robot in the fleet file",
+        Document::World => "name it with `--world FILE`",
+    };
+    Some((format!("this file is {}", found.name()), hint))
+}
+
 /// Whether a key is one of a scenario, perhaps misspelt.
 fn belongs(key: &str) -> bool {
     SCENARIO_KEYS.contains(&key) || did_you_mean(key, SCENARIO_KEYS).is_some()

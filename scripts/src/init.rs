@@ -2,6 +2,7 @@
 
 mod dictionary;
 mod faults;
+mod keys;
 mod supplement;
 
 use std::path::Path;
@@ -46,8 +47,8 @@ pub fn init_text(block: &InitializationBlock) -> String {
 /// A description as it was read.
 #[derive(Clone, Debug)]
 pub(crate) enum Init {
-    /// It is complete.
-    Block(Box<InitializationBlock>),
+    /// It is complete; with warnings.
+    Block(Box<InitializationBlock>, Vec<Finding>),
     /// The description of a Thrift robot: devices as a dictionary, which may be incomplete.
     Dictionary(Source, Node),
 }
@@ -55,7 +56,7 @@ pub(crate) enum Init {
 impl Init {
     pub(crate) fn read(source: Source) -> Result<Self, Vec<Finding>> {
         let wrong = match block_of(&source) {
-            Ok(block) => return Ok(Self::Block(Box::new(block))),
+            Ok(block) => return Ok(Self::Block(Box::new(block), keys::ignored(&source))),
             Err(finding) => finding,
         };
         let document = node::parse(&source);
@@ -78,7 +79,7 @@ impl Init {
         supplements: &[(String, Supplement)],
     ) -> Result<InitializationBlock, Vec<Finding>> {
         match self {
-            Self::Block(block) => Ok(block.as_ref().clone()),
+            Self::Block(block, _) => Ok(block.as_ref().clone()),
             Self::Dictionary(source, document) => {
                 let mut findings = Reader::default();
                 let block = dictionary::block(&mut findings, &At::document(document, 0), supplements);
@@ -91,7 +92,7 @@ impl Init {
     /// The ids of its devices.
     pub(crate) fn devices(&self) -> Vec<&str> {
         match self {
-            Self::Block(block) => block.devices.iter().map(|device| device.id.as_str()).collect(),
+            Self::Block(block, _) => block.devices.iter().map(|device| device.id.as_str()).collect(),
             Self::Dictionary(_, document) => dictionary::device_ids(document),
         }
     }

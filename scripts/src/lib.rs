@@ -17,9 +17,11 @@
 mod address;
 mod aliases;
 mod approach;
+mod at;
 mod budget;
 mod chance;
 mod compile;
+mod composed;
 mod duration;
 mod ensemble;
 mod events;
@@ -57,8 +59,10 @@ mod sarif;
 mod scenario;
 mod schema;
 mod scope;
+mod shared_fault;
 #[doc(hidden)]
 pub mod shown;
+mod slips;
 mod source;
 mod space;
 mod syntax;

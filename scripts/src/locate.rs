@@ -9,6 +9,7 @@ use std::collections::HashMap;
 
 use saphyr_parser::Event;
 
+use crate::composed::composed;
 use crate::events::{Events, Extent};
 use crate::finding::{Finding, Part, Pending, Place, Related, Within};
 use crate::render::line_starts;
@@ -227,6 +228,11 @@ impl Wanted {
     fn add(&mut self, place: &Place) -> usize {
         let mut node = 0;
         for part in &place.path {
+            // Names may be encoded in another way than in the file.
+            let part = &match part {
+                Part::Key(key, count) => Part::Key(composed(key).into_owned(), *count),
+                Part::Index(index) => Part::Index(*index),
+            };
             node = match self.children[node].get(part) {
                 Some(&child) => child,
                 None => {
@@ -316,8 +322,9 @@ impl Wanted {
     }
 
     fn child_of_key(&self, parent: usize, seen: &mut HashMap<String, usize>, key: &str) -> Option<usize> {
-        let count = seen.entry(key.to_owned()).or_default();
-        let part = Part::Key(key.to_owned(), *count);
+        let key = composed(key);
+        let count = seen.entry(key.to_string()).or_default();
+        let part = Part::Key(key.into_owned(), *count);
         *count += 1;
         self.children[parent].get(&part).copied()
     }

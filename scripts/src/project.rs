@@ -7,6 +7,7 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use crate::composed::is_same;
 use crate::finding::{Code, Finding};
 use crate::open::open_regular;
 use crate::source::{Source, bytes_of, refused};
@@ -91,11 +92,26 @@ impl Project {
             Ok(real) if real.starts_with(&self.root) => Ok(real),
             Ok(_) => Err(outside(path)),
             // What names another folder has are not told either.
-            Err(error) => match existing(path).is_some_and(|existing| existing.starts_with(&self.root)) {
-                true => Err(refused(path, &error)),
-                false => Err(outside(path)),
+            Err(error) => match existing(path).filter(|existing| existing.starts_with(&self.root)) {
+                Some(folder) => self.respelled(&folder, path).ok_or_else(|| refused(path, &error)),
+                None => Err(outside(path)),
             },
         }
+    }
+}
+
+impl Project {
+    /// A file whose name differs in the encoding of its letters alone, in a folder of the project.
+    fn respelled(&self, folder: &Path, path: &Path) -> Option<PathBuf> {
+        let name = path.file_name()?.to_str().filter(|name| !name.is_ascii())?;
+        if path.parent().and_then(|parent| real(parent).ok())? != *folder {
+            return None;
+        }
+        let alike = |entry: &PathBuf| {
+            entry.file_name().and_then(OsStr::to_str).is_some_and(|other| is_same(name, other))
+        };
+        let found = folder.read_dir().ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(alike)?;
+        found.canonicalize().ok().filter(|real| real.starts_with(&self.root))
     }
 }
 

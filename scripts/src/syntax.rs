@@ -23,9 +23,22 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
     } else if whole.contains("recursion limit") {
         finding.hint = Some("nothing here nests deeper than a handful of levels".into());
     } else if whole.contains("more than one document") {
-        finding.hint = Some("keep one document a file: remove the `---` between them".into());
+        several_documents(source, &mut finding);
     }
     finding
+}
+
+/// The second document is where the first `---` after anything else is.
+fn several_documents(source: &Source, finding: &mut Finding) {
+    "the file has more than one document".clone_into(&mut finding.message);
+    finding.hint = Some("keep one document a file: remove the `---` between them".into());
+    let says_nothing =
+        |line: &str| line.trim().is_empty() || line.starts_with(['#', '%']) || line.starts_with("---");
+    let mut lines = source.text.lines().enumerate().skip_while(|(_, line)| says_nothing(line));
+    if let Some((index, line)) = lines.find(|(_, line)| line.starts_with("---")) {
+        (finding.line, finding.column, finding.width) = (index + 1, 1, 3);
+        line.clone_into(&mut finding.source_line);
+    }
 }
 
 /// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
@@ -48,6 +61,16 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
         "spaces".clone_into(&mut finding.expected);
         return Some("YAML is indented by spaces: replace each tab by some".to_owned());
     }
+    if near().any(|line| line.contains(NO_BREAK_SPACE)) {
+        "this line has a no-break space, as web pages do".clone_into(&mut finding.message);
+        "spaces of the keyboard".clone_into(&mut finding.expected);
+        return Some("type the spaces of this line again".to_owned());
+    }
+    if let Some(name) = near().find_map(braced) {
+        "braces around the name of a variable".clone_into(&mut finding.message);
+        "a variable such as `$a`".clone_into(&mut finding.expected);
+        return Some(format!("write `${name}`"));
+    }
     let entry = |line: &'_ str| line.trim_start().trim_start_matches("- ").to_owned();
     if let Some(hint) = near().find_map(|line| without_space_at_all(&entry(line))) {
         if finding.message == NO_COLON {
@@ -57,7 +80,17 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
     }
     let line = entry(line_of(&source.text, place.max(1)));
     let (key, value) = line.split_once(' ').filter(|_| finding.message == NO_COLON)?;
+    let value = value.trim_start_matches(['=', ':', ' ']);
     Some(format!("write a colon after the key: `{}: {}`", shortened(key), shortened(value.trim())))
+}
+
+const NO_BREAK_SPACE: char = '\u{a0}';
+
+/// The name in `${name}`.
+fn braced(line: &str) -> Option<&str> {
+    let (_, rest) = line.split_once("${")?;
+    let name = &rest[..rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len())];
+    (!name.is_empty()).then_some(name)
 }
 
 /// A hint for `at:0s`, which YAML reads as one word.
@@ -76,12 +109,7 @@ pub(crate) fn without_space_at_all(text: &str) -> Option<String> {
 
 fn spaced(name: &str, rest: &str) -> String {
     let value = rest.split_whitespace().next().unwrap_or_default();
-    format!("{} {}`", spaced_key(&shortened(name)), shortened(value))
-}
-
-/// How the hint begins that a key and its value are written as one word.
-pub(crate) fn spaced_key(name: &str) -> String {
-    format!("write a space after the colon: `{name}:")
+    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
 /// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
@@ -130,8 +158,41 @@ fn byte_of(text: &str, line: usize, column: usize) -> usize {
     start + ahead.sum::<usize>()
 }
 
+/// A colon within a value, or a map that begins on the line of its key.
+fn second_colon(finding: &mut Finding, line: &str) {
+    "a second colon in one line".clone_into(&mut finding.message);
+    "one key and its value".clone_into(&mut finding.expected);
+    let entry = line.trim_start().trim_start_matches("- ");
+    let Some((key, value)) = entry.split_once(": ") else { return };
+    let inner = value.trim();
+    let is_map = inner.ends_with(':') || inner.contains(": [") || inner.contains(": {");
+    finding.hint = Some(match is_map {
+        true => format!("begin a new line after `{key}:`, and indent it deeper"),
+        false => format!("write the value in quotation marks: `{key}: \"{}\"`", shortened(inner)),
+    });
+}
+
+/// What begins with an asterisk is an alias.
+fn unknown_alias(finding: &mut Finding, line: &str) {
+    "an asterisk begins the name of an alias, and nothing has this name".clone_into(&mut finding.message);
+    "a value that begins with another character".clone_into(&mut finding.expected);
+    let rest = line.split_once('*').map_or("", |(_, rest)| rest);
+    let name = rest.split([',', ']', '}', '#']).next().unwrap_or_default().trim();
+    finding.hint = Some(match name {
+        "" => "name each robot or group, as in `[left, right]`".to_owned(),
+        name => format!("write `{0}`, or `\"*{0}\"` if the asterisk belongs to it", shortened(name)),
+    });
+}
+
 /// Puts the parser's complaint at the place to be corrected, in plain words with a hint.
 fn explain(finding: &mut Finding, whole: &str, text: &str) {
+    let line = line_of(text, finding.line);
+    if whole.starts_with("mapping values are not allowed") {
+        return second_colon(finding, line);
+    }
+    if whole.starts_with("unknown anchor") || whole.contains("while scanning an alias") {
+        return unknown_alias(finding, line);
+    }
     let Some(begun) = Begun::of(whole, text) else { return };
     let opened = match begun.what {
         "parsing a flow sequence" => Some(("[", "]")),

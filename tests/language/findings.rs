@@ -63,12 +63,7 @@ fn an_unknown_device_is_found_once_for_all_robots() {
     check(
         yaml,
         1,
-        &[
-            "DB0009",
-            "robots `left`, `right` have no device `sholder`",
-            "did you mean `shoulder`?",
-            "1 error,",
-        ],
+        &["DB0009", "`left`, `right` have no device `sholder`", "did you mean `shoulder`?", "1 error,"],
     );
 }
 
@@ -128,7 +123,7 @@ fn a_scenario_without_cues_and_a_cue_without_robots_are_found() {
 #[test]
 fn a_robot_listed_twice_is_found() {
     let yaml = scenario("        - {at: 0s, to: 45}\n").replace("robots: arms", "robots: [left, arms]");
-    check(yaml, 1, &["DB0017", "robot `left` is in this cue already"]);
+    check(yaml, 1, &["DB0017", "already in this cue: `left`"]);
 }
 
 #[test]
@@ -185,7 +180,7 @@ fn a_bad_initialization_block_is_found_in_its_own_file() {
     session.file("arm.yaml", stage::session::ARM.replace("granularity: 0.5}", "granularity: 0}"));
     session
         .run(&["check", "test.yaml"])
-        .says(1, &["DB0018", "arm.yaml:", "granularity 0, expected a finite number above 0"]);
+        .says(1, &["DB0018", "arm.yaml:", "granularity 0, for `position` of the device `shoulder`"]);
 }
 
 /// Runs `check` with 200 MB of address space in all.

@@ -2,14 +2,17 @@
 
 use std::collections::{HashMap, HashSet};
 
+use petgraph::Direction;
+use petgraph::algo::tarjan_scc;
 use petgraph::graph::{DiGraph, NodeIndex};
-use petgraph::visit::{Dfs, Reversed};
+use petgraph::visit::{Dfs, IntoNeighbors, Reversed, Visitable};
+use urrcp::Device;
 
 use super::cast::Cast;
 use super::perform::unknown_sensor;
 use crate::budget::{Budget, USES_MAX};
 use crate::fields::Reader;
-use crate::finding::{Code, names};
+use crate::finding::{Code, Place, did_you_mean_this, names};
 use crate::node::shortened;
 use crate::plan::{FailurePolicy, Wait, Way};
 use crate::scenario::{Act, Name};
@@ -62,8 +65,12 @@ fn way(
     let next = act.next.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(following);
     let on_timeout =
         act.wait.otherwise.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(Way::Fail);
-    if let Wait::Sensor { robot, sensor, .. } = &act.wait.wait {
-        check_sensor(findings, cast, act, robot, sensor);
+    let mut wait = act.wait.wait.clone();
+    if let Wait::Sensor { robot, sensor, .. } = &mut wait
+        && let Some((known, device)) = check_sensor(findings, cast, act, robot, sensor)
+    {
+        // As they call themselves.
+        (*robot, *sensor) = (cast.id(known).to_string(), device.id.to_string());
     }
     let mut ruled = HashSet::new();
     let mut policy =
@@ -80,7 +87,7 @@ fn way(
     if let Some(Way::Act(then)) = act.on_failure.then.as_ref().and_then(|name| by_name.find(findings, name)) {
         policy.then = Some(then);
     }
-    Ways { wait: act.wait.wait.clone(), on_timeout, next, on_failure: policy }
+    Ways { wait, on_timeout, next, on_failure: policy }
 }
 
 /// Whether there is room for a rule of this many robots: each act has its own for each of them.
@@ -109,7 +116,15 @@ impl ByName<'_> {
         let found = self.index_of.get(name.text.as_str()).copied();
         if found.is_none() {
             let known = || self.acts.iter().map(|act| act.name.as_str());
-            let hint = findings.did_you_mean(&name.text, known());
+            let number =
+                name.text.parse::<usize>().ok().and_then(|number| self.acts.get(number.checked_sub(1)?));
+            let hint = match (name.text.as_str(), number) {
+                (_, Some(act)) => Some(did_you_mean_this(&shortened(&act.name))),
+                ("next" | "following" | "continue", _) => {
+                    Some("leave it out: acts follow each other in the order of the file".to_owned())
+                }
+                _ => findings.did_you_mean(&name.text, known()),
+            };
             let message = format!("no act `{}`", shortened(&name.text));
             let expected = format!("`end` or one of {}", names(known()));
             findings.add(Code::UnknownAct, name.place.clone(), message, expected, hint);
@@ -118,7 +133,14 @@ impl ByName<'_> {
     }
 }
 
-fn check_sensor(findings: &mut Reader, cast: &Cast<'_>, act: &Act, robot: &str, sensor: &str) {
+/// The sensor for which an act waits, and the robot that has it.
+fn check_sensor<'c>(
+    findings: &mut Reader,
+    cast: &Cast<'c>,
+    act: &Act,
+    robot: &str,
+    sensor: &str,
+) -> Option<(usize, &'c Device)> {
     let name = Name { text: robot.to_owned(), place: act.wait.place.of_key("sensor") };
     let robots = cast.robots(findings, &name);
     let [robot] = robots.as_slice() else {
@@ -126,15 +148,14 @@ fn check_sensor(findings: &mut Reader, cast: &Cast<'_>, act: &Act, robot: &str, 
             let message = format!("`{}` is {} robots", shortened(robot), robots.len());
             findings.add(Code::UnknownSensor, name.place, message, "one robot to wait for", None);
         }
-        return;
+        return None;
     };
-    let has = cast
-        .devices(*robot)
-        .iter()
-        .any(|device| device.id.as_str() == sensor && device.available_control_types.sensor().is_some());
-    if !has {
+    let found =
+        cast.device(*robot, sensor).filter(|device| device.available_control_types.sensor().is_some());
+    if found.is_none() {
         unknown_sensor(findings, cast, &robots, (&format!("{}/", name.text), sensor), &name.place);
     }
+    Some((*robot, found?))
 }
 
 fn check_graph(findings: &mut Reader, acts: &[Act], ways: &[Ways]) {
@@ -153,21 +174,77 @@ fn check_graph(findings: &mut Reader, acts: &[Act], ways: &[Ways]) {
         }
     }
     let Some(&first) = nodes.first() else { return };
-    let mut reached = Dfs::new(&graph, first);
-    while reached.next(&graph).is_some() {}
-    let backwards = Reversed(&graph);
-    let mut ending = Dfs::new(backwards, end);
-    while ending.next(backwards).is_some() {}
-    for (act, node) in acts.iter().zip(&nodes) {
-        let name = shortened(&act.name);
-        if !reached.discovered.contains(node.index()) {
-            let message = format!("no way leads to the act `{name}`");
-            let hint = Some("name it under `next`, `otherwise` or `then` of another act".to_owned());
-            findings.add(Code::Unreachable, act.place.clone(), message, "acts that can be reached", hint);
-        } else if !ending.discovered.contains(node.index()) {
-            let message = format!("no way leads from the act `{name}` to the end");
-            let hint = Some("let one of the acts that follow it have `next: end`".to_owned());
-            findings.add(Code::DeadEnd, act.place.clone(), message, "acts that come to an end", hint);
-        }
+    let reached = found_from(&graph, first);
+    let ending = found_from(Reversed(&graph), end);
+    for circle in circles(&graph, |node| !reached.contains(&node) && node != end, Direction::Incoming) {
+        unreachable(findings, acts, &circle, &found_from(&graph, circle[0]));
     }
+    let stuck = |node| reached.contains(&node) && !ending.contains(&node);
+    for circle in circles(&graph, stuck, Direction::Outgoing) {
+        dead_end(findings, acts, &circle);
+    }
+}
+
+fn found_from<G>(graph: G, first: NodeIndex) -> HashSet<NodeIndex>
+where
+    G: IntoNeighbors<NodeId = NodeIndex> + Visitable<NodeId = NodeIndex>,
+{
+    let mut search = Dfs::new(graph, first);
+    std::iter::from_fn(|| search.next(graph)).collect()
+}
+
+/// The acts of which each can be reached from each of them, in the order of the file: of those that are chosen, the circles from which, or
+/// to which, no way leads from others of them.
+fn circles(
+    graph: &DiGraph<(), ()>,
+    is_chosen: impl Fn(NodeIndex) -> bool,
+    direction: Direction,
+) -> Vec<Vec<NodeIndex>> {
+    let chosen = graph.filter_map(|node, ()| is_chosen(node).then_some(node), |_, ()| Some(()));
+    let mut circles = tarjan_scc(&chosen);
+    circles.retain(|circle| {
+        let mut others = circle.iter().flat_map(|node| chosen.neighbors_directed(*node, direction));
+        others.all(|other| circle.contains(&other))
+    });
+    for circle in &mut circles {
+        circle.iter_mut().for_each(|node| *node = chosen[*node]);
+        circle.sort_unstable();
+    }
+    circles.sort_unstable();
+    circles
+}
+
+fn named(acts: &[Act], nodes: impl IntoIterator<Item = NodeIndex>) -> String {
+    names(nodes.into_iter().map(|node| acts[node.index()].name.as_str()))
+}
+
+fn unreachable(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex], beyond: &HashSet<NodeIndex>) {
+    let Some(first) = circle.first() else { return };
+    let act = &acts[first.index()];
+    let mut others: Vec<NodeIndex> =
+        beyond.iter().copied().filter(|node| node != first && node.index() < acts.len()).collect();
+    others.sort_unstable();
+    let others = match others.as_slice() {
+        [] => String::new(),
+        others => format!(", from which {} would follow", named(acts, others.iter().copied())),
+    };
+    let message = format!("no way leads to the act `{}`{others}", shortened(&act.name));
+    let hint = Some("name it under `next`, `otherwise` or `then` of another act".to_owned());
+    findings.add(Code::Unreachable, act.place.clone(), message, "acts that can be reached", hint);
+}
+
+/// Acts that follow each other without end. The last of them in the file is the one that leads back.
+fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
+    let Some(last) = circle.last().map(|node| &acts[node.index()]) else { return };
+    let name = shortened(&last.name);
+    let message = match circle {
+        [_] => format!("the act `{name}` follows itself, and no way leads from it to the end"),
+        _ => format!(
+            "the acts {} follow each other in a circle, and no way leads from it to the end",
+            named(acts, circle.iter().copied())
+        ),
+    };
+    let place = last.next.as_ref().map_or_else(|| last.place.clone(), |next| Place::clone(&next.place));
+    let hint = Some(format!("write `next: end` for `{name}`"));
+    findings.add(Code::DeadEnd, place, message, "acts that come to an end", hint);
 }

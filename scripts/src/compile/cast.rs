@@ -2,24 +2,28 @@
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
 use super::acts::Ways;
+use crate::composed::{composed, is_same};
 use crate::fields::Reader;
-use crate::finding::{Code, names, one_of};
+use crate::finding::{Code, one_of, robots_named};
 use crate::fleet::{Fleet, FleetRobot, RateLimits, devices_of};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
 use crate::render::counted;
 use crate::scenario::{Canon, Cue, Movement, Name, Unset};
+use crate::shared_fault::SharedFault;
+use crate::slips;
 
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
     pub(super) fleet: &'a Fleet,
     roles: &'a HashMap<String, Vec<Name>>,
-    index_of: HashMap<&'a str, usize>,
+    /// By their composed names.
+    index_of: HashMap<Cow<'a, str>, usize>,
     /// For each robot a number; robots of one number have the same devices and limits.
     kinds: Vec<usize>,
     /// All names, in order; made for the first finding that lists them.
@@ -60,7 +64,8 @@ impl Cue {
 
 impl<'a> Cast<'a> {
     pub(super) fn new(fleet: &'a Fleet, roles: &'a HashMap<String, Vec<Name>>) -> Self {
-        let index_of = fleet.robots.iter().enumerate().map(|(i, robot)| (robot.id.as_str(), i)).collect();
+        let index_of =
+            fleet.robots.iter().enumerate().map(|(i, robot)| (composed(robot.id.as_str()), i)).collect();
         let mut kinds: Vec<usize> = Vec::with_capacity(fleet.robots.len());
         let mut firsts: Vec<&FleetRobot> = Vec::new();
         for robot in &fleet.robots {
@@ -84,7 +89,7 @@ impl<'a> Cast<'a> {
     }
 
     pub(super) fn index(&self, robot: &RobotId) -> Option<usize> {
-        self.index_of.get(robot.as_str()).copied()
+        self.index_of.get(composed(robot.as_str()).as_ref()).copied()
     }
 
     pub(super) fn devices(&self, robot: usize) -> &'a [Device] {
@@ -104,12 +109,21 @@ impl<'a> Cast<'a> {
     pub(super) fn have(&self, robots: &[usize]) -> String {
         match robots {
             [one] => format!("robot `{}` has", self.id(*one)),
-            _ => format!("robots {} have", self.names(robots)),
+            _ => format!("{} have", self.names(robots)),
         }
     }
 
     pub(super) fn names(&self, robots: &[usize]) -> String {
-        names(robots.iter().map(|index| self.id(*index).as_str()))
+        robots_named(robots.iter().map(|index| self.id(*index).as_str()))
+    }
+
+    pub(super) fn ids(&self, robots: &[usize]) -> Arc<[RobotId]> {
+        robots.iter().map(|robot| self.id(*robot).clone()).collect()
+    }
+
+    /// The device of this name.
+    pub(super) fn device(&self, robot: usize, name: &str) -> Option<&'a Device> {
+        self.devices(robot).iter().find(|device| is_same(device.id.as_str(), name))
     }
 
     /// The robots that a name stands for.
@@ -121,25 +135,38 @@ impl<'a> Cast<'a> {
     }
 
     fn robots_of_fleet(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
-        if let Some(&index) = self.index_of.get(name.text.as_str()) {
+        if let Some(&index) = self.index_of.get(composed(&name.text).as_ref()) {
             return vec![index];
         }
         if let Some(members) = self.fleet.groups.get(&name.text) {
-            return members.iter().filter_map(|id| self.index_of.get(id.as_str()).copied()).collect();
+            return members.iter().filter_map(|id| self.index(id)).collect();
         }
         let known = || self.known().iter().map(String::as_str);
-        let hint = findings.did_you_mean(&name.text, known());
+        let hint = self.hint(findings, &name.text);
         let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
         let expected = one_of(known());
         findings.add(Code::UnknownRobot, name.place.clone(), message, expected, hint);
         Vec::new()
     }
 
+    fn hint(&self, findings: &Reader, name: &str) -> Option<String> {
+        let known = || self.known().iter().map(String::as_str);
+        let all = ["all", "everyone", "everybody", "any", "*"].contains(&name).then(|| {
+            let mut groups = self.fleet.groups.iter();
+            let whole = groups.find(|(_, members)| members.len() == self.fleet.robots.len());
+            match whole {
+                Some((group, _)) => format!("the group `{}` has all robots", shortened(group)),
+                None => "list the robots, or make a group of all of them in the fleet file".to_owned(),
+            }
+        });
+        all.or_else(|| slips::several_names(name, known())).or_else(|| findings.did_you_mean(name, known()))
+    }
+
     fn known(&self) -> &[String] {
         self.known.get_or_init(|| {
             let (groups, roles) = (self.fleet.groups.keys(), self.roles.keys());
             let mut known: Vec<String> = groups.chain(roles).cloned().collect();
-            known.extend(self.index_of.keys().map(|id| (*id).to_owned()));
+            known.extend(self.fleet.robots.iter().map(|robot| robot.id.to_string()));
             known.sort_unstable();
             known
         })
@@ -155,10 +182,17 @@ impl<'a> Cast<'a> {
                 if seen.insert(robot) {
                     robots.push(robot);
                 } else {
-                    let message = format!("robot `{}` is in this cue already", self.id(robot));
-                    let expected = "each robot once in a cue";
-                    let hint = "remove the second one; a group stands for all of its robots".to_owned();
-                    findings.add(Code::ListedTwice, name.place.clone(), message, expected, Some(hint));
+                    findings.add_shared(SharedFault {
+                        code: Code::ListedTwice,
+                        cause: format!("{:?}", name.place),
+                        size: 0.0,
+                        device: String::new(),
+                        robots: self.ids(&[robot]),
+                        place: name.place.clone(),
+                        message: ["already in this cue: ".to_owned(), String::new()],
+                        expected: "each robot once in a cue".to_owned(),
+                        hint: Some("remove the second one; a group stands for all of its robots".to_owned()),
+                    });
                 }
             }
         }
@@ -192,9 +226,17 @@ impl<'a> Cast<'a> {
         for (index, (name, _)) in cue.overrides.iter().enumerate() {
             for robot in self.robots(findings, name) {
                 if !seen.contains(&robot) {
-                    let message = format!("robot `{}` is not in this cue", self.id(robot));
-                    let expected = "overrides for the cue's own robots";
-                    findings.add(Code::UnknownRobot, name.place.clone(), message, expected, None);
+                    findings.add_shared(SharedFault {
+                        code: Code::UnknownRobot,
+                        cause: format!("{:?}", name.place),
+                        size: 0.0,
+                        device: String::new(),
+                        robots: self.ids(&[robot]),
+                        place: name.place.clone(),
+                        message: ["not in this cue: ".to_owned(), String::new()],
+                        expected: "overrides for the cue's own robots".to_owned(),
+                        hint: Some("add them to the `robots` of the cue, or remove the override".to_owned()),
+                    });
                 }
                 if overridden.insert(robot, index + 1).is_some() {
                     let message = format!("robot `{}` is overridden twice", self.id(robot));

@@ -21,17 +21,24 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
 }
 
 /// How near two places are, as the end of a sentence about them.
-pub(super) fn apart(metres: f64) -> String {
+pub(super) fn apart(metres: f64, required: f64) -> String {
     match metres < SAME {
         true => "are the same".to_owned(),
-        false => format!("are {metres:.3} m apart"),
+        false => format!("are {} m apart", differing(metres, required)[0]),
     }
 }
 
+/// Two distances in metres with as many decimals as show which one is larger, three at least.
+pub(super) fn differing(a: f64, b: f64) -> [String; 2] {
+    let shown = |decimals: usize| [a, b].map(|metres| format!("{metres:.decimals$}"));
+    (3..9).map(shown).find(|[a, b]| a != b).unwrap_or_else(|| shown(9))
+}
+
 /// What is expected of two places at which bodies stand that have to be so many metres apart.
-pub(super) fn between(metres: f64) -> String {
+pub(super) fn between(found: f64, required: f64) -> String {
+    let [_, required] = differing(found, required);
     format!(
-        "at least {metres:.3} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
+        "at least {required} m from middle to middle: `distance` of the fleet's `space`, and the radii of two bodies"
     )
 }
 
@@ -46,14 +53,14 @@ pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[P
     }
     let [a, b] = pair.places;
     let [x, y, z] = places[a];
-    let apart = apart(pair.distance);
+    let apart = apart(pair.distance, least.unwrap_or(0.0));
     let message = format!(
         "places {} and {} of `{}` {apart}, near [{x:.2}, {y:.2}, {z:.2}]",
         a + 1,
         b + 1,
         shortened(name)
     );
-    let expected = least.map_or_else(|| "every place once".to_owned(), between);
+    let expected = least.map_or_else(|| "every place once".to_owned(), |least| between(pair.distance, least));
     let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
     findings.add(Code::NearPlaces, place.clone(), message, expected, hint);
 }

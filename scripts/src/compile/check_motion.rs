@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Interpolation, Span};
 
-use super::check_values::{item_place, named, tidy};
-use super::perform::OnDevice;
+use super::check_values::{item_place, named, tidy, way_place};
+use super::perform::{Fault, OnDevice};
 use crate::duration;
 use crate::fields::Reader;
 use crate::finding::Code;
@@ -52,14 +52,13 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             if !seen.insert((code, knot.item)) {
                 continue;
             }
-            let message = format!(
-                "{}from {} to {} in {} needs {name} of {:.4}, for {}",
+            let said = format!(
+                "{}from {} to {} in {} needs {name} of {:.4}, for ",
                 named(on.track, knot.item),
                 tidy(last.to),
                 tidy(knot.to),
                 knot.at - last.at,
                 found,
-                on.who(control_type)
             );
             let longer = if code == Code::TooFast { found / limit } else { (found / limit).sqrt() };
             let hint = format!(
@@ -67,13 +66,10 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
                 duration::seconds(seconds * longer),
                 duration::written(knot.at - last.at)
             );
-            findings.add(
-                code,
-                item_place(on.track, knot.item),
-                message,
-                format!("at most {limit}"),
-                Some(hint),
-            );
+            let place = way_place(on.track, knot.item);
+            let (expected, hint) = (format!("at most {limit}"), Some(hint));
+            let fault = Fault { code, place, size: found / limit, said, expected, hint };
+            on.add(findings, control_type, fault);
         }
     }
 }
@@ -139,24 +135,22 @@ impl Jump {
             1 => String::new(),
             _ => format!(" and later, {times} times in all"),
         };
-        let who = on.who(control_type);
-        let message = format!(
-            "{}the movement jumps from {from} to {to} at {at}{often}, for {who}",
+        let said = format!(
+            "{}the movement jumps from {from} to {to} at {at}{often}, for ",
             named(on.track, self.item)
         );
-        let place = item_place(on.track, self.item);
-        match limit {
+        let (code, expected, hint) = match limit {
             Some(limit) => {
                 let seconds = (self.to - self.from).abs() / limit;
-                let hint =
-                    Some(format!("give it {}, or let both values be the same", duration::seconds(seconds)));
-                let expected = format!("a speed of at most {limit}");
-                findings.add(Code::TooFast, place, message, expected, hint);
+                let hint = format!("give it {}, or let both values be the same", duration::seconds(seconds));
+                (Code::TooFast, format!("a speed of at most {limit}"), hint)
             }
             None => {
-                let hint = Some("let what is repeated end where it begins, and pieces meet".to_owned());
-                findings.add(Code::Jump, place, message, "a movement without jumps", hint);
+                let hint = "let what is repeated end where it begins, and pieces meet".to_owned();
+                (Code::Jump, "a movement without jumps".to_owned(), hint)
             }
-        }
+        };
+        let (place, size) = (item_place(on.track, self.item), (self.to - self.from).abs());
+        on.add(findings, control_type, Fault { code, place, size, said, expected, hint: Some(hint) });
     }
 }

@@ -3,6 +3,7 @@
 use urrcp::{DeviceId, RobotId, Span};
 
 use super::cast::Cast;
+use crate::composed::is_same;
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
 use crate::node::shortened;
@@ -10,6 +11,7 @@ use crate::plan::Choreography;
 use crate::refill::{Refill, RefillKind, refills};
 use crate::render::counted;
 use crate::scenario::Scenario;
+use crate::shared_fault::SharedFault;
 
 /// Sending a script while its act plays takes less on ordinary links: a round trip, and a resend where one is lost.
 const SENDING: Span = Span::from_millis(100);
@@ -32,6 +34,10 @@ pub(super) fn check(
     // An act that `at_end` adds may wait: this delays nothing that the scenario contains.
     let may_wait = |refill: &Refill| refill.kind == RefillKind::First && refill.act >= scenario.acts.len();
     let tight = tight.into_iter().filter(|refill| refill.time < needed(refill.kind) && !may_wait(refill));
+    // While acts do not come to an end, or are never reached, nothing is known of what follows them.
+    let is_flawed =
+        findings.found.iter().any(|found| matches!(found.code, Code::DeadEnd | Code::Unreachable));
+    let tight = tight.filter(|refill| !is_flawed || refill.kind == RefillKind::Later);
     for (index, refill) in tight.enumerate() {
         let queue = if index < TRIALS_MAX { lines.queue_that_does(&refill) } else { None };
         lines.tell(findings, &refill, queue);
@@ -74,28 +80,45 @@ impl Lines<'_> {
         let needed = needed(refill.kind);
         let holds = self.queue(&refill.robot, &refill.device).unwrap_or(1);
         let (act, before) = (self.name(refill.act), self.name(refill.freed_by.act));
-        let (device, robot) = (&refill.device, &refill.robot);
-        let held = format!("`{device}` of `{robot}` holds {}", counted(holds as usize, "script"));
+        let device = &refill.device;
+        let holds = counted(holds as usize, "script");
         let room =
             format!("the next one fits when script {} of `{before}` has ended", refill.freed_by.script + 1);
         let time = refill.time;
         let (code, message, expected) = match refill.kind {
             RefillKind::First => (
                 Code::ActHasToWait,
-                format!("the act `{act}` cannot follow at once: {held}, and {room}, {time} before"),
+                [
+                    format!("the act `{act}` cannot follow at once: `{device}` of "),
+                    format!(" holds {holds}, and {room}, {time} before"),
+                ],
                 format!("a place in the queue {needed} before the act"),
             ),
             RefillKind::Later => (
                 if time > Span::ZERO { Code::LittleTimeToSend } else { Code::NoTimeToSend },
-                format!(
-                    "too little time to send script {} of `{act}`: {held}, and {room}, {time} before its start",
-                    refill.script + 1
-                ),
+                [
+                    format!(
+                        "too little time to send script {} of `{act}`: `{device}` of ",
+                        refill.script + 1
+                    ),
+                    format!(" holds {holds}, and {room}, {time} before its start"),
+                ],
                 format!("at least {needed} to send it"),
             ),
         };
         let hint = Some(ways_out(refill, needed - time, queue));
-        findings.add(code, self.place(refill), message, expected, hint);
+        let place = self.place(refill);
+        findings.add_shared(SharedFault {
+            code,
+            cause: format!("{place:?} {holds}"),
+            size: -time.as_millis_f64(),
+            device: device.to_string(),
+            robots: [refill.robot.clone()].into(),
+            place,
+            message,
+            expected,
+            hint,
+        });
     }
 
     fn name(&self, act: usize) -> String {
@@ -121,7 +144,8 @@ impl Lines<'_> {
             let members = self.cast.members(&mut Reader::default(), cue, self.scenario.horizon());
             let own = |member: &&super::cast::Member| *self.cast.id(member.robot) == refill.robot;
             let movement = cue.movement_of(members.all.iter().find(own)?);
-            let track = movement.tracks.iter().find(|track| track.device == refill.device.as_str())?;
+            let track =
+                movement.tracks.iter().find(|track| is_same(refill.device.as_str(), &track.device))?;
             Some((planned.start > starts, (planned.start - starts).abs(), &track.place))
         });
         let nearest = cues.min_by_key(|(later, distance, _)| (*later, *distance));

@@ -6,15 +6,17 @@ use urrcp::Span;
 
 use super::Times;
 use super::cast::{Cast, Positions};
+use super::check_formations::differing;
 use super::conflict::told;
 use super::courses::{Poses, Scripts, Standing};
 use crate::ensemble;
 use crate::fields::Reader;
-use crate::finding::{Code, Place, names};
+use crate::finding::{Code, Place, robots_named};
 use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::requirements::Requirements;
 use crate::scenario::{Act, Action};
+use crate::shared_fault::SharedFault;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
     depth, first_contact, furthest_out,
@@ -184,12 +186,20 @@ fn rates(
         if rate <= limit * DUST {
             continue;
         }
-        let id = stage.id(robot);
-        let message =
-            format!("`{id}` {moves} {rate:.3} {unit} from {} to {}", told(span(from)), told(span(to)));
-        let hint = Some("give the movement more time, or less way".to_owned());
+        let said = format!(" {moves} {rate:.3} {unit} from {} to {}", told(span(from)), told(span(to)));
         let place = cues.place(cues.at(robot, span(from)));
-        findings.add(Code::BodyTooFast, place, message, format!("at most {limit} {unit}"), hint);
+        let expected = format!("at most {limit} {unit}");
+        findings.add_shared(SharedFault {
+            code: Code::BodyTooFast,
+            cause: format!("{place:?} {expected}"),
+            size: rate / limit,
+            device: String::new(),
+            robots: [stage.cast.id(robot).clone()].into(),
+            place,
+            message: [String::new(), said],
+            expected,
+            hint: Some("give the movement more time, or less way".to_owned()),
+        });
     }
     let [speed, acceleration] = peaks.map(|peak| peak.map_or(0.0, |peak| peak.rate));
     BodyUse { robot: stage.cast.id(robot).clone(), speed, acceleration }
@@ -211,8 +221,10 @@ fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Opt
         let are = if robots.len() == 1 { "is" } else { "are" };
         let until =
             from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
-        let message =
-            format!("nothing says where {} {are} {until}, so nothing is checked there", names(robots));
+        let message = format!(
+            "nothing says where {} {are} {until}, so nothing is checked there",
+            robots_named(robots.into_iter())
+        );
         let (expected, hint) = if driven { DRIVEN } else { PLACED };
         findings.add(Code::PlaceUnknown, stage.act.place.clone(), message, expected, Some(hint.to_owned()));
     }
@@ -230,23 +242,41 @@ fn volumes(
         let Some(out) = space.keep_in.as_ref().and_then(|volume| furthest_out(mover, volume)) else {
             continue;
         };
-        let (at, id) = (span(out.at), stage.id(*robot));
-        let message =
-            format!("`{id}` is {:.3} m outside the space where bodies stay, at {}", out.distance, told(at));
-        let hint = Some("move it elsewhere, or make `keep_in` larger".to_owned());
-        let expected = "all of its body within `keep_in`";
-        findings.add(Code::OutOfSpace, cues.place(cues.at(*robot, at)), message, expected, hint);
+        let at = span(out.at);
+        let place = cues.place(cues.at(*robot, at));
+        findings.add_shared(SharedFault {
+            code: Code::OutOfSpace,
+            cause: format!("{place:?} keep_in"),
+            size: out.distance,
+            device: String::new(),
+            robots: [stage.cast.id(*robot).clone()].into(),
+            place,
+            message: [
+                String::new(),
+                format!(" leaves the space where bodies stay, by {:.3} m at {}", out.distance, told(at)),
+            ],
+            expected: "all of its body within `keep_in`".to_owned(),
+            hint: Some("move it elsewhere, or make `keep_in` larger".to_owned()),
+        });
     }
     for (name, volume) in &space.keep_out {
         let (solid, place) = Solid::of_volume(volume);
         let closed = Mover::new(Path::resting(place, ends), solid, ends, depth);
         for (robot, mover) in movers {
             let Some(at) = first_contact(mover, &closed) else { continue };
-            let (at, id) = (span(at), stage.id(*robot));
-            let message = format!("`{id}` enters `{name}` at {}", told(at));
-            let hint = Some("move it around the volume, or change `keep_out`".to_owned());
-            let expected = format!("no body in `{name}`");
-            findings.add(Code::OutOfSpace, cues.place(cues.at(*robot, at)), message, expected, hint);
+            let at = span(at);
+            let place = cues.place(cues.at(*robot, at));
+            findings.add_shared(SharedFault {
+                code: Code::OutOfSpace,
+                cause: format!("{place:?} {name}"),
+                size: -at.as_millis_f64(),
+                device: String::new(),
+                robots: [stage.cast.id(*robot).clone()].into(),
+                place,
+                message: [String::new(), format!(" enters `{name}` at {}", told(at))],
+                expected: format!("no body in `{name}`"),
+                hint: Some("move it around the volume, or change `keep_out`".to_owned()),
+            });
         }
     }
 }
@@ -302,8 +332,7 @@ fn pairs(
             }
         }
     }
-    let expected = format!("at least {required} m");
-    all.iter().for_each(|group| group.tell(findings, stage, cues, &expected));
+    all.iter().for_each(|group| group.tell(findings, stage, cues, required));
     best.map(|Pair { distance, robots, at }| Closest {
         robots: robots.map(|robot| stage.cast.id(robot).clone()),
         at,
@@ -312,12 +341,13 @@ fn pairs(
 }
 
 impl TooClose {
-    fn tell(&self, findings: &mut Reader, stage: &Stage<'_>, cues: &Cues<'_>, expected: &str) {
+    fn tell(&self, findings: &mut Reader, stage: &Stage<'_>, cues: &Cues<'_>, required: f64) {
+        let expected = &format!("at least {required} m");
         let Pair { distance, robots, at } = self.worst;
         let [a, b] = robots.map(|robot| stage.id(robot));
         let what = match distance {
             0.0 => "meet".to_owned(),
-            _ => format!("come within {distance:.3} m of each other"),
+            _ => format!("come within {} m of each other", differing(distance, required)[0]),
         };
         let more = match self.pairs {
             1 => String::new(),

@@ -4,12 +4,13 @@ use std::collections::HashSet;
 
 use urrcp::{ControlType, Limits, Span};
 
-use super::perform::{OnDevice, snaps};
+use super::perform::{Fault, OnDevice, snaps};
 use crate::fields::Reader;
-use crate::finding::{Code, Place};
+use crate::finding::{Code, Part, Place};
 use crate::fleet::limits_of;
 use crate::motion::{Curve, Knot, Shape};
-use crate::scenario::{Track, Vectors};
+use crate::node::shortened;
+use crate::scenario::{Change, Changed, Track, Vectors};
 
 /// How many places of one way between two knots are looked at.
 const SAMPLES: u32 = 128;
@@ -19,16 +20,22 @@ pub(super) fn item_place(track: &Track, item: u32) -> Place {
     track.item(item).2
 }
 
+/// The place of the way to an item: of the parameter on which that depends, if there is one.
+pub(super) fn way_place(track: &Track, item: u32) -> Place {
+    track.given(item).cloned().unwrap_or_else(|| item_place(track, item))
+}
+
 fn value_place(track: &Track, item: u32) -> Place {
-    match track.item(item) {
-        (_, None, list) => list,
-        (_, Some(_), place) => place.of_key("to"),
+    match (track.given(item), track.item(item)) {
+        (Some(given), _) => given.clone(),
+        (None, (_, None, list)) => list,
+        (None, (_, Some(_), place)) => place.of_key("to"),
     }
 }
 
-/// A number without the dust of its multiplication.
+/// A number without the dust of its multiplication, and without a sign of zero.
 pub(super) fn tidy(value: f64) -> f64 {
-    let rounded = (value * 1e9).round() / 1e9;
+    let rounded = (value * 1e9).round() / 1e9 + 0.0;
     if rounded.is_finite() { rounded } else { value }
 }
 
@@ -54,13 +61,13 @@ pub(super) fn check(
             let first = seen.insert((knot.item, knot.to.to_bits()));
             let beyond = |limits: &&&Limits| {
                 // What rounding to the grid takes back is none.
-                let nearest = limits.nearest(knot.to);
-                let rounded = snaps(on.cue) && knot.shape.is_written() && limits.contains(nearest);
-                !limits.contains(knot.to) && !rounded
+                let may_round = snaps(on.cue) || !knot.shape.is_written();
+                let nearest = if may_round { limits.nearest(knot.to) } else { knot.to };
+                !limits.contains(knot.to) && !limits.contains(nearest)
             };
             if let Some(broken) = limits.iter().find(beyond) {
                 if first {
-                    out_of_range(findings, on, control_type, &knot, broken);
+                    out_of_range(findings, on, control_type, (curve, &knot), broken);
                 }
             } else if let Some(broken) =
                 limits.iter().find(|limits| knot.shape.is_written() && !limits.on_grid(knot.to))
@@ -91,17 +98,85 @@ fn out_of_range(
     findings: &mut Reader,
     on: &OnDevice<'_>,
     control_type: ControlType,
-    knot: &Knot,
+    (curve, knot): (&Curve, &Knot),
     limits: &Limits,
 ) {
     let value = tidy(knot.to);
-    let which = named(on.track, knot.item);
-    let message = format!("{which}{value} lies outside the limits for {}", on.who(control_type));
-    let expected = format!("{} to {}", limits.min_value, limits.max_value);
-    let nearest = limits.nearest_settable(value);
-    let hint = in_radians(on, knot.to, limits)
-        .unwrap_or_else(|| format!("the nearest value that it can take is {}", tidy(nearest)));
-    findings.add(Code::OutOfRange, value_place(on.track, knot.item), message, expected, Some(hint));
+    let nearest = tidy(limits.nearest_settable(value));
+    let size = beyond(limits, knot.to);
+    let expected = between(limits);
+    let said = format!("{}{value} lies outside the limits for ", named(on.track, knot.item));
+    if let Some(changed) = blamed(on.track, knot.to, limits) {
+        let hint = room_for(curve, changed, on, limits);
+        let fault =
+            Fault { code: Code::OutOfRange, place: changed.place.clone(), size, said, expected, hint };
+        return on.add(findings, control_type, fault);
+    }
+    let hint = match on.track.given(knot.item).and_then(parameter) {
+        Some(parameter) => {
+            format!("`{parameter}` makes it {value}: the nearest that it can take is {nearest}")
+        }
+        None => in_radians(on, knot.to, limits)
+            .unwrap_or_else(|| format!("the nearest value that it can take is {nearest}")),
+    };
+    let place = value_place(on.track, knot.item);
+    let fault = Fault { code: Code::OutOfRange, place, size, said, expected, hint: Some(hint) };
+    on.add(findings, control_type, fault);
+}
+
+/// How far a value is outside the limits.
+fn beyond(limits: &Limits, value: f64) -> f64 {
+    (value - limits.max_value).max(limits.min_value - value)
+}
+
+/// The name of the parameter that is given at a place.
+fn parameter(place: &Place) -> Option<&str> {
+    match place.path.last()? {
+        Part::Key(name, _) => Some(name),
+        Part::Index(_) => None,
+    }
+}
+
+fn between(limits: &Limits) -> String {
+    format!("{} to {}", limits.min_value, limits.max_value)
+}
+
+/// The change of the cue without which the value would lie within the limits.
+fn blamed<'t>(track: &'t Track, value: f64, limits: &Limits) -> Option<&'t Changed> {
+    let sound = |changed: &&Changed| limits.contains(limits.nearest(changed.undone(value)));
+    track.changed.as_ref().filter(sound)
+}
+
+/// How the change is to be written so that the whole movement keeps to the limits.
+fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits) -> Option<String> {
+    let values = || curve.knots.iter().map(|knot| changed.undone(knot.to));
+    match changed.change {
+        Change::Scale => {
+            let most = |value: f64| {
+                let bound = if value > changed.about { limits.max_value } else { limits.min_value };
+                let most = (bound - changed.about) / (value - changed.about);
+                if most.is_finite() { most } else { f64::INFINITY }
+            };
+            let factor = rounded_down(values().map(most).fold(f64::INFINITY, f64::min));
+            (changed.factor > 0.0 && factor > 0.0).then(|| format!("a factor of {factor} is enough"))
+        }
+        Change::Mirror => {
+            let (least, most) =
+                (values().fold(f64::INFINITY, f64::min), values().fold(-f64::INFINITY, f64::max));
+            let middle = tidy(f64::midpoint(least, most));
+            Some(format!(
+                "mirrored about its middle it fits: `{{about: {middle}, devices: [{}]}}`",
+                on.track.device
+            ))
+        }
+    }
+}
+
+/// A figure for people that is no larger than the number: three digits.
+fn rounded_down(value: f64) -> f64 {
+    let scale = 10f64.powf(2.0 - value.abs().log10().floor());
+    let rounded = (value * scale + 1e-6).floor() / scale;
+    if rounded.is_finite() { tidy(rounded) } else { value }
 }
 
 /// A hint for degrees where the device takes radians.
@@ -120,20 +195,21 @@ fn off_grid(
     limits: &Limits,
 ) {
     let (value, granularity) = (knot.to, limits.granularity);
-    let message = format!(
-        "{}{} lies off the grid for {}",
-        named(on.track, knot.item),
-        tidy(value),
-        on.who(control_type)
-    );
+    let said = format!("{}{} lies off the grid for ", named(on.track, knot.item), tidy(value));
     let around = [(value / granularity).floor(), (value / granularity).ceil()].map(|n| tidy(n * granularity));
     let nearest = match around.map(|value| limits.contains(value)) {
         [true, true] => format!("the nearest values on the grid are {} and {}", around[0], around[1]),
         _ => format!("the nearest value on the grid is {}", tidy(limits.nearest_settable(value))),
     };
-    let hint = format!("{nearest}; `off_grid: snap` takes the nearest everywhere");
-    let expected = format!("a multiple of {granularity}");
-    findings.add(Code::OffGranularity, value_place(on.track, knot.item), message, expected, Some(hint));
+    let fault = Fault {
+        code: Code::OffGranularity,
+        place: value_place(on.track, knot.item),
+        size: (limits.nearest(value) - value).abs(),
+        said,
+        expected: format!("a multiple of {granularity}"),
+        hint: Some(format!("{nearest}; `off_grid: snap` takes the nearest everywhere")),
+    };
+    on.add(findings, control_type, fault);
 }
 
 /// The nearest value on the grid, with a warning; an error where it is further off than max_error allows.
@@ -153,23 +229,17 @@ fn snap(
     }
     let place = value_place(on.track, knot.item);
     let (value, nearest_shown, error_shown) = (tidy(knot.to), tidy(nearest), tidy(error));
-    let message = format!(
-        "{}{value} becomes {nearest_shown}, {error_shown} off, for {}",
-        named(on.track, knot.item),
-        on.who(control_type)
-    );
-    if error <= allowed {
-        findings.add(Code::Snapped, place, message, format!("a multiple of {}", limits.granularity), None);
-    } else {
-        let hint = Some("write a value on the grid, or allow more with `tolerance`".to_owned());
-        findings.add(
+    let said =
+        format!("{}{value} becomes {nearest_shown}, {error_shown} off, for ", named(on.track, knot.item));
+    let (code, expected, hint) = match error <= allowed {
+        true => (Code::Snapped, format!("a multiple of {}", limits.granularity), None),
+        false => (
             Code::ToleranceTooTight,
-            place,
-            message,
             format!("at most {allowed} off (max_error)"),
-            hint,
-        );
-    }
+            Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
+        ),
+    };
+    on.add(findings, control_type, Fault { code, place, size: error, said, expected, hint });
     nearest
 }
 
@@ -177,7 +247,12 @@ fn snap(
 pub(super) fn named(track: &Track, item: u32) -> String {
     match track.item(item) {
         (_, None, _) => String::new(),
-        (items, Some(item), _) => format!("{} {}: ", items.one(), item + 1),
+        (items, Some(own), place) => match (track.given(item), place.path.as_slice()) {
+            (Some(_), [Part::Key(kind, _), Part::Key(name, _), ..]) if kind == "moves" => {
+                format!("{} {} of the move `{}`: ", items.one(), own + 1, shortened(name))
+            }
+            _ => format!("{} {}: ", items.one(), own + 1),
+        },
     }
 }
 
@@ -203,28 +278,54 @@ fn reaches(
             }
         }
     }
-    if let Some((_, value, s, limits)) = worst {
-        let at = from + Span::from_millis_f64((to - from).as_millis_f64() * s);
-        let message = format!(
-            "{}the movement reaches {:.4} at {at}, outside the limits for {}",
-            named(on.track, curve.knots[index].item),
-            value,
-            on.who(control_type)
-        );
-        let expected = format!("{} to {}", limits.min_value, limits.max_value);
-        let hint = match on.cue.group {
-            Some(_) => "make it smaller, or let the group begin elsewhere",
-            None => "make it smaller, for example by `scale`",
-        };
-        let hint = Some(hint.to_owned());
-        findings.add(
-            Code::OutOfRange,
-            item_place(on.track, curve.knots[index].item),
-            message,
-            expected,
-            hint,
+    let Some((by, value, s, limits)) = worst else { return };
+    let (before, knot) = (&curve.knots[index - 1], &curve.knots[index]);
+    // A way that goes no further than its ends has their fault.
+    if by <= beyond(limits, before.to).max(beyond(limits, knot.to)) * (1.0 + 1e-9) {
+        return;
+    }
+    let at = from + Span::from_millis_f64((to - from).as_millis_f64() * s);
+    let said = format!(
+        "{}the movement reaches {} at {at}, outside the limits for ",
+        named(on.track, knot.item),
+        figure(value)
+    );
+    let place = way_place(on.track, knot.item);
+    let hint = match (on.cue.group.is_some(), knot.item) {
+        (true, _) => "make it smaller, or let the group begin elsewhere".to_owned(),
+        (false, u32::MAX) => fitting(curve, limits),
+        (false, _) => "make it smaller, for example by `scale`".to_owned(),
+    };
+    let fault =
+        Fault { code: Code::OutOfRange, place, size: by, said, expected: between(limits), hint: Some(hint) };
+    on.add(findings, control_type, fault);
+}
+
+/// How a movement without items comes to lie within the limits: higher or lower, or smaller.
+fn fitting(curve: &Curve, limits: &Limits) -> String {
+    let samples = (1..curve.knots.len()).flat_map(|index| {
+        (0..=SAMPLES).map(move |sample| curve.value(index, f64::from(sample) / f64::from(SAMPLES)))
+    });
+    let (least, most) = samples
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| (least.min(value), most.max(value)));
+    let room = limits.max_value - limits.min_value;
+    let span = most - least;
+    if span > room {
+        let part = rounded_down(room / span);
+        return format!(
+            "its values span {}, and the limits {room}: make it {part} times as large",
+            figure(span)
         );
     }
+    match limits.min_value > least {
+        true => format!("move it up by {}", figure(limits.min_value - least)),
+        false => format!("move it down by {}", figure(most - limits.max_value)),
+    }
+}
+
+/// A number to four decimals, without zeros at its end.
+fn figure(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4 + 0.0
 }
 
 /// Values of custom_N are bounded by what the script inherits, if by anything.

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use urrcp::Span;
 
 use crate::duration::written;
-use crate::finding::{Code, Part, Pending, Place};
+use crate::finding::{Code, Part, Pending, Place, names};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
 use crate::timing::{Bound, Conflict, ConstraintId, Link};
 
@@ -55,6 +55,9 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
             teller.fixes((*origin)?, link, correction.by)
         })
         .collect();
+    if is_circle(&links) {
+        return circle(&teller, &links, place, related);
+    }
     let hint = match fixes.as_slice() {
         [] => "no single change is enough: there are other contradictions besides this one".to_owned(),
         [only] => only.clone(),
@@ -67,6 +70,68 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
         expected: "times that can all be kept".to_owned(),
         hint: Some(hint),
         related,
+        affected: None,
+    }
+}
+
+/// Whether cues wait for each other: every link lets one follow another, and none of them is a fixed time or a deadline.
+fn is_circle(links: &[(&Link, Option<&Origin>)]) -> bool {
+    links.iter().all(|(link, origin)| match origin {
+        Some(Origin::Length { .. } | Origin::Limit { .. }) => link.bound == Bound::Min,
+        Some(Origin::Zone { .. }) => true,
+        Some(Origin::Relation { relation, .. }) => {
+            let anchors = [&relation.from, &relation.to];
+            is_written(relation)
+                && !anchors.contains(&&Anchor::Origin)
+                && link.span >= Span::ZERO
+                && link.bound == Bound::Min
+        }
+        None => false,
+    })
+}
+
+/// Cues of which each waits for the one before it.
+fn circle(
+    teller: &Teller<'_>,
+    links: &[(&Link, Option<&Origin>)],
+    place: Place,
+    related: Vec<(Place, String)>,
+) -> Pending {
+    let mut waits: Vec<(usize, Option<&Relation>)> = Vec::new();
+    for origin in links.iter().filter_map(|(_, origin)| *origin) {
+        match origin {
+            Origin::Relation { cue, relation } => waits.push((*cue, Some(relation))),
+            Origin::Zone { second, .. } => waits.push((*second, None)),
+            Origin::Length { .. } | Origin::Limit { .. } => {}
+        }
+    }
+    let mut cues: Vec<usize> = waits.iter().map(|(cue, _)| *cue).collect();
+    cues.dedup();
+    let written = waits.iter().filter_map(|(cue, relation)| Some((*cue, (*relation)?)));
+    let out: Vec<String> = written
+        .map(|(cue, relation)| {
+            let edit = edit(
+                &teller.in_its_file(cue, relation),
+                (relation.min, relation.max.filter(|_| relation.min == relation.max)),
+            );
+            format!("`{edit}` of {}", teller.name(cue))
+        })
+        .collect();
+    let message = match cues.as_slice() {
+        [only] => format!("the cue {} waits for itself", teller.name(*only)),
+        several => format!(
+            "the cues {} wait for each other in a circle",
+            names(several.iter().map(|cue| teller.act.cues[*cue].name.as_str()))
+        ),
+    };
+    Pending {
+        code: Code::Conflict,
+        place,
+        message,
+        expected: "a cue that waits for none of the others".to_owned(),
+        hint: Some(format!("leave out one of: {}", out.join("; "))),
+        related,
+        affected: None,
     }
 }
 

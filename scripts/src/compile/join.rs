@@ -10,7 +10,6 @@ use super::cut::{CORRECTED_EVERY, Cutting, REFILL, can_be_refilled, cuts, every}
 use super::jumps::{First, Moved, Mover, Position};
 use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
-use super::together::{Together, Told};
 use crate::budget::Budget;
 use crate::duration::written;
 use crate::fields::Reader;
@@ -19,6 +18,7 @@ use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
+use crate::shared_fault::SharedFault;
 use crate::space::Coordinate;
 
 /// An act's scripts, how they came about, and where they leave the devices.
@@ -50,7 +50,6 @@ pub(super) fn join(
         return joined;
     }
     let mut last_robot = None;
-    let mut together = Together::default();
     for ((robot, index), mut segments) in segments {
         segments.sort_by_key(Segment::start);
         let device = &cast.devices(robot)[index];
@@ -60,14 +59,14 @@ pub(super) fn join(
         let is_limited = speed.is_some() || moves_limited_body(cast, robot, device);
         let id = cast.id(robot);
         let lane = Lane { scenario, robot: id, device, speed, is_limited, longest, segments: &segments };
-        lane.check_overlaps(&mut together);
-        lane.check_jumps(&mut together);
+        lane.check_overlaps(findings);
+        lane.check_jumps(findings);
         joined.first.extend(lane.segments.first().map(|first| First {
             robot,
             index,
             segment: first.clone(),
         }));
-        lane.check_left_in_motion(&mut together);
+        lane.check_left_in_motion(findings);
         let Some((scripts, used)) = lane.scripts(findings) else { continue };
         joined.rest.insert((robot, index), Left::at(lane.rest()));
         joined.places.insert((robot, index), lane.last_position());
@@ -80,7 +79,6 @@ pub(super) fn join(
         }
         joined.devices.push(used);
     }
-    together.tell(findings);
     joined
 }
 
@@ -140,67 +138,66 @@ impl Lane<'_> {
         self.segments.iter().any(|segment| segment.part.control_type == ControlType::Position)
     }
 
-    /// `elbow` of `left`, as a name in a list.
-    fn who(&self) -> String {
-        format!("{}` of `{}", self.device.id, self.robot)
-    }
-
-    fn check_overlaps(&self, together: &mut Together) {
+    fn check_overlaps(&self, findings: &mut Reader) {
         let mut latest: Option<&Segment> = None;
         for segment in self.segments {
             if let Some(before) = latest.filter(|before| segment.start() < before.end()) {
-                self.overlap(together, segment, before);
+                self.overlap(findings, segment, before);
             } else if let Some(before) = latest.filter(|before| before.start() == segment.start()) {
-                self.same_instant(together, segment, before);
+                self.same_instant(findings, segment, before);
             }
             latest = latest.filter(|before| before.end() > segment.end()).or(Some(segment));
         }
     }
 
     /// Reports two values for one device at one instant: the scenario does not state which of them applies.
-    fn same_instant(&self, together: &mut Together, segment: &Segment, before: &Segment) {
+    fn same_instant(&self, findings: &mut Reader, segment: &Segment, before: &Segment) {
         let (Some(value), Some(other)) = (segment.first_setpoint(), before.first_setpoint()) else { return };
         if value == other {
             return;
         }
-        together.add(Told {
-            code: Code::Overlap,
-            cause: format!("{}\n{}", segment.cue, before.cue),
-            size: 0.0,
-            who: self.who(),
-            place: segment.part.place.clone(),
-            message: format!(
-                "`{}` sets `{}` of `{}` to {} at {}, and `{}` sets it to {} at the same instant",
-                segment.cue,
-                self.device.id,
-                self.robot,
+        let message = [
+            format!("`{}` sets `{}` of ", segment.cue, self.device.id),
+            format!(
+                " to {} at {}, and `{}` sets it to {} at the same instant",
                 value.value,
                 told(segment.start()),
                 before.cue,
                 other.value
             ),
+        ];
+        findings.add_shared(SharedFault {
+            code: Code::Overlap,
+            cause: format!("{}\n{}", segment.cue, before.cue),
+            size: 0.0,
+            device: self.device.id.to_string(),
+            robots: [self.robot.clone()].into(),
+            place: segment.part.place.clone(),
+            message,
             expected: "one value at one instant".to_owned(),
             hint: Some(format!("start `{}` later, or leave one of the values out", segment.cue)),
         });
     }
 
-    fn overlap(&self, together: &mut Together, segment: &Segment, before: &Segment) {
+    fn overlap(&self, findings: &mut Reader, segment: &Segment, before: &Segment) {
         let later = before.end() - segment.start();
-        together.add(Told {
-            code: Code::Overlap,
-            cause: format!("{}\n{}", segment.cue, before.cue),
-            size: later.as_millis_f64(),
-            who: self.who(),
-            place: segment.part.place.clone(),
-            message: format!(
-                "`{}` moves `{}` of `{}` from {} on, but `{}` moves it until {}",
-                segment.cue,
-                self.device.id,
-                self.robot,
+        let message = [
+            format!("`{}` moves `{}` of ", segment.cue, self.device.id),
+            format!(
+                " from {} on, but `{}` moves it until {}",
                 told(segment.start()),
                 before.cue,
                 told(before.end())
             ),
+        ];
+        findings.add_shared(SharedFault {
+            code: Code::Overlap,
+            cause: format!("{}\n{}", segment.cue, before.cue),
+            size: later.as_millis_f64(),
+            device: self.device.id.to_string(),
+            robots: [self.robot.clone()].into(),
+            place: segment.part.place.clone(),
+            message,
             expected: format!("a start at {} or later", told(before.end())),
             hint: Some(format!(
                 "start `{}` {} later, as with `after: {}`",
@@ -212,7 +209,7 @@ impl Lane<'_> {
     }
 
     /// Reports jumps from one cue of the act to the next.
-    fn check_jumps(&self, together: &mut Together) {
+    fn check_jumps(&self, findings: &mut Reader) {
         let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
         let mut position: Option<Position> = None;
         for segment in self.segments {
@@ -222,7 +219,7 @@ impl Lane<'_> {
             }
             let Some(last) = values.last() else { continue };
             if let Some(from) = &position {
-                mover.arrives(together, segment, from);
+                mover.arrives(findings, segment, from);
             }
             let whence = format!("where `{}` leaves it", segment.cue);
             position = Some(Position { value: last.to, since: segment.end(), whence, is_sure: true });
@@ -230,7 +227,7 @@ impl Lane<'_> {
     }
 
     /// A rate that nothing ends: neither a last step of the resting value nor a lease.
-    fn check_left_in_motion(&self, together: &mut Together) {
+    fn check_left_in_motion(&self, findings: &mut Reader) {
         let Some(last) = self.segments.last() else { return };
         let value = match &last.part.steps {
             Steps::One(values) => values.last().map(|value| value.to),
@@ -242,16 +239,18 @@ impl Lane<'_> {
             && is_rate(last.part.control_type)
             && lease.is_none()
         {
-            together.add(Told {
+            let end = format!(
+                " is left at {} {value} at the end, and no stop_condition ends it",
+                last.part.control_type
+            );
+            findings.add_shared(SharedFault {
                 code: Code::LeftInMotion,
                 cause: format!("{:?}\n{value} {resting}", last.part.place),
                 size: 0.0,
-                who: self.who(),
+                device: self.device.id.to_string(),
+                robots: [self.robot.clone()].into(),
                 place: last.part.place.clone(),
-                message: format!(
-                    "`{}` of `{}` is left at {} {value} at the end, and no stop_condition ends it",
-                    self.device.id, self.robot, last.part.control_type
-                ),
+                message: [format!("`{}` of ", self.device.id), end],
                 expected: format!("a last value of {resting}"),
                 hint: Some(format!("end with {resting}, or give the cue a `stop_condition`")),
             });
@@ -395,7 +394,7 @@ impl Lane<'_> {
     }
 
     fn too_many(&self, findings: &mut Reader, steps: usize, most: usize, count: usize) {
-        let (device, robot) = (&self.device.id, self.robot);
+        let device = &self.device.id;
         let queue = self.device.script_queue.max(1);
         let place = self.segments[0].part.place.clone();
         let over = steps - most * queue as usize;
@@ -409,17 +408,27 @@ impl Lane<'_> {
         let (code, message, expected) = match queue {
             1 => (
                 Code::TooManySteps,
-                format!("the script for `{device}` of `{robot}` has {steps} steps"),
-                format!("at most {most} steps (max_number_of_steps)"),
+                [format!("the script for `{device}` of "), format!(" has {steps} steps")],
+                format!("at most {} (max_number_of_steps)", counted(most, "step")),
             ),
             _ => (
                 Code::QueueTooShort,
-                format!("`{device}` of `{robot}` needs {count} scripts for its {steps} steps"),
+                [format!("`{device}` of "), format!(" needs {count} scripts for its {steps} steps")],
                 format!(
                     "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts that leave {REFILL} to send the next"
                 ),
             ),
         };
-        findings.add(code, place, message, expected, Some(hint));
+        findings.add_shared(SharedFault {
+            code,
+            cause: format!("{place:?} {expected}"),
+            size: over as f64,
+            device: device.to_string(),
+            robots: [self.robot.clone()].into(),
+            place,
+            message,
+            expected,
+            hint: Some(hint),
+        });
     }
 }

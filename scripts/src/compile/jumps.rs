@@ -7,13 +7,13 @@ use urrcp::{ControlType, Device, Interpolation, RobotId, Span};
 use super::acts::Ways;
 use super::cast::Cast;
 use super::segment::{Segment, Steps};
-use super::together::{Together, Told};
 use crate::duration::seconds;
 use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::Value;
 use crate::plan::Way;
 use crate::scenario::{Act, Items};
+use crate::shared_fault::SharedFault;
 
 /// The position of a device when a cue begins.
 pub(super) struct Position {
@@ -43,7 +43,7 @@ pub(super) struct First {
 
 impl Mover<'_> {
     /// Checks the beginning of a movement against the position of the device.
-    pub(super) fn arrives(&self, together: &mut Together, segment: &Segment, from: &Position) {
+    pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) {
         let Steps::One(values) = &segment.part.steps else { return };
         let Some(first) = values.first() else { return };
         // A segment that overlaps the previous one is reported already.
@@ -52,15 +52,10 @@ impl Mover<'_> {
         }
         let way = (first.to - from.value).abs();
         match segment.part.moves_from_anywhere {
-            true => self.check_way_there(together, segment, from, first),
-            false if way > segment.part.tolerance.max(1e-9) => self.jump(together, segment, from, first),
+            true => self.check_way_there(findings, segment, from, first),
+            false if way > segment.part.tolerance.max(1e-9) => self.jump(findings, segment, from, first),
             false => {}
         }
-    }
-
-    /// `elbow` of `left`, as a name in a list.
-    fn who(&self) -> String {
-        format!("{}` of `{}", self.device.id, self.robot)
     }
 
     /// A jump of a device with a limited speed is an error, but a warning if only the description of the device states its
@@ -72,9 +67,9 @@ impl Mover<'_> {
         }
     }
 
-    fn jump(&self, together: &mut Together, segment: &Segment, position: &Position, first: &Value) {
+    fn jump(&self, findings: &mut Reader, segment: &Segment, position: &Position, first: &Value) {
         let at = segment.begin + first.at;
-        let (device, robot, to, from) = (&self.device.id, self.robot, first.to, position.value);
+        let (device, to, from) = (&self.device.id, first.to, position.value);
         let whence = &position.whence;
         let needed = self.speed.map(|speed| seconds((to - from).abs() / speed));
         let items = match self.device.interpolation {
@@ -95,39 +90,37 @@ impl Mover<'_> {
             Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
             _ => format!("a movement that begins at {from}"),
         };
-        together.add(Told {
+        let end = format!(" has to jump from {from}, {whence}, to {to} at {at}");
+        findings.add_shared(SharedFault {
             code: self.code_of(position),
             cause: format!("{:?}\n{from} {to} {whence}", segment.part.place),
             size: (to - from).abs(),
-            who: self.who(),
+            device: device.to_string(),
+            robots: [self.robot.clone()].into(),
             place: segment.part.place.clone(),
-            message: format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}"),
+            message: [format!("`{device}` of "), end],
             expected,
             hint: Some(hint),
         });
     }
 
     /// Checks the way from the position of the device to a first keyframe later than 0s.
-    fn check_way_there(
-        &self,
-        together: &mut Together,
-        segment: &Segment,
-        position: &Position,
-        first: &Value,
-    ) {
+    fn check_way_there(&self, findings: &mut Reader, segment: &Segment, position: &Position, first: &Value) {
         let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
         let needed = (first.to - from).abs() / length;
         let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
-        together.add(Told {
+        let end = format!(
+            " has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
+            first.at, first.to
+        );
+        findings.add_shared(SharedFault {
             code: self.code_of(position),
             cause: format!("{:?}\n{from} {} way", segment.part.place, first.to),
             size: needed,
-            who: self.who(),
+            device: self.device.id.to_string(),
+            robots: [self.robot.clone()].into(),
             place: segment.part.place.clone(),
-            message: format!(
-                "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
-                self.device.id, self.robot, first.at, first.to
-            ),
+            message: [format!("`{}` of ", self.device.id), end],
             expected: format!("at most {speed}"),
             hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
         });
@@ -192,7 +185,6 @@ pub(super) fn check_entries(
     passages: &Passages,
     (first, moved): (&[Vec<First>], &[Moved]),
 ) {
-    let mut together = Together::default();
     let mut by_device: HashMap<(usize, usize), Vec<(usize, &Segment)>> = HashMap::new();
     for (act, first) in first.iter().enumerate() {
         for First { robot, index, segment } in first {
@@ -224,11 +216,10 @@ pub(super) fn check_entries(
                 };
                 let is_sure = place.left_by != LeftBy::Beginning;
                 let from = Position { value: place.value, since: Span::ZERO, whence, is_sure };
-                mover.arrives(&mut together, segment, &from);
+                mover.arrives(findings, segment, &from);
             }
         }
     }
-    together.tell(findings);
 }
 
 /// The number of positions that are distinguished at the beginning of one act.

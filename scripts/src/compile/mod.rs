@@ -24,7 +24,6 @@ mod outline;
 mod perform;
 mod schedule;
 mod segment;
-mod together;
 mod vectors;
 
 use std::collections::{BTreeMap, HashMap, HashSet};

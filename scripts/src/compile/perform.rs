@@ -3,10 +3,11 @@
 mod group;
 
 use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use urrcp::{ControlParameters, ControlType, Device, Limits, Span};
+use urrcp::{ControlParameters, ControlType, Device, Limits, RobotId, Span};
 
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
@@ -14,13 +15,15 @@ use super::segment::{Excess, Part, Segment, Steps};
 use super::vectors::{self, Thinned};
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
+use crate::composed::is_same;
 use crate::fields::Reader;
-use crate::finding::{Code, Place, Severity, names, one_of};
+use crate::finding::{Code, Place, names, one_of};
 use crate::fleet::{RateLimits, settable_limits};
 use crate::motion::{Actuator, Curve, Fits, Played, Stretch};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
+use crate::shared_fault::SharedFault;
 
 /// Up to this many steps the exact number of a movement is reported, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
@@ -71,12 +74,60 @@ pub(super) struct OnDevice<'p> {
     pub(super) device: &'p Device,
     pub(super) robots: &'p [usize],
     pub(super) cast: &'p Cast<'p>,
+    ids: OnceCell<Arc<[RobotId]>>,
 }
 
-impl OnDevice<'_> {
+/// A fault in the movement of a device.
+pub(super) struct Fault {
+    pub(super) code: Code,
+    pub(super) place: Place,
+    /// Of several with one place and one limit, only the largest is described.
+    pub(super) size: f64,
+    /// The message up to `position of `elbow` on `arm-1``.
+    pub(super) said: String,
+    pub(super) expected: String,
+    pub(super) hint: Option<String>,
+}
+
+impl<'p> OnDevice<'p> {
+    fn new(
+        cue: &'p Cue,
+        (track, device): (&'p Track, &'p Device),
+        robots: &'p [usize],
+        cast: &'p Cast<'p>,
+    ) -> Self {
+        Self { cue, track, device, robots, cast, ids: OnceCell::new() }
+    }
+
+    /// The robots, made once for all faults.
+    fn ids(&self) -> Arc<[RobotId]> {
+        self.ids.get_or_init(|| self.cast.ids(self.robots)).clone()
+    }
+
     /// `position of `elbow` on `arm-1``.
     pub(super) fn who(&self, control_type: ControlType) -> String {
         format!("{control_type} of `{}` on {}", self.device.id, self.cast.names(self.robots))
+    }
+
+    /// Adds a fault of these robots.
+    pub(super) fn add(&self, findings: &mut Reader, control_type: ControlType, fault: Fault) {
+        let Fault { code, place, size, said, expected, hint } = fault;
+        // What a group does is one thing for all of its coordinates.
+        let cause = match self.cue.group.as_ref().is_some_and(|group| group.place == place) {
+            true => format!("{place:?}"),
+            false => format!("{place:?} {} {expected}", self.device.id),
+        };
+        findings.add_shared(SharedFault {
+            code,
+            cause,
+            size,
+            device: self.device.id.to_string(),
+            robots: self.ids(),
+            place,
+            message: [format!("{said}{control_type} of `{}` on ", self.device.id), String::new()],
+            expected,
+            hint,
+        });
     }
 }
 
@@ -128,9 +179,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         for group in alike {
             let first = group.members[0];
             for track in &cue.movement_of(&first).tracks {
-                let known =
-                    self.cast.devices(first.robot).iter().any(|device| device.id.as_str() == track.device);
-                if known {
+                if self.cast.device(first.robot, &track.device).is_some() {
                     continue;
                 }
                 let at = *index_of.entry(&track.place).or_insert_with(|| {
@@ -146,7 +195,14 @@ impl<'c, 'a> Performer<'c, 'a> {
             self.incomplete.extend(&robots);
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
-            let hint = self.findings.did_you_mean(&track.device, known());
+            let after = track.device.rsplit(['/', '.']).next().unwrap_or_default();
+            let hint = match known().any(|known| known == after) {
+                true => Some(format!(
+                    "name the robot under `robots`, and the device alone: `{}`",
+                    shortened(after)
+                )),
+                false => self.findings.did_you_mean(&track.device, known()),
+            };
             let expected = one_of(known());
             self.findings.add(Code::UnknownDevice, track.place.clone(), message, expected, hint);
         }
@@ -158,7 +214,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         for track in &cue.movement_of(first).tracks {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
-                let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
+                let on = OnDevice::new(cue, (track, class.device), &robots, self.cast);
                 let part = if self.uses.is_overdrawn() { None } else { self.part(&on, time.stretch) };
                 let Some(part) = part.filter(|_| self.used(cue, class.members.len())) else {
                     self.incomplete.extend(robots);
@@ -199,7 +255,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         for group in groups {
             let robot = group.members[0].robot;
             let devices = self.cast.devices(robot);
-            let Some(index) = devices.iter().position(|device| device.id.as_str() == track.device) else {
+            let Some(index) = devices.iter().position(|device| is_same(device.id.as_str(), &track.device))
+            else {
                 continue;
             };
             let (device, limits) = (&devices[index], self.cast.given_limits(robot, &devices[index]));
@@ -235,11 +292,10 @@ impl<'c, 'a> Performer<'c, 'a> {
         let curve = curve.as_ref();
         let limits = settable_limits(on.device, control_type);
         let actuator = Actuator::new(on.device, control_type, limits.as_ref(), self.room(on.device));
-        let before = self.findings.found.len();
+        let before = self.findings.errors();
         let set = check_values::check(self.findings, on, control_type, curve);
         let played = Played::new(curve, set);
-        let errors = self.findings.found[before..].iter();
-        let sound = !errors.clone().any(|finding| finding.code.severity() == Severity::Error);
+        let sound = self.findings.errors() == before;
         check_motion::check(self.findings, on, control_type, &played.as_set());
         self.check_beginning(on, &actuator, curve);
         curve.knots.first()?;
@@ -277,13 +333,19 @@ impl<'c, 'a> Performer<'c, 'a> {
             }
         } else if let Some(needed) = fitted.needed.filter(|_| sound) {
             let needed = self.enough(actuator, played, thinned, needed);
-            let message = format!(
-                "no steps on the grid of {} keep the movement within {tolerance}",
-                on.who(actuator.control_type)
-            );
-            let expected = format!("a tolerance of {needed} or more");
-            let hint = Some(format!("add `tolerance: {needed}` to the track, if that will do"));
-            self.findings.add(Code::ToleranceTooTight, on.track.place.clone(), message, expected, hint);
+            let device = on.device.id.to_string();
+            let grid = format!("no steps on the grid of {} of `{device}` on ", actuator.control_type);
+            self.findings.add_shared(SharedFault {
+                code: Code::ToleranceTooTight,
+                cause: format!("{:?} {device} {tolerance}", on.track.place),
+                size: needed,
+                device,
+                robots: on.ids(),
+                place: on.track.place.clone(),
+                message: [grid, format!(" keep the movement within {tolerance}")],
+                expected: format!("a tolerance of {needed} or more"),
+                hint: Some(format!("add `tolerance: {needed}` to the track, if that will do")),
+            });
         }
         Some(Part {
             control_type: actuator.control_type,
@@ -472,8 +534,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             self.check_late(reading, time.start + members.delay + reading.at);
             let mut without = Vec::new();
             for member in &members.all {
-                let devices = self.cast.devices(member.robot);
-                let sensor = devices.iter().find(|device| device.id.as_str() == reading.sensor);
+                let sensor = self.cast.device(member.robot, &reading.sensor);
                 match sensor.filter(|device| device.available_control_types.sensor().is_some()) {
                     Some(device) => self.readings.push(PlannedReading {
                         robot: self.cast.id(member.robot).clone(),

@@ -15,6 +15,7 @@ use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::{PlannedCue, Repetition};
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
+use crate::slips;
 use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
 
 /// When a cue takes place.
@@ -174,10 +175,9 @@ impl<'a> Timetable<'a> {
         for member in &members.all {
             let movement = cue.movement_of(member);
             for track in &movement.tracks {
-                let (Motion::Curve(curve), Some(device)) = (
-                    &track.motion,
-                    cast.devices(member.robot).iter().find(|device| device.id.as_str() == track.device),
-                ) else {
+                let (Motion::Curve(curve), Some(device)) =
+                    (&track.motion, cast.device(member.robot, &track.device))
+                else {
                     continue;
                 };
                 let limits =
@@ -252,12 +252,18 @@ impl<'a> Timetable<'a> {
                 None
             }
             None => {
-                let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
-                let hint = match parse_duration(&name.text).is_some() {
-                    true => Some(format!("a time goes under `at`: write `at: {}`", shortened(&name.text))),
-                    false => findings.did_you_mean(&name.text, known()),
+                // In a sequence, names are those of the sequence.
+                let prefix =
+                    name.text.rfind('.').filter(|_| name.place.used.is_some()).map_or(0, |dot| dot + 1);
+                let (prefix, text) = name.text.split_at(prefix);
+                let known = || self.act.cues.iter().filter_map(|cue| cue.name.strip_prefix(prefix));
+                let hint = match parse_duration(text).is_some() {
+                    true => Some(format!("a time goes under `at`: write `at: {}`", shortened(text))),
+                    false => relation(text, known())
+                        .or_else(|| slips::several_names(text, known()))
+                        .or_else(|| findings.did_you_mean(text, known())),
                 };
-                let message = format!("no cue `{}`", shortened(&name.text));
+                let message = format!("no cue `{}`", shortened(text));
                 let expected = one_of(known());
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
                 None
@@ -426,4 +432,28 @@ impl<'a> Timetable<'a> {
         };
         self.events.iter().zip(members).map(time).collect()
     }
+}
+
+/// How a relation to a cue is written: with its sign between spaces, and its end in words.
+fn relation<'k>(text: &str, known: impl Iterator<Item = &'k str> + Clone) -> Option<String> {
+    let is_known = |name: &str| known.clone().any(|known| known == name);
+    let signed = ['+', '-'].iter().find_map(|sign| {
+        let (name, gap) = text.split_once(*sign)?;
+        let (name, gap) = (name.trim(), gap.trim());
+        (is_known(name) && parse_duration(gap).is_some()).then(|| format!("write `{name} {sign} {gap}`"))
+    });
+    let unsigned = || {
+        let (name, gap) = text.rsplit_once(' ')?;
+        (is_known(name) && parse_duration(gap).is_some()).then(|| format!("write `{name} + {gap}`"))
+    };
+    let end = || {
+        let ends =
+            [("start ", ""), ("end ", ""), ("", ".start"), ("", ".end"), ("", "'s start"), ("", "'s end")];
+        ends.iter().find_map(|(before, after)| {
+            let name = text.strip_prefix(before)?.strip_suffix(after)?;
+            let end = if before.contains("end") || after.contains("end") { "end" } else { "start" };
+            is_known(name).then(|| format!("write `{end} of {name}`"))
+        })
+    };
+    signed.or_else(unsigned).or_else(end)
 }

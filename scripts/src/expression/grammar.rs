@@ -448,7 +448,9 @@ impl Parser<'_> {
         let known = || FUNCTIONS.iter().map(|(name, ..)| *name).chain(WORDS);
         let hint = match (self.known)(word) || matches!(word, "index" | "count") {
             true => Some(format!("a variable is written `${word}`")),
-            false => did_you_mean(word, known()),
+            false => did_you_mean(word, known()).or_else(|| {
+                Some("the name of a variable begins with `$`; cues are named under `after`, `with` and `before`".to_owned())
+            }),
         };
         let names: Vec<String> = FUNCTIONS.iter().map(|(name, ..)| format!("`{name}`")).collect();
         let expected = format!("a function ({}), `pi` or a variable such as `$a`", names.join(", "));

@@ -270,11 +270,14 @@ impl Reader {
             }
         }
         let hint = match amount.unit {
-            Unit::PERCENT => Some("take it of something: `50% * 90`, or write `0.5`"),
-            Unit::TIME => Some("divide the time by another one: `$a / 1s`"),
+            Unit::PERCENT => Some(match expected.contains("factor") {
+                true => format!("write `{}`", amount.number.f64()),
+                false => "a percentage is a part of something, as in `50% * 90`".to_owned(),
+            }),
+            Unit::TIME => Some("divide the time by another one: `$a / 1s`".to_owned()),
             _ => None,
         };
-        self.wrong_quantity(at, text, amount.unit.name(), expected, hint);
+        self.wrong_quantity(at, text, amount.unit.name(), expected, hint.as_deref());
         None
     }
 
@@ -294,8 +297,12 @@ impl Reader {
         let amount = match self.quantity(at, text)? {
             Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
             Quantity::Amount(amount) => {
-                let hint = (amount.unit == Unit::PLAIN).then_some("multiply by a time: `$index * 500ms`");
-                self.wrong_quantity(at, text, amount.unit.name(), duration::EXPECTED, hint);
+                let hint = match amount.unit {
+                    Unit::PLAIN => Some("multiply by a time: `$index * 500ms`".to_owned()),
+                    Unit::PERCENT => Some("a percentage is a part of something, as in `50% * 8s`".to_owned()),
+                    _ => duration::hint(text),
+                };
+                self.wrong_quantity(at, text, amount.unit.name(), duration::EXPECTED, hint.as_deref());
                 return None;
             }
             Quantity::Truth(truth) => {
@@ -312,7 +319,9 @@ impl Reader {
         };
         if length < Exact::ZERO {
             let span = length.rounded();
-            self.wrong_quantity(at, text, &format!("the negative time {span}"), "a time from 0 on", None);
+            let hint = duration::hint(text);
+            let found = format!("the negative time {span}");
+            self.wrong_quantity(at, text, &found, "a time from 0 on", hint.as_deref());
             return None;
         }
         self.no_longer(at, text, length)

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use urrcp::{Device, InitializationBlock};
 
+use super::declared::device_named;
 use super::drive::read_drive;
 use super::joints::read_arm;
 use super::urdf::{UrdfKeys, Urdfs};
@@ -64,7 +65,11 @@ fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
                     [least, most] => format!("{least} is not less than {most}"),
                     _ => format!("found {} entries", ends.len()),
                 };
-                findings.add(Code::WrongType, side.place(), message, expected, None);
+                let swapped = match *numbers {
+                    [least, most] if least > most => Some(format!("write `[{most}, {least}]`")),
+                    _ => None,
+                };
+                findings.add(Code::WrongType, side.place(), message, expected, swapped);
                 sound = false;
             }
         }
@@ -247,7 +252,7 @@ fn device<'a>(
     init: &'a InitializationBlock,
 ) -> Option<&'a Device> {
     let moves = |device: &&Device| device.available_control_types.sensor().is_none();
-    let found = init.device(name).filter(moves);
+    let found = device_named(init, name).filter(moves);
     if found.is_none() {
         let known = || init.devices.iter().filter(moves).map(|device| device.id.as_str());
         let message = format!("the robot has no device `{}` that moves", node::shortened(name));

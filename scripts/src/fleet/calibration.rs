@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use urrcp::{ControlType, DeviceId, InitializationBlock, Limits, Span};
 
+use super::declared::device_named;
 use super::moves::is_positioned;
 use super::sensors::{sensor, sensor_at};
 use crate::fields::{At, Reader};
@@ -134,7 +135,8 @@ pub(super) fn device_by_position(
 ) -> Option<DeviceId> {
     let driven =
         || init.devices.iter().filter(|device| is_positioned(device)).map(|device| device.id.as_str());
-    let found = init.device(name).filter(|device| is_positioned(device)).map(|device| device.id.clone());
+    let found =
+        device_named(init, name).filter(|device| is_positioned(device)).map(|device| device.id.clone());
     if found.is_none() {
         let message = format!("the robot has no device `{}` that takes positions", shortened(name));
         let (expected, hint) = (finding::one_of(driven()), findings.did_you_mean(name, driven()));

@@ -1,12 +1,18 @@
 //! What a robot declares of its devices.
 
-use urrcp::{ControlType, Device, Limits};
+use urrcp::{ControlType, Device, InitializationBlock, Limits};
 
 use super::FleetRobot;
+use crate::composed::is_same;
 
 /// The devices of a robot; none if its initialization block is not known.
 pub(crate) fn devices_of(robot: &FleetRobot) -> &[Device] {
     robot.init.as_ref().map_or(&[], |block| &block.devices)
+}
+
+/// The device of this name, however its letters are encoded.
+pub(super) fn device_named<'a>(init: &'a InitializationBlock, name: &str) -> Option<&'a Device> {
+    init.devices.iter().find(|device| is_same(device.id.as_str(), name))
 }
 
 /// The values that a script can set: those within all limits of a control type, on the coarser grid. If the type's own limits and

@@ -3,6 +3,7 @@
 use urrcp::InitializationBlock;
 
 use super::body::{length, of_device};
+use super::declared::device_named;
 use super::joints::vector;
 use crate::fields::{At, Reader};
 use crate::finding::Code;
@@ -78,7 +79,7 @@ fn tell_turning(
     init: &InitializationBlock,
 ) -> bool {
     let unit = |wheel: &At<'_>| match wheel.node {
-        Node::Text(name) => init.device(name)?.unit.as_ref().map(urrcp::Label::as_str),
+        Node::Text(name) => device_named(init, name)?.unit.as_ref().map(urrcp::Label::as_str),
         _ => None,
     };
     let units = wheels.iter().flatten().filter_map(unit);

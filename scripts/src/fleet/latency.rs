@@ -9,6 +9,7 @@ use serde::Serialize;
 use urrcp::{Device, DeviceId, InitializationBlock, Latency, RobotId, Span};
 
 use super::RobotKeys;
+use super::declared::device_named;
 use crate::duration::written;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, Place};
@@ -223,10 +224,10 @@ fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> B
     let mut own = BTreeMap::new();
     for (name, at) in findings.entries(at, "device to its latency") {
         let known = || init.devices.iter().filter(takes_commands).map(|device| device.id.as_str());
-        let device = init.device(name).filter(takes_commands);
+        let device = device_named(init, name).filter(takes_commands);
         if device.is_none() {
             let shown = node::shortened(name);
-            let message = match init.device(name) {
+            let message = match device_named(init, name) {
                 Some(_) => format!("the device `{shown}` takes no commands"),
                 None => format!("the robot has no device `{shown}`"),
             };

@@ -2,6 +2,7 @@
 
 use urrcp::{Device, DeviceId, InitializationBlock};
 
+use super::declared::device_named;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, did_you_mean, one_of};
 use crate::node::shortened;
@@ -25,7 +26,7 @@ pub(super) fn sensor_at(
 ) -> Option<DeviceId> {
     let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
     let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
-    let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
+    let found = device_named(init, name).filter(is_sensor).map(|device| device.id.clone());
     if found.is_none() {
         let message = format!("the robot has no sensor `{}`", shortened(name));
         let expected = match sensors().next() {

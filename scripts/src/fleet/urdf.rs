@@ -7,6 +7,7 @@ use std::rc::Rc;
 use urrcp::InitializationBlock;
 
 use super::body::{ANGLES, LENGTHS, by_name, fixed, of_device};
+use super::declared::device_named;
 use super::joints::JOINTS_MAX;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, names, one_of};
@@ -201,7 +202,7 @@ impl<'a> Movers<'a> {
     }
 
     fn has(&self, joint: &str) -> bool {
-        self.named.contains_key(joint) || self.init.device(joint).is_some()
+        self.named.contains_key(joint) || device_named(self.init, joint).is_some()
     }
 
     /// `None` for what is told as missing, too.

@@ -41,6 +41,16 @@ impl Placing {
         Self { rows: rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
+    /// Scaled by a factor about the same middle.
+    pub(crate) fn scaled(self, factor: f64) -> Self {
+        Self { rows: self.rows.map(|row| row.map(|part| part * factor)), ..self }
+    }
+
+    /// Where the middle is, in metres.
+    pub(crate) const fn middle_on_stage(&self) -> Point {
+        self.at
+    }
+
     /// Where a point of the shape is on the stage.
     pub(crate) fn of(&self, point: Point) -> Point {
         let from_middle: Point = std::array::from_fn(|axis| point[axis] - self.middle[axis]);

@@ -126,3 +126,59 @@ fn a_word_that_is_none_of_those_expected_is_found_where_it_stands() {
     let places: Vec<_> = findings.iter().map(|finding| (finding.line, finding.column)).collect();
     assert_eq!(places, [(3, 7)], "{findings:#?}");
 }
+
+#[test]
+fn one_fault_of_a_block_is_one_finding() {
+    for (wrong, right, says, line) in [
+        ("granularity: 0.5", "granularity: 0", "granularity 0, for `position` of the device `arm`", 7),
+        ("granularity: 0.5", "granularty: 0.5", "`position` of the device `arm` has no `granularity`", 7),
+        (
+            "min_value: -90, max_value: 90",
+            "min_value: 90, max_value: -90",
+            "min_value 90 lies above max_value -90",
+            7,
+        ),
+        ("max_value: 90", "max_value: 90deg", "found the text `90deg`", 7),
+        ("    name: leg\n", "    default_value: 99\n", "default_value 99 of device `leg`", 10),
+        ("id: leg", "id: arm", "2 devices have the id `arm`", 9),
+    ] {
+        let findings = init_of(&source(&SHORT.replacen(wrong, right, 1))).unwrap_err();
+        let found: Vec<_> = findings.iter().map(|finding| (finding.message.as_str(), finding.line)).collect();
+        assert!(
+            matches!(found[..], [(message, at)] if message.starts_with(says) && at == line),
+            "{found:#?}"
+        );
+    }
+    let many: String =
+        (0..32_001).map(|n| format!("  - {{id: d{n}, available_control_types: {{}}}}\n")).collect();
+    let findings = init_of(&source(&format!("id: r\napi_version: \"1\"\ndevices:\n{many}"))).unwrap_err();
+    assert_eq!(
+        findings.iter().map(|finding| finding.message.as_str()).collect::<Vec<_>>(),
+        ["found 32001 devices"]
+    );
+}
+
+#[test]
+fn keys_without_effect_are_warned_of() {
+    let ignored = |text: &str| {
+        let Init::Block(_, warnings) = Init::read(source(text)).unwrap() else { panic!("{text}") };
+        warnings.into_iter().map(|found| (found.line, found.hint.unwrap_or_default())).collect::<Vec<_>>()
+    };
+    assert_eq!(ignored(SHORT), []);
+    let queue = SHORT.replacen("{max_number_of_steps: 8}", "{max_number_of_steps: 8, script_queue: 2}", 1);
+    assert_eq!(ignored(&queue), [(8, "write it next to the `id` of the device".to_owned())]);
+    assert_eq!(
+        ignored(&SHORT.replacen("    name: arm", "    units: deg", 1)),
+        [(5, "did you mean `unit`?".to_owned())]
+    );
+    // Keys of the robot's own software, and what a custom type has.
+    let own = SHORT.replacen("    name: arm", "    serial: 4711\n    torque_limit: 3", 1);
+    assert_eq!(
+        ignored(&own.replacen(
+            "      position: {min_value: -90",
+            "      custom_1: {script_queue: 3}\n      position: {min_value: -90",
+            1
+        )),
+        []
+    );
+}

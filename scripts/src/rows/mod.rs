@@ -28,6 +28,16 @@ pub(crate) enum Items {
     Rows(Arc<Rows>),
 }
 
+impl Items {
+    /// Its nodes, but for long runs of keyframes, in which there is no name.
+    pub(crate) fn nodes_mut(&mut self) -> &mut [Node] {
+        match self {
+            Self::Nodes(nodes) => nodes,
+            Self::Rows(_) => &mut [],
+        }
+    }
+}
+
 impl Deref for Items {
     type Target = [Node];
 

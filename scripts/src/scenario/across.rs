@@ -9,6 +9,7 @@ use urrcp::{ControlType, RobotId};
 use super::library::Library;
 use super::{Cue, Motion, Together, Track};
 use crate::chance::{drawn, share};
+use crate::composed::is_same;
 use crate::ensemble::{self, Asked, Dancer, Rehearsed};
 use crate::exact::{Fraction, sum, to_f64};
 use crate::expression::Robot;
@@ -196,7 +197,7 @@ impl Axis {
 
     fn follow(&mut self, track: &Track) {
         let Coordinate::Device { device, scale, offset } = &self.of else { return };
-        if device.as_str() != track.device {
+        if !is_same(device.as_str(), &track.device) {
             return;
         }
         self.at = match (&track.motion, track.control) {
@@ -436,6 +437,7 @@ fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
         expected: expected.to_owned(),
         hint: Some(hint.to_owned()),
         related: Vec::new(),
+        affected: None,
     }
 }
 

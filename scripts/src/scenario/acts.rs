@@ -9,6 +9,7 @@ use urrcp::{Server, Span, StopCondition, Timestamp};
 use super::cue::ORDER;
 use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
+use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
@@ -316,11 +317,23 @@ fn failure_word(reader: &mut Reader, at: &At<'_>) -> Option<OnFailure> {
     reader.word_or(at, &ON_FAILURE, successor)
 }
 
+/// A hint for an unknown condition of an act.
+fn wait_hint(text: &str) -> Option<String> {
+    if parse_duration(text).is_some() {
+        return Some(format!("to begin later, let the first cue of the act have `at: {text}`"));
+    }
+    if parse_time(text).is_some() {
+        return Some(format!("write `wait: {{time: \"{text}\"}}`"));
+    }
+    let operator = ["go", "manual", "key", "button", "cue", "user"].contains(&text.to_lowercase().as_str());
+    operator.then(|| "write `operator`: the act begins when someone types `downbeat go`".to_owned())
+}
+
 fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
     let words = [("done", Wait::Done), ("operator", Wait::Operator)];
     let Node::Map(_) = at.node else {
         let index = [("done", 0), ("operator", 1)];
-        let wait = reader.word(at, &index).map_or(Wait::Done, |i| words[i].1.clone());
+        let wait = reader.word_or(at, &index, wait_hint).map_or(Wait::Done, |i| words[i].1.clone());
         return WrittenWait { wait, place: at.place(), ..WrittenWait::default() };
     };
     let Some([word, time, sensor, above, below, within, timeout, otherwise]) =
@@ -330,7 +343,7 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
     };
     let wait = match (word, time, sensor) {
         (Some(word), None, None) => {
-            reader.word(&word, &[("done", 0), ("operator", 1)]).map(|i| words[i].1.clone())
+            reader.word_or(&word, &[("done", 0), ("operator", 1)], wait_hint).map(|i| words[i].1.clone())
         }
         (None, Some(time), None) => time_of_day(reader, &time),
         (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [above, below, within]),
@@ -363,7 +376,8 @@ fn sensor_wait(
     let named = text.split_once('/').map(|(robot, sensor)| (robot.to_owned(), sensor.to_owned()));
     if named.is_none() {
         let message = format!("`{}` names no robot and sensor", shortened(&text));
-        reader.add(Code::UnknownSensor, sensor.place(), message, expected, None);
+        let hint = Some(format!("write the robot and a slash before it: `ROBOT/{}`", shortened(&text)));
+        reader.add(Code::UnknownSensor, sensor.place(), message, expected, hint);
     }
     let range = sensor_range(reader, at, [above, below, within])?;
     named.map(|(robot, sensor)| Wait::Sensor { robot, sensor, range })
@@ -398,7 +412,8 @@ pub(crate) fn sensor_range(
         _ => {
             let expected = names(["above", "below", "within"]);
             let message = "a sensor to wait for without a range, or with several";
-            reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), None);
+            let hint = Some("say which readings will do, as in `below: 0.5`".to_owned());
+            reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), hint);
             None
         }
     }

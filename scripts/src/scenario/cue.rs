@@ -1,6 +1,6 @@
 //! A cue: which robots move what and when, and the changes of the movement before that.
 
-use urrcp::{Millis, StopCondition};
+use urrcp::{Millis, Span, StopCondition};
 
 use super::acts::Defaults;
 use super::canon;
@@ -182,6 +182,11 @@ fn bounds(reader: &mut Reader, at: &At<'_>) -> Option<Bounds> {
         },
         _ => reader.duration(at).map(|fixed| (fixed, Some(fixed)))?,
     };
+    if max == Some(Span::ZERO) {
+        let hint = Some("leave it out for the length of the movement itself".to_owned());
+        reader.add(Code::BadMotion, at.place(), "a movement of no length", "a time above 0", hint);
+        return None;
+    }
     Some(Bounds { min, max, place: at.place() })
 }
 

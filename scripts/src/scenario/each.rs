@@ -1,5 +1,6 @@
 //! The movements of a cue: one for all of its robots, or, where it asks for `$index` or `$count`, one for each.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 use urrcp::Span;
@@ -8,6 +9,7 @@ use super::cue::Overriding;
 use super::library::Library;
 use super::movement::{Shaping, movement};
 use super::{Movement, Name};
+use crate::composed::composed;
 use crate::expression::Robot;
 use crate::fields::Reader;
 use crate::fleet::Fleet;
@@ -15,12 +17,14 @@ use crate::fleet::Fleet;
 /// The robots that names stand for, before they are checked.
 pub(super) struct Roster<'a> {
     pub(super) fleet: &'a Fleet,
-    index_of: HashMap<&'a str, usize>,
+    /// By their composed names.
+    index_of: HashMap<Cow<'a, str>, usize>,
 }
 
 impl<'a> Roster<'a> {
     pub(super) fn new(fleet: &'a Fleet) -> Self {
-        let index_of = fleet.robots.iter().enumerate().map(|(i, robot)| (robot.id.as_str(), i)).collect();
+        let index_of =
+            fleet.robots.iter().enumerate().map(|(i, robot)| (composed(robot.id.as_str()), i)).collect();
         Self { fleet, index_of }
     }
 
@@ -33,11 +37,11 @@ impl<'a> Roster<'a> {
     }
 
     fn of_fleet(&self, name: &str) -> Vec<usize> {
-        if let Some(&index) = self.index_of.get(name) {
+        if let Some(&index) = self.index_of.get(composed(name).as_ref()) {
             return vec![index];
         }
         let members = self.fleet.groups.get(name).into_iter().flatten();
-        members.filter_map(|id| self.index_of.get(id.as_str()).copied()).collect()
+        members.filter_map(|id| self.index_of.get(composed(id.as_str()).as_ref()).copied()).collect()
     }
 }
 

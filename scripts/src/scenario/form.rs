@@ -3,6 +3,7 @@
 use urrcp::Span;
 
 use super::across::is_spread;
+use super::formations::SHAPES;
 use super::track::positive_time;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
@@ -128,8 +129,12 @@ pub(super) fn read(
         return None;
     };
     if let Some(at) = duration {
+        let (message, hint) = match keys.over {
+            Some(_) => ("a `duration` next to `over`", "remove it"),
+            None => ("a `duration` for the way of a group", "write `over` instead"),
+        };
         let expected = "`over` alone: it says how long the cue takes";
-        reader.add(Code::UnknownKey, at.key_place(), "a `duration` next to `over`", expected, None);
+        reader.add(Code::UnknownKey, at.key_place(), message, expected, Some(hint.to_owned()));
     }
     for at in shaping.into_iter().flatten() {
         let message = "the movement of a group cannot be changed";
@@ -142,7 +147,7 @@ pub(super) fn read(
             hint,
         );
     }
-    if keys.over.is_none() && !reader.is_miswritten(cue, "over") {
+    if keys.over.is_none() && duration.is_none() && !reader.is_miswritten(cue, "over") {
         let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
         reader.add(Code::MissingKey, first.key_place(), "a way without its time", "a key `over`", hint);
     }
@@ -172,6 +177,14 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     let Node::Map(_) = at.node else {
         return Some(Form { to: target(reader, at)?, least: Least::Total, spare: None, thin: None });
     };
+    if let Some(shape) = shape_within(at.node) {
+        let message = format!("found the shape `{shape}`");
+        let hint = format!(
+            "define it under `formations`, as in `formations: {{ring: {{{shape}: ...}}}}`, and write `form: ring`"
+        );
+        reader.add(Code::WrongType, at.place(), message, EXPECTED, Some(hint));
+        return None;
+    }
     let [to, least, spare, thin] = reader.map(at, "`form`", FORM_KEYS, &["to"])?;
     let target = target(reader, &to?)?;
     if matches!(target, Target::Home) {
@@ -184,6 +197,12 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
     let spare = spare.and_then(|at| reader.word(&at, &SPARE));
     let thin = thin.and_then(|at| reader.word(&at, &THIN));
     Some(Form { to: target, least, spare, thin })
+}
+
+/// A shape that stands where the name of a formation belongs.
+fn shape_within(node: &Node) -> Option<&'static str> {
+    let Node::Map(entries) = node else { return None };
+    SHAPES.into_iter().find(|shape| entries.iter().any(|(key, _)| key == shape))
 }
 
 fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
@@ -255,8 +274,25 @@ fn read_along(reader: &mut Reader, at: &At<'_>) -> Option<Course> {
 
 fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "degrees without a unit, as in `turn: 90`, up to 1000 turns";
+    if let Node::Text(word) = at.node
+        && let Some(degrees) = turn_of(word)
+    {
+        let hint =
+            Some(format!("write `turn: {degrees}`: positive numbers turn to the left, seen from above"));
+        reader.add(Code::WrongType, at.place(), format!("found the text `{word}`"), expected, hint);
+        return None;
+    }
     let value = reader.degrees(at, expected)?;
     in_bounds(reader, at, value, expected, DEGREES_MAX)
+}
+
+/// A quarter turn in words.
+fn turn_of(word: &str) -> Option<i16> {
+    match word {
+        "left" | "counterclockwise" => Some(90),
+        "right" | "clockwise" => Some(-90),
+        _ => None,
+    }
 }
 
 fn bounded(reader: &mut Reader, at: &At<'_>, expected: &str, most: f64) -> Option<f64> {
@@ -281,6 +317,7 @@ fn numbers<const N: usize>(reader: &mut Reader, at: &At<'_>, expected: &str, mos
         }
         return None;
     }
-    let read: Vec<f64> = items.iter().filter_map(|at| bounded(reader, at, expected, most)).collect();
-    read.try_into().ok()
+    // One finding is enough: all three are likely to have the same fault.
+    let read: Option<Vec<f64>> = items.iter().map(|at| bounded(reader, at, expected, most)).collect();
+    read?.try_into().ok()
 }

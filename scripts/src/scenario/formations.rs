@@ -30,6 +30,10 @@ const LENGTH: &str = "a length above 0, in metres, up to 1000000";
 const POINT: &str = "a place in metres, as [1, 0, 2.5]";
 const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, as [90, 0, 0]";
 
+/// The keys that are shapes.
+pub(super) const SHAPES: [&str; 9] =
+    ["points", "line", "circle", "grid", "v", "sphere", "text", "svg", "cloud"];
+
 keys! {
     /// What is said of a formation.
     FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, text, svg, cloud, at, rotate, scale, size }
@@ -42,6 +46,8 @@ pub(crate) struct WrittenFormation {
     pub(crate) formation: Option<Formation>,
     /// Place of its name.
     pub(crate) place: Place,
+    /// The key that says how large it is, and its value: the places are further apart in proportion to that.
+    pub(crate) size: (&'static str, f64),
 }
 
 /// A shape, and how it stands if nothing is said of that.
@@ -52,23 +58,36 @@ struct Shaped {
     longest: Option<f64>,
     /// Metres of one unit of the shape; none if the scenario has to say it.
     unit: Option<f64>,
+    /// The key of the shape that says how large it is, if one number does.
+    size: Option<(&'static str, f64)>,
 }
 
 impl Shaped {
     /// One with its middle at 0.
     fn around_0(shape: Shape) -> Self {
-        Self { shape, placing: Placing::default(), longest: None, unit: Some(1.0) }
+        Self { shape, placing: Placing::default(), longest: None, unit: Some(1.0), size: None }
+    }
+
+    fn of_size(self, key: &'static str, size: f64) -> Self {
+        Self { size: Some((key, size)), ..self }
     }
 }
 
 /// Reads one formation.
 pub(super) fn read(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) -> WrittenFormation {
     let before = reader.found.len();
-    let formation = formation(reader, files, name, at).filter(|_| reader.found.len() == before);
-    WrittenFormation { formation, place: at.key_place() }
+    let read = formation(reader, files, name, at).filter(|_| reader.found.len() == before);
+    let (formation, size) = read.unzip();
+    WrittenFormation { formation, place: at.key_place(), size: size.unwrap_or(("scale", 1.0)) }
 }
 
-fn formation(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) -> Option<Formation> {
+/// A formation with the key that says how large it is.
+fn formation(
+    reader: &mut Reader,
+    files: &dyn Files,
+    name: &str,
+    at: &At<'_>,
+) -> Option<(Formation, (&'static str, f64))> {
     let what = format!("the formation `{}`", shortened(name));
     let keys = FormationKeys::of(reader.map(at, &what, FORMATION_KEYS, &[])?);
     let shaped = shape(reader, files, at, &what, &keys);
@@ -76,9 +95,16 @@ fn formation(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) ->
     let rpy = keys.rotate.map_or(Some([0.0; 3]), |at| rotation(reader, &at));
     let to = keys.at.map(|at| point(reader, &at));
     let shaped = shaped?;
-    let factor = match keys.size {
-        Some(at) => sized(reader, &shaped, &at, keys.scale)?,
-        None => unsized_factor(reader, at, &what, &shaped, factor?, keys.scale.is_some())?,
+    let scaled = keys.scale.is_some();
+    let (factor, size) = match keys.size {
+        Some(at) => {
+            let factor = sized(reader, &shaped, &at, keys.scale)?;
+            (factor, ("size", factor * shaped.longest.unwrap_or(1.0)))
+        }
+        None => {
+            let size = shaped.size.filter(|_| !scaled).unwrap_or(("scale", factor?));
+            (unsized_factor(reader, at, &what, &shaped, factor?, scaled)?, size)
+        }
     };
     let Shaped { shape, placing, .. } = shaped;
     let placing = placing.turned(rpy?, factor);
@@ -86,7 +112,7 @@ fn formation(reader: &mut Reader, files: &dyn Files, name: &str, at: &At<'_>) ->
         Some(to) => placing.moved(to?),
         None => placing,
     };
-    Some(Formation { shape, placing })
+    Some((Formation { shape, placing }, size))
 }
 
 /// The one shape of a formation.
@@ -110,11 +136,10 @@ fn shape(
     ];
     let count = shapes.iter().flatten().count();
     if count != 1 {
-        let names = &FORMATION_KEYS[..shapes.len()];
-        let is_miswritten = names.iter().any(|name| reader.is_miswritten(at, name));
+        let is_miswritten = SHAPES.iter().any(|name| reader.is_miswritten(at, name));
         if count > 0 || !is_miswritten {
             let code = if count == 0 { Code::MissingKey } else { Code::UnknownKey };
-            let expected = format!("exactly one of {}", crate::finding::names(names.iter().copied()));
+            let expected = format!("exactly one of {}", crate::finding::names(SHAPES));
             reader.add(code, at.place(), format!("{what} has {count} shapes"), expected, None);
         }
         return None;
@@ -143,29 +168,41 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let points: Arc<[Point]> = points.filter(|points| !points.is_empty())?.into();
     let (middle, sides) = middle_of(&points);
     let longest = Some(sides.into_iter().fold(0.0, f64::max));
-    Some(Shaped { shape: Shape::Points(points), placing: Placing::about(middle), longest, unit: Some(1.0) })
+    Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(Shape::Points(points)) })
 }
 
 /// `{spacing: 1}` or `{length: 6}`
 fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let [spacing, whole] = reader.map(at, "`line`", ["spacing", "length"], &[])?;
-    let line = match (spacing, whole) {
-        (Some(at), None) => Line::Spacing(length(reader, &at)?),
-        (None, Some(at)) => Line::Length(length(reader, &at)?),
+    let (line, key, size) = match (spacing, whole) {
+        (Some(at), None) => {
+            let spacing = length(reader, &at)?;
+            (Line::Spacing(spacing), "spacing", spacing)
+        }
+        (None, Some(at)) => {
+            let whole = length(reader, &at)?;
+            (Line::Length(whole), "length", whole)
+        }
         _ => return one_of_two(reader, at, "a line", ["spacing", "length"]),
     };
-    Some(Shaped::around_0(Shape::Line(line)))
+    Some(Shaped::around_0(Shape::Line(line)).of_size(key, size))
 }
 
 /// `{radius: 2}` or `{spacing: 1}`
 fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let [radius, spacing] = reader.map(at, "`circle`", ["radius", "spacing"], &[])?;
-    let ring = match (radius, spacing) {
-        (Some(at), None) => Ring::Radius(length(reader, &at)?),
-        (None, Some(at)) => Ring::Spacing(length(reader, &at)?),
+    let (ring, key, size) = match (radius, spacing) {
+        (Some(at), None) => {
+            let radius = length(reader, &at)?;
+            (Ring::Radius(radius), "radius", radius)
+        }
+        (None, Some(at)) => {
+            let spacing = length(reader, &at)?;
+            (Ring::Spacing(spacing), "spacing", spacing)
+        }
         _ => return one_of_two(reader, at, "a circle", ["radius", "spacing"]),
     };
-    Some(Shaped::around_0(Shape::Circle(ring)))
+    Some(Shaped::around_0(Shape::Circle(ring)).of_size(key, size))
 }
 
 /// `{spacing: 1, columns: 4, rows: 3}`
@@ -181,7 +218,9 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
         _ => length(reader, &at).map(|length| [length; 3]),
     });
     let grid = Grid { spacing: spacing?, columns: columns?, rows: rows? };
-    Some(Shaped::around_0(Shape::Grid(grid)))
+    let [x, y, z] = grid.spacing;
+    let shaped = Shaped::around_0(Shape::Grid(grid));
+    Some(if x == y && y == z { shaped.of_size("spacing", x) } else { shaped })
 }
 
 /// `{spacing: 1, angle: 60}`
@@ -203,15 +242,16 @@ fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
         None
     });
     let spacing = spacing.and_then(|at| length(reader, &at));
-    let vee = Vee { spacing: spacing?, angle: angle? };
-    Some(Shaped::around_0(Shape::Vee(vee)))
+    let spacing = spacing?;
+    let vee = Vee { spacing, angle: angle? };
+    Some(Shaped::around_0(Shape::Vee(vee)).of_size("spacing", spacing))
 }
 
 /// `{radius: 2}`
 fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let [radius] = reader.map(at, "`sphere`", ["radius"], &["radius"])?;
     let radius = radius.and_then(|at| length(reader, &at))?;
-    Some(Shaped::around_0(Shape::Sphere(Ball { radius })))
+    Some(Shaped::around_0(Shape::Sphere(Ball { radius })).of_size("radius", radius))
 }
 
 /// `GO`, upright
@@ -262,7 +302,7 @@ fn read_cloud(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Sha
         }
     };
     let longest = Some(sides.into_iter().fold(0.0, f64::max));
-    Some(Shaped { shape, placing: Placing::about(middle), longest, unit: Some(1.0) })
+    Some(Shaped { placing: Placing::about(middle), longest, ..Shaped::around_0(shape) })
 }
 
 /// Strokes that stand upright, with their middle at 0.
@@ -272,7 +312,7 @@ fn upright(strokes: &[text::FlatStroke], unit: Option<f64>) -> Shaped {
     let (middle, sides) = middle_of(&lines.concat());
     let shape = Shape::Strokes(Arc::new(Strokes::of(&lines)));
     let longest = Some(sides.into_iter().fold(0.0, f64::max));
-    Shaped { shape, placing: Placing::about(middle).moved([0.0; 3]), longest, unit }
+    Shaped { placing: Placing::about(middle).moved([0.0; 3]), longest, unit, ..Shaped::around_0(shape) }
 }
 
 /// The bytes of a file that the scenario names.
@@ -420,11 +460,21 @@ fn each_axis(
     read: impl Fn(&mut Reader, &At<'_>) -> Option<f64>,
 ) -> Option<Point> {
     let parts = reader.list(at, expected);
-    let numbers: Vec<f64> = parts.iter().take(3).filter_map(|part| read(reader, part)).collect();
     if parts.len() != 3 && matches!(at.node, Node::List(_)) {
         let message = format!("found {} entries", parts.len());
-        reader.add(Code::WrongType, at.place(), message, expected, None);
+        let hint = match parts.as_slice() {
+            [x, y] => match (x.node, y.node) {
+                (Node::Number(x), Node::Number(y)) => {
+                    Some(format!("add the third one, for the height: `[{x}, {y}, 0]`"))
+                }
+                _ => None,
+            },
+            _ => None,
+        };
+        reader.add(Code::WrongType, at.place(), message, expected, hint);
         return None;
     }
-    Point::try_from(numbers).ok()
+    // One finding is enough: all three are likely to have the same fault.
+    let numbers: Option<Vec<f64>> = parts.iter().map(|part| read(reader, part)).collect();
+    Point::try_from(numbers?).ok()
 }

@@ -13,12 +13,14 @@ use super::formations::{self, WrittenFormation};
 use super::includes::{self, Included};
 use super::nesting::Used;
 use super::paths::{self, WrittenPath};
+use crate::composed::compose;
 use crate::ensemble::Ground;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place, Use, one_of};
 use crate::fleet::Fleet;
+use crate::identify::not_to_include;
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
@@ -70,7 +72,12 @@ pub(crate) struct Documents<'a> {
 
 /// Reads a scenario's file and everything that it includes, each file once.
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
-    let root = node::parse(source).map_err(|finding| vec![finding])?;
+    let parse = |source: &Source| {
+        let mut node = node::parse(source)?;
+        compose(&mut node);
+        Ok(node)
+    };
+    let root = parse(source).map_err(|finding| vec![finding])?;
     let mut documents = Documents {
         sources: vec![Cow::Borrowed(source)],
         nodes: vec![root],
@@ -89,7 +96,17 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
             if documents.names.len() > INCLUDES_MAX {
                 continue;
             }
-            match files.read(&name).and_then(|source| node::parse(&source).map(|node| (source, node))) {
+            let read = files.read(&name).and_then(|source| parse(&source).map(|node| (source, node)));
+            if let Ok((_, node)) = &read
+                && let Some((message, hint)) = not_to_include(node)
+            {
+                let mut reader = Reader::default();
+                let expected = "a file with `moves`, `variables` and others that scenarios share";
+                reader.add(Code::Include, place, message, expected, Some(hint.to_owned()));
+                findings.extend(locate(&documents.sources, reader.found));
+                continue;
+            }
+            match read {
                 Ok((source, node)) => {
                     findings.extend(foreign_tags(&source));
                     documents.names.push(name);
@@ -105,7 +122,10 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                 Err(finding) if finding.code == Code::Unreadable => {
                     let mut reader = Reader::default();
                     let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
-                    let hint = Some("the path counts from the folder of the scenario".to_owned());
+                    let hint = Some(match name.contains('*') {
+                        true => "name each file, as in `[moves/bow.yaml, moves/wave.yaml]`".to_owned(),
+                        false => "the path counts from the folder of the scenario".to_owned(),
+                    });
                     reader.add(Code::Include, place, message, "a readable file", hint);
                     findings.extend(locate(&documents.sources, reader.found));
                 }
@@ -267,6 +287,7 @@ impl<'a> Library<'a> {
     ) {
         if let Some(at) = variables {
             for (name, at) in reader.entries(&at, "variable to its value") {
+                let name = plain_name(reader, &at, name);
                 let value = scalar(reader, &at).unwrap_or(Node::Null);
                 reader.scope.set(name, value);
             }
@@ -317,9 +338,11 @@ impl<'a> Library<'a> {
     /// The move of that name.
     pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("move", reader, name);
-        if found.is_none() {
+        // The moves as a whole have a finding already.
+        if found.is_none() && !reader.is_wrong("moves") {
             let known = || self.names.get_or_init(|| sorted(&self.moves)).iter().map(String::as_str);
-            let hint = reader.did_you_mean(name, known());
+            let none = known().next().is_none().then(|| "define it under `moves`".to_owned());
+            let hint = none.or_else(|| reader.did_you_mean(name, known()));
             let message = format!("no move `{}`", shortened(name));
             reader.add(Code::UnknownMove, at.place(), message, one_of(known()), hint);
         }
@@ -382,6 +405,16 @@ fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
     let message = format!("the {what} `{}` is in two files", shortened(name));
     let hint = Some("rename one of them".to_owned());
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
+}
+
+/// The name of a variable, where it is defined: without the `$` of its uses.
+fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str) -> &'n str {
+    let Some(plain) = name.strip_prefix('$') else { return name };
+    let message = format!("the variable `{}` is defined with its `$`", shortened(name));
+    let hint =
+        Some(format!("write `{}:` here, and `{}` where it is used", shortened(plain), shortened(name)));
+    reader.add(Code::UnknownKey, at.key_place(), message, "a name", hint);
+    plain
 }
 
 /// A number, a text or a truth value.

@@ -11,6 +11,7 @@ mod each;
 mod form;
 mod formations;
 mod formulas;
+mod given;
 mod includes;
 mod library;
 mod movement;
@@ -41,16 +42,17 @@ use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
 use crate::requirements::Requirements;
+use crate::slips::Units;
 use crate::source::Source;
 
 pub(crate) use across::{Group, is_spread};
 pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
-#[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
 pub(crate) use form::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 pub(crate) use formations::WrittenFormation;
+pub(crate) use given::{Change, Changed, Givens};
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
 pub(crate) use nesting::Nesting;
@@ -221,6 +223,10 @@ pub(crate) struct Track {
     pub(crate) items: Items,
     /// Place of the list of its keyframes.
     pub(crate) list: Place,
+    /// Items that depend on a parameter, and where that is given.
+    pub(crate) given: Givens,
+    /// The last change of all its values.
+    pub(crate) changed: Option<Changed>,
 }
 
 /// A movement of its own within a track.
@@ -308,6 +314,11 @@ impl Track {
         }
     }
 
+    /// Where the parameter on which an item depends is given.
+    pub(crate) fn given(&self, item: u32) -> Option<&Place> {
+        self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given.as_ref())
+    }
+
     /// When it ends, before that is laid on the clock.
     pub(crate) fn end(&self) -> Exact {
         self.begin.plus(self.length)
@@ -389,6 +400,7 @@ pub(crate) fn read(
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
     reader.group = Group::of(fleet);
+    reader.units = Units::of(fleet);
     let parts = [variables, moves, sequences, roles, formations, paths];
     let library = shared(reader, documents, files, fleet, (include, parts));
     library::music(reader, tempo, signature);

@@ -7,7 +7,7 @@ use super::nesting::{self, within};
 use super::play;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Motion, Movement, Name, Repetition, Track};
+use super::{Change, Changed, Motion, Movement, Name, Repetition, Track};
 use crate::budget::longest;
 use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::Robot;
@@ -252,7 +252,7 @@ fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ => (reader.number(at, "a factor, or {by, about, devices}"), aim(reader, None, None)),
     };
     if let Some(factor) = factor {
-        affine(reader, at, tracks, &aim, factor);
+        affine(reader, at, tracks, &aim, (Change::Scale, factor));
     }
 }
 
@@ -267,10 +267,16 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ if reader.truth(at) == Some(true) => aim(reader, None, None),
         _ => return,
     };
-    affine(reader, at, tracks, &aim, -1.0);
+    affine(reader, at, tracks, &aim, (Change::Mirror, -1.0));
 }
 
-fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, factor: f64) {
+fn affine(
+    reader: &mut Reader,
+    at: &At<'_>,
+    tracks: &mut [Track],
+    aim: &Aim,
+    (change, factor): (Change, f64),
+) {
     for device in aim.devices.iter().flatten() {
         if !tracks.iter().any(|track| track.device == device.text) {
             let known = || tracks.iter().map(|track| track.device.as_str());
@@ -285,6 +291,7 @@ fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, fac
     };
     for track in tracks.iter_mut().filter(chosen) {
         curves(std::slice::from_mut(track), at, reader, |curve| curve.scale(aim.about, factor));
+        track.changed = Some(Changed { change, about: aim.about, factor, place: at.place() });
     }
 }
 

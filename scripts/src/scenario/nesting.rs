@@ -129,13 +129,14 @@ pub(super) fn within<R>(
         return None;
     }
     let arguments = arguments(reader, used, parameters.as_ref(), given.as_ref());
-    let places = given.filter(|_| used.kind == "sequence").map(|at| places(reader, &at)).unwrap_or_default();
+    let places = [parameters, given].into_iter().flatten().flat_map(|at| places(reader, &at));
+    let places: HashMap<String, Arc<Place>> = places.collect();
     let hidden = reader.scope.hide(library.globals);
     let copy = std::mem::replace(&mut reader.nesting.copy, used.part.copy);
     reader.scope.restore(library.copies[used.part.copy].values.iter().cloned());
     let values = with_defaults(reader, used, parameters.as_ref(), arguments);
     for (name, value) in values {
-        let place = places.iter().find(|(given, _)| *given == name).map(|(_, place)| place.clone());
+        let place = places.get(&name).cloned();
         reader.scope.set_given(name, value, place);
     }
     reader.nesting.inside.push(what);
@@ -147,7 +148,7 @@ pub(super) fn within<R>(
     Some(result)
 }
 
-/// Where each parameter is given its value; of one that is handed on, where it was given first.
+/// Where each parameter has its value; of one that is handed on, where it was given first.
 fn places(reader: &Reader, given: &At<'_>) -> Vec<(String, Arc<Place>)> {
     let Node::Map(entries) = given.node else { return Vec::new() };
     let place = |(name, node): &(String, Node)| {

@@ -159,7 +159,10 @@ fn joined(reader: &mut Reader, mut tracks: Vec<Track>, whose: &str) -> Option<Tr
     let start = later(reader.music.start, begin);
     let length = tracks.iter().map(Track::end).max()?.minus(begin);
     let (mut pieces, mut firsts, mut items): (Vec<Piece>, Vec<u32>, u32) = (Vec::new(), Vec::new(), 0);
+    let mut given = Vec::new();
     for track in &tracks {
+        let own = |item: u32| if item == u32::MAX { items } else { items.saturating_add(item) };
+        given.extend(track.given.iter().map(|(item, given)| (own(*item), given.clone())));
         firsts.push(items);
         pieces.extend(pieces_of(track, items));
         items = items.saturating_add(items_of(track));
@@ -183,7 +186,7 @@ fn joined(reader: &mut Reader, mut tracks: Vec<Track>, whose: &str) -> Option<Tr
     };
     let tolerance = tracks.iter().filter_map(|track| track.tolerance).reduce(f64::min);
     let first = tracks.swap_remove(0);
-    Some(Track { motion, length, pieces, tolerance, turns: 1, ..first })
+    Some(Track { motion, length, pieces, tolerance, given, turns: 1, ..first })
 }
 
 /// Whether a movement can follow those before it on its device.

@@ -2,14 +2,17 @@
 
 use urrcp::{ControlType, Span};
 
+use super::given::{Givens, given};
 use super::library::Library;
 use super::{Items, Motion, Track, Vector, Vectors, data, formulas, nothing};
+use crate::duration::parse_duration;
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 use crate::rows::{self, Rows, Width};
+use crate::slips::as_keyframes;
 
 const TRACK_KEYS: [&str; 11] = [
     "control",
@@ -45,21 +48,26 @@ pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_
 pub(super) struct Written {
     motion: Motion,
     length: Exact,
+    given: Givens,
 }
 
 impl Written {
     pub(super) fn new(curve: Curve, length: Exact) -> Self {
-        Self { motion: Motion::Curve(curve), length }
+        Self { motion: Motion::Curve(curve), length, given: Vec::new() }
     }
 
     fn of(curve: Curve) -> Self {
         let length = curve.length().into();
         Self::new(curve, length)
     }
+
+    fn with(self, given: Givens) -> Self {
+        Self { given, ..self }
+    }
 }
 
 fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) -> Option<Track> {
-    let new = |Written { motion, length }, list: &At<'_>| Track {
+    let new = |Written { motion, length, given }, list: &At<'_>| Track {
         device: device.to_owned(),
         control: None,
         motion,
@@ -73,7 +81,18 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         items: Items::Keyframes,
         place: at.key_place(),
         list: list.place(),
+        given,
+        changed: None,
     };
+    if is_of_devices(reader, at) {
+        let message = format!("`{}` has devices of its own", node::shortened(device));
+        let hint = Some("name the robots under `robots`, and only their devices below `tracks`".to_owned());
+        reader.add(Code::WrongType, at.key_place(), message, "a device with its movement", hint);
+        return None;
+    }
+    if matches!(at.node, Node::Map(_)) && told_as_keyframes(reader, at) {
+        return None;
+    }
     let Node::Map(_) = at.node else { return Some(new(keyframes(reader, at), at)) };
     let [control, tolerance, steps_max, keys, points, pieces, wave, travel, samples, formula, length] =
         reader.map(at, "a track", TRACK_KEYS, &[])?;
@@ -83,8 +102,13 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         let expected =
             "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`, `formula`";
         let code = if forms.is_empty() { Code::MissingKey } else { Code::UnknownKey };
-        let message = format!("a track with {} movements", forms.len());
-        reader.add(code, at.place(), message, expected, None);
+        if !forms.is_empty() || !TRACK_KEYS.iter().any(|key| reader.is_miswritten(at, key)) {
+            let message = match forms.len() {
+                0 => "a track without a movement".to_owned(),
+                count => format!("a track with {count} movements"),
+            };
+            reader.add(code, at.place(), message, expected, None);
+        }
         return None;
     };
     if let (None, Some(length)) = (formula, length) {
@@ -116,6 +140,25 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     })
 }
 
+/// Whether the tracks of a robot stand where those of a device belong.
+fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
+    let Node::Map(entries) = at.node else { return false };
+    entries.iter().any(|(key, node)| {
+        reader.units.has_device(key)
+            && matches!(node, Node::List(_) | Node::Map(_))
+            && !TRACK_KEYS.contains(&key.as_str())
+    })
+}
+
+/// Whether this is a list of keyframes in another form, which is one fault.
+fn told_as_keyframes(reader: &mut Reader, at: &At<'_>) -> bool {
+    let Some((found, hint)) = as_keyframes(at) else { return false };
+    reader.add(Code::WrongType, at.place(), format!("found {found}"), KEYFRAMES, Some(hint));
+    true
+}
+
+const KEYFRAMES: &str = "a list of keyframes such as {at: 1s, to: 45}";
+
 fn control_type(reader: &mut Reader, at: &At<'_>) -> Option<ControlType> {
     let expected = "position, speed, acceleration or custom_N";
     let text = reader.text(at, expected)?;
@@ -133,9 +176,10 @@ const fn item(index: usize) -> u32 {
 }
 
 fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
-    let expected = "a list of keyframes such as {at: 1s, to: 45}";
     let Node::List(items) = at.node else {
-        reader.wrong_type(at, expected);
+        if !told_as_keyframes(reader, at) {
+            reader.wrong_type(at, KEYFRAMES);
+        }
         return Written::of(Curve::default());
     };
     if let rows::Items::Rows(rows) = items {
@@ -143,22 +187,29 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
     }
     if items.is_empty() {
         nothing(reader, at, "the track has no keyframes", "at least one keyframe");
+    } else if told_as_keyframes(reader, at) {
+        return Written::of(Curve::default());
     }
     let several = |node: &Node| matches!(node, Node::Map(entries) if entries.iter().any(|(key, node)| key == "to" && matches!(node, Node::List(_))));
     if items.first().is_some_and(several) {
         return vectors(reader, at, items);
     }
     let mut length = Exact::ZERO;
+    let mut depends = Vec::new();
     let mut knots: Vec<Knot> = Vec::with_capacity(items.len());
     for (index, node) in items.iter().enumerate() {
-        if let Some((knot, time)) = keyframe(reader, &at.item(index, node), item(index)) {
+        let at_item = at.item(index, node);
+        if let Some((knot, time)) = keyframe(reader, &at_item, item(index)) {
             length = time;
+            depends.extend(value_of(&at_item).and_then(|to| Some((item(index), given(reader, &to)?))));
             let before = knots.last().map(|last| last.at);
-            in_order(reader, at, (Items::Keyframes, index), before, knot.at);
-            knots.push(knot);
+            // What is out of order is one fault.
+            if in_order(reader, at, (Items::Keyframes, index), before, knot.at) {
+                knots.push(knot);
+            }
         }
     }
-    Written::new(Curve::new(knots, Vec::new()), length)
+    Written::new(Curve::new(knots, Vec::new()), length).with(depends)
 }
 
 /// A long run of keyframes, whose times count from the cue's start wherever that is.
@@ -187,7 +238,7 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
             Motion::Vectors(vectors)
         }
     };
-    Written { motion, length }
+    Written { motion, length, given: Vec::new() }
 }
 
 fn in_order(
@@ -196,18 +247,35 @@ fn in_order(
     (items, index): (Items, usize),
     before: Option<Span>,
     at: Span,
-) {
+) -> bool {
     if let Some(before) = before.filter(|before| at <= *before) {
         let place = list.place().below(Part::Index(index)).of_key("at");
         let message = format!("the {} at {at} follows the one at {before}", items.one());
         let hint =
             Some(format!("{}s of one track are in order, each later than the one before", items.one()));
         reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
+        return false;
     }
+    true
+}
+
+/// The value of a keyframe or a point.
+fn value_of<'a>(at: &'a At<'a>) -> Option<At<'a>> {
+    let Node::Map(entries) = at.node else { return None };
+    entries.iter().find(|(key, _)| key == "to").map(|(key, node)| at.entry(key, 0, node))
 }
 
 fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<(Knot, Exact)> {
     let [time, to, ease] = reader.map(at, "a keyframe", KEYFRAME_KEYS, &["at", "to"])?;
+    if let (Some(time), Some(to)) = (time, to)
+        && let (Node::Number(value), Node::Text(text)) = (time.node, to.node)
+        && parse_duration(text).is_some()
+    {
+        let hint = Some(format!("write `{{at: {text}, to: {value}}}`"));
+        let message = format!("`at` is the number {value}, and `to` is the time {text}");
+        reader.add(Code::WrongType, at.place(), message, "a time under `at`, and a value under `to`", hint);
+        return None;
+    }
     let time = time.and_then(|at| reader.exact(&at));
     let to = to.and_then(|at| reader.number(&at, "a finite number"));
     let easing = ease.and_then(|at| reader.word(&at, &Easing::WORDS));
@@ -238,26 +306,28 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let (Some(time), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
         let at = reader.music.start.lay(time);
         length = time;
-        in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at);
-        vectors.push(Vector { at, values: &values, item: item(index) });
+        if in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at) {
+            vectors.push(Vector { at, values: &values, item: item(index) });
+        }
     }
-    Written { motion: Motion::Vectors(vectors), length }
+    Written { motion: Motion::Vectors(vectors), length, given: Vec::new() }
 }
 
 /// Points in order of time, through which a curve goes, and the time of the last.
-fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact) {
+fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, Givens) {
     let mut length = Exact::ZERO;
+    let mut depends = Vec::new();
     let mut knots: Vec<Knot> = Vec::new();
     for (index, point) in reader.list(at, "a list of points such as {at: 1s, to: 45}").iter().enumerate() {
         let Some([time, to]) = reader.map(point, "a point", ["at", "to"], &["at", "to"]) else { continue };
         let exact = time.and_then(|at| reader.exact(&at));
+        depends.extend(to.and_then(|to| Some((item(index), given(reader, &to)?))));
         let to = to.and_then(|at| reader.number(&at, "a finite number"));
         let (Some(exact), Some(to)) = (exact, to) else { continue };
         let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
-        in_order(reader, at, (Items::Points, index), before, time);
         // Out of order is found; the curve is made of what is in order.
-        if before.is_none_or(|before| time > before) {
+        if in_order(reader, at, (Items::Points, index), before, time) {
             knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
             length = exact;
         }
@@ -266,11 +336,11 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact) 
         let message = format!("found {} points in order", knots.len());
         reader.add(Code::BadMotion, at.place(), message, format!("at least {least} points"), None);
     }
-    (knots, length)
+    (knots, length, depends)
 }
 
 fn splined(reader: &mut Reader, at: &At<'_>) -> Written {
-    let (mut knots, length) = points(reader, at, 2);
+    let (mut knots, length, depends) = points(reader, at, 2);
     let times: Vec<_> = knots.iter().map(|knot| knot.at.as_millis_f64()).collect();
     let values: Vec<_> = knots.iter().map(|knot| knot.to).collect();
     let functions: Vec<_> =
@@ -278,7 +348,7 @@ fn splined(reader: &mut Reader, at: &At<'_>) -> Written {
     for (index, knot) in knots.iter_mut().enumerate().skip(1) {
         knot.shape = Shape::Function { index: item(index - 1), gain: 1.0, offset: 0.0, reversed: false };
     }
-    Written::new(Curve::new(knots, functions), length)
+    Written::new(Curve::new(knots, functions), length).with(depends)
 }
 
 /// Pieces one after another, each with its coefficients in seconds from its own start.
@@ -357,6 +427,7 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
 fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let [amplitude, frequency, period, phase, center, length] =
         reader.map(at, "a wave", WAVE_KEYS, &["amplitude", "for"])?;
+    let depends = [amplitude, center].into_iter().flatten().find_map(|at| given(reader, &at));
     let amplitude = amplitude.and_then(|at| reader.number(&at, "a number in the device's unit"));
     let length = length.and_then(|at| positive_time(reader, &at));
     let hertz = match (frequency, period) {
@@ -380,7 +451,8 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
         reader.add(Code::TooMuch, at.place(), message, "at most 10000 cycles", hint);
         return None;
     }
-    Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact))
+    let depends = depends.into_iter().map(|given| (NO_ITEM, given)).collect();
+    Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact).with(depends))
 }
 
 /// How fast a wave is.

@@ -277,7 +277,8 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
         None if text.starts_with("bar") => {
             let message = format!("the position `{}` cannot be read", shortened(text));
             let expected = "a position such as `bar 3 beat 2`";
-            reader.add(Code::BadDuration, at.place(), message, expected, None);
+            let hint = Some("bars and beats are whole numbers, counted from 1".to_owned());
+            reader.add(Code::BadDuration, at.place(), message, expected, hint);
             None
         }
         None => {

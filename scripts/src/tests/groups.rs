@@ -329,7 +329,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
     // 0.1 m, 0.5 m and 0.2 m between them.
     let (code, expected, hint) = cue("form: f");
     assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
-    assert!(hint.contains("formation larger"), "{hint}");
+    assert_eq!(hint, "`spacing: 0.8` is enough");
 }
 
 #[test]
@@ -512,7 +512,7 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     assert_eq!(findings[1].message, "places 1 and 2 of `near` are 0.390 m apart");
     assert!(findings[1].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
     let hint = findings[1].hint.as_deref().unwrap();
-    assert!(hint.contains("larger") && !hint.contains("time"), "{hint}");
+    assert_eq!(hint, "`scale: 1.03` is enough");
     // Without bodies and distances, two robots still cannot be at one place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
     let text = format!(

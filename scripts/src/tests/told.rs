@@ -87,7 +87,11 @@ fn what_is_wrong_with_many_robots_for_one_reason_is_one_finding() {
     let compiled = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles);
     let overlaps: Vec<_> = compiled.findings.iter().filter(|finding| finding.code == Code::Overlap).collect();
     assert_eq!(overlaps.len(), 1, "{overlaps:?}");
-    assert!(overlaps[0].message.contains("the same for `d` of `r1`, `d` of `r2`"), "{}", overlaps[0].message);
+    assert!(
+        overlaps[0].message.contains("`d` of 8 robots (`r0`, `r1`, `r2` and 5 more)"),
+        "{}",
+        overlaps[0].message
+    );
 }
 
 #[test]
@@ -152,4 +156,28 @@ fn a_header_behind_a_hash_is_a_header() {
     let csv = "# recorded in May\n# t, v\n0,0\n1,5\n";
     let text = "cues: [{robots: bot, tracks: {lamp: {samples: {file: c.csv, time: t, value: v}}}}]\n";
     assert_eq!(codes(&compiled_with(text, csv)), []);
+}
+
+#[test]
+fn values_that_differ_from_robot_to_robot_are_one_fault_of_all() {
+    let robots: Vec<FleetRobot> =
+        (0..12).map(|n| FleetRobot { id: format!("r{n}").parse().unwrap(), ..robot() }).collect();
+    let all = robots.iter().map(|robot| robot.id.clone()).collect();
+    let fleet = Fleet { robots, groups: [("all".to_owned(), all)].into(), ..Fleet::default() };
+    let found = |to: &str| {
+        let tracks = format!("tracks: {{d: [{{at: 0s, to: 0}}, {{at: 1s, to: {to}}}]}}");
+        let text = format!("scenario: s\ncues: [{{robots: all, {tracks}}}]\n");
+        let found = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles).findings;
+        found.into_iter().map(|finding| finding.message).collect::<Vec<_>>()
+    };
+    let limits = "keyframe 2: 110 lies outside the limits for position of `d` on 12 robots (`r0`, `r1`, `r2` and 9 more)";
+    assert_eq!(found("99 + $index"), [limits]);
+    let grid = found("10.1 + $index");
+    assert!(
+        matches!(grid.as_slice(), [only] if only.ends_with("on 12 robots (`r0`, `r1`, `r2` and 9 more)")),
+        "{grid:?}"
+    );
+    let twice = "scenario: s\ncues: [{robots: [all, all], tracks: {d: [{at: 0s, to: 0}]}}]\n";
+    let found = compile(&Source { name: "s.yaml".into(), text: twice.into() }, &fleet, &NoFiles).findings;
+    assert!(matches!(found.as_slice(), [only] if only.code == Code::ListedTwice), "{found:#?}");
 }

@@ -10,6 +10,7 @@ use std::path::Path;
 
 use urrcp::RobotId;
 
+use crate::composed::{composed, is_same};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
 use crate::fleet::Fleet;
@@ -121,10 +122,10 @@ impl WorldReader<'_> {
     fn named(&self, name: &str) -> Option<(u8, Vec<usize>)> {
         let robots = &self.fleet.robots;
         let of = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);
-        if let Some(index) = robots.iter().position(|robot| robot.id.as_str() == name) {
+        if let Some(index) = robots.iter().position(|robot| is_same(robot.id.as_str(), name)) {
             return Some((3, vec![index]));
         }
-        if let Some(group) = self.fleet.groups.get(name) {
+        if let Some(group) = self.fleet.groups.get(composed(name).as_ref()) {
             return Some((2, group.iter().filter_map(of).collect()));
         }
         (name == ALL).then(|| (1, (0..robots.len()).collect()))
@@ -151,7 +152,7 @@ impl WorldReader<'_> {
                 self.findings.add(Code::WrongType, at.key_place(), message, expected, None);
                 continue;
             };
-            let found = self.fleet.robots.iter().find(|known| known.id.as_str() == robot);
+            let found = self.fleet.robots.iter().find(|known| is_same(known.id.as_str(), robot));
             let Some(robot) = found else {
                 self.unknown_robot(robot, &at, true);
                 continue;

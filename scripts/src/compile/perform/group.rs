@@ -11,9 +11,13 @@ use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
 use crate::ensemble::{self, Asked, Axis, Dancer, Moved};
 use crate::exact::Exact;
+use crate::finding::{Code, Pending};
 use crate::motion::{Between, Curve, Function, Knot, Shape, Stretch, Swept};
-use crate::scenario::{Act, Cue, Items, Motion, Together, Track};
+use crate::scenario::{Act, Action, Cue, Items, Motion, Together, Track};
 
+use fixes::Fixes;
+
+mod fixes;
 mod told;
 
 /// What groups need to know beyond their cues.
@@ -101,7 +105,7 @@ impl<'a> Performer<'_, 'a> {
                 true => self.group(grouped, ground),
                 false => {
                     if let Err(fault) = ensemble::places(group, robots.len(), ground.of_scenario) {
-                        self.tell(cue, group, &robots, &fault, ground);
+                        self.tell(cue, group, &robots, &fault, ground, None);
                     }
                     false
                 }
@@ -120,14 +124,29 @@ impl<'a> Performer<'_, 'a> {
         let rehearsed = cue.rehearsed.as_ref().and_then(|rehearsed| rehearsed.of(&dancers));
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
             Ok(ways) => {
+                let before = self.findings.found.len();
                 for (dancer, moved) in dancers.iter().zip(&ways) {
                     self.dance(cue, group, time, dancer, moved);
+                }
+                let is_out = |found: &Pending| found.code == Code::OutOfRange;
+                if self.findings.found.iter().skip(before).any(is_out) {
+                    let fix = Fixes::of(cue, group, &dancers, ground).within_limits(&ways);
+                    let hint = fix.unwrap_or_else(|| {
+                        match group.action {
+                            Action::Form(_) => "make the formation smaller, or move it with `at`",
+                            Action::Sweep(_) => "make it smaller, or let the group begin elsewhere",
+                        }
+                        .to_owned()
+                    });
+                    let out = self.findings.found.iter_mut().skip(before).filter(|found| is_out(found));
+                    out.for_each(|found| found.hint = Some(hint.clone()));
                 }
                 true
             }
             Err(fault) => {
                 let robots: Vec<usize> = dancers.iter().map(|dancer| dancer.robot).collect();
-                self.tell(cue, group, &robots, &fault, ground);
+                let fix = Fixes::of(cue, group, &dancers, ground).hint(&fault);
+                self.tell(cue, group, &robots, &fault, ground, fix);
                 false
             }
         }
@@ -193,7 +212,7 @@ impl<'a> Performer<'_, 'a> {
             let curve = curve(swept.in_units(scale, offset), length);
             let track = track(group, device, curve, axis.tolerance(cue.tolerance, moved.error_share));
             let robots = [dancer.robot];
-            let on = OnDevice { cue, track: &track, device, robots: &robots, cast: self.cast };
+            let on = OnDevice::new(cue, (&track, device), &robots, self.cast);
             let part = self.part(&on, Stretch { from: length, to: length });
             let Some(part) = part.filter(|_| self.used(cue, 1)) else {
                 self.incomplete.insert(dancer.robot);
@@ -234,5 +253,7 @@ fn track(group: &Together, device: &Device, curve: Curve, tolerance: Option<f64>
         turns: 1,
         items: Items::Whole,
         list: group.place.clone(),
+        given: Vec::new(),
+        changed: None,
     }
 }

@@ -1,7 +1,7 @@
 //! What is wrong with a group, in words.
 
 use super::Performer;
-use crate::compile::check_formations::{apart, between};
+use crate::compile::check_formations::{apart, between, differing};
 use crate::compile::conflict::told;
 use crate::duration;
 use crate::ensemble::{Fault, GROUP_MAX, POINTS_MAX};
@@ -29,7 +29,11 @@ impl Performer<'_, '_> {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
             let expected =
                 "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
-            self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, None);
+            let hint = Some(
+                "leave them out of this cue, or say in the fleet file what their devices mean in space"
+                    .to_owned(),
+            );
+            self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, hint);
         }
         // Where something is wrong already, a movement may be missing.
         let is_other = |code: Code| code != Code::NotInGroup && code.severity() == Severity::Error;
@@ -59,7 +63,7 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    /// What keeps a group of these robots from what it is asked.
+    /// Reports why a group of these robots cannot do what its cue asks. `fix`: a change that works, if one was found.
     pub(super) fn tell(
         &mut self,
         cue: &Cue,
@@ -67,6 +71,7 @@ impl Performer<'_, '_> {
         robots: &[usize],
         fault: &Fault,
         ground: Ground<'_>,
+        fix: Option<String>,
     ) {
         let here = group.place.clone();
         match fault {
@@ -96,11 +101,11 @@ impl Performer<'_, '_> {
                     "robots at several places, or another middle, as in `turn: {by: 90, about: [0, 0]}`";
                 self.findings.add(Code::NotInGroup, here, message, expected, None);
             }
-            Fault::TooShort { dancer, seconds } => self.tell_too_short(group, robots[*dancer], *seconds),
-            Fault::Blocked(blocked) => self.tell_blocked(cue, group, robots, blocked),
+            Fault::TooShort { dancer, seconds } => self.tell_too_short(group, robots[*dancer], *seconds, fix),
+            Fault::Blocked(blocked) => self.tell_blocked(cue, group, robots, blocked, fix),
             Fault::UnknownFormation | Fault::Count { .. } | Fault::Crowded { .. } => {
                 if let Action::Form(Form { to: Target::Formation(name), .. }) = &group.action {
-                    self.tell_of_formation(group, name, robots.len(), fault, ground);
+                    self.tell_of_formation(group, name, robots.len(), fault, (ground, fix));
                 }
             }
             _ => {
@@ -118,18 +123,23 @@ impl Performer<'_, '_> {
         name: &str,
         robots: usize,
         fault: &Fault,
-        ground: Ground<'_>,
+        (ground, fix): (Ground<'_>, Option<String>),
     ) {
         let here = group.place.clone();
         match fault {
             Fault::UnknownFormation => {
                 let named = ground.of_scenario.formations.keys().map(String::as_str);
+                let elsewhere = ground
+                    .of_scenario
+                    .paths
+                    .contains_key(name)
+                    .then(|| format!("`{0}` is a path: write `along: {0}`", shortened(name)));
                 self.tell_unknown(
                     Code::UnknownFormation,
                     "formation",
                     name,
-                    named.chain(["home"]).collect(),
-                    here,
+                    named.collect(),
+                    (here, elsewhere),
                 );
             }
             Fault::Count { places } => {
@@ -149,10 +159,12 @@ impl Performer<'_, '_> {
             }
             Fault::Crowded { places, distance, required } => {
                 let [a, b] = places.map(|place| place + 1);
-                let message = format!("places {a} and {b} of `{}` {}", shortened(name), apart(*distance));
-                let expected = between(*required);
-                let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
-                self.findings.add(Code::NoWayPast, here, message, expected, hint);
+                let message =
+                    format!("places {a} and {b} of `{}` {}", shortened(name), apart(*distance, *required));
+                let expected = between(*distance, *required);
+                let hint = fix
+                    .unwrap_or_else(|| "make the formation larger, or let fewer robots take part".to_owned());
+                self.findings.add(Code::NoWayPast, here, message, expected, Some(hint));
             }
             _ => {}
         }
@@ -172,7 +184,12 @@ impl Performer<'_, '_> {
         match fault {
             Fault::UnknownPath => {
                 let named = ground.of_scenario.paths.keys().map(String::as_str).collect();
-                self.tell_unknown(Code::UnknownPath, "path", &course.path, named, there);
+                let elsewhere = ground
+                    .of_scenario
+                    .formations
+                    .contains_key(&course.path)
+                    .then(|| format!("`{name}` is a formation: write `form: {name}`"));
+                self.tell_unknown(Code::UnknownPath, "path", &course.path, named, (there, elsewhere));
             }
             Fault::OpenLaps(laps) => {
                 let message = format!("{laps} laps of `{name}`, which does not end where it begins");
@@ -216,46 +233,73 @@ impl Performer<'_, '_> {
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    fn tell_unknown(&mut self, code: Code, what: &str, name: &str, mut known: Vec<&str>, place: Place) {
+    /// `elsewhere`: what else bears the name.
+    fn tell_unknown(
+        &mut self,
+        code: Code,
+        what: &str,
+        name: &str,
+        mut known: Vec<&str>,
+        (place, elsewhere): (Place, Option<String>),
+    ) {
         known.sort_unstable();
-        let hint = self.findings.did_you_mean(name, known.iter().copied());
-        let expected = match known.is_empty() {
-            true => format!("a {what} that is defined under `{what}s`"),
-            false => one_of(known),
+        let home = (what == "formation").then_some("home");
+        let hint = match known.is_empty() && home != Some(name) {
+            true => Some(format!(
+                "define it, as in `{what}s: {{{}: {{circle: {{radius: 2}}}}}}`",
+                shortened(name)
+            )),
+            false => self.findings.did_you_mean(name, known.iter().copied().chain(home)),
+        };
+        let hint = elsewhere.or(hint);
+        let expected = match (known.is_empty(), home) {
+            (true, None) => format!("a {what} that is defined under `{what}s`"),
+            (true, Some(home)) => format!("`{home}`, or a {what} that is defined under `{what}s`"),
+            (false, _) => one_of(known.into_iter().chain(home)),
         };
         self.findings.add(code, place, format!("no {what} `{}`", shortened(name)), expected, hint);
     }
 
-    fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64) {
+    fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64, fix: Option<String>) {
         let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
         let needed = duration::written(needed);
         let message =
             format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
         let expected = format!("`over: {needed}` or more");
-        self.findings.add(Code::BodyTooFast, group.over_place.clone(), message, expected, None);
+        self.findings.add(Code::BodyTooFast, group.over_place.clone(), message, expected, fix);
     }
 
-    fn tell_blocked(&mut self, cue: &Cue, group: &Together, robots: &[usize], blocked: &Blocked) {
+    fn tell_blocked(
+        &mut self,
+        cue: &Cue,
+        group: &Together,
+        robots: &[usize],
+        blocked: &Blocked,
+        fix: Option<String>,
+    ) {
         let [a, b] = blocked.pair.map(|index| self.cast.id(robots[index]));
         let at = Span::from_millis_f64((blocked.at * 1_000.0).round());
         let more = match blocked.pairs {
             1 => String::new(),
             pairs => format!("; {} more come too close", counted(pairs - 1, "pair")),
         };
+        let (Required::Apart(limit) | Required::AsAtEnds(limit) | Required::AtEnd { least: limit, .. }) =
+            blocked.required;
+        let [found, wanted] = differing(blocked.distance, limit);
         let message = format!(
-            "`{a}` and `{b}` come within {:.3} m of each other {} after `{}` begins, from middle to middle{more}",
-            blocked.distance,
+            "`{a}` and `{b}` come within {found} m of each other {} after `{}` begins, from middle to middle{more}",
             told(at),
             shortened(&cue.name)
         );
         let is_home = matches!(&group.action, Action::Form(Form { to: Target::Home, .. }));
         let tried = "delays and arcs were tried";
         let expected = match blocked.required {
-            Required::Apart(metres) => format!("at least {metres:.3} m, with what steps may be off; {tried}"),
-            Required::AsAtEnds(metres) => {
-                format!("at least {metres:.3} m, as where they begin or end; {tried}")
+            Required::Apart(_) => format!("at least {wanted} m, with what steps may be off; {tried}"),
+            Required::AsAtEnds(_) => format!("at least {wanted} m, as where they begin or end; {tried}"),
+            Required::AtEnd { end, least } => {
+                let [end, least] = differing(end, least);
+                format!("at least {least} m; they end {end} m apart")
             }
-            Required::AtEnd { end, least } => format!("at least {least:.3} m; they end {end:.3} m apart"),
         };
         let hint = match (blocked.required, is_home) {
             (Required::AtEnd { .. }, true) => "let the homes of these two be further apart",
@@ -267,6 +311,7 @@ impl Performer<'_, '_> {
             }
             (_, false) => "give it more time, make the formation larger, or form another one on the way",
         };
-        self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
+        let hint = fix.unwrap_or_else(|| hint.to_owned());
+        self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint));
     }
 }

@@ -1,0 +1,271 @@
+//! Changes that let a group do what its cue asks. A hint names only changes that work when they are tried.
+
+use std::collections::HashMap;
+
+use urrcp::{ControlType, Span};
+
+use super::Ground;
+use crate::duration::written;
+use crate::ensemble::{self, Asked, Axis, Dancer, Fault, Moved};
+use crate::fleet::limits_of;
+use crate::formation::{Formation, Point};
+use crate::node::shortened;
+use crate::scenario::{Action, Cue, Form, Sweep, Target, Together, WrittenFormation};
+use crate::transit::Required;
+
+/// The robots of all trials together: a trial takes time with their square at least.
+const ROBOTS_MAX: usize = 600;
+/// Times that are tried, as factors of the one that is given.
+const LONGER: [f64; 5] = [1.25, 1.5, 2.0, 3.0, 4.0];
+/// Sizes that are tried, as factors of the least one that could be enough.
+const LARGER: [f64; 5] = [1.0, 1.1, 1.25, 1.5, 2.0];
+/// Sizes that are tried, as factors of the largest one that could be small enough.
+const SMALLER: [f64; 4] = [1.0, 0.97, 0.9, 0.75];
+/// Places that may leave the limits of a device by rounding, in its units.
+const ROUNDING: f64 = 1e-6;
+
+/// A group that cannot do what its cue asks.
+pub(super) struct Fixes<'f> {
+    cue: &'f Cue,
+    group: &'f Together,
+    dancers: &'f [Dancer<'f>],
+    ground: Ground<'f>,
+    /// Trials that are left.
+    left: usize,
+}
+
+impl<'f> Fixes<'f> {
+    pub(super) fn of(
+        cue: &'f Cue,
+        group: &'f Together,
+        dancers: &'f [Dancer<'f>],
+        ground: Ground<'f>,
+    ) -> Self {
+        Self { cue, group, dancers, ground, left: ROBOTS_MAX / dancers.len().max(1) }
+    }
+
+    /// Every kind of change that works for a fault, as a hint.
+    pub(super) fn hint(mut self, fault: &Fault) -> Option<String> {
+        let changes = match fault {
+            Fault::TooShort { seconds, .. } => vec![self.longer(&[seconds / self.seconds()])],
+            Fault::Crowded { distance, required, .. } if *distance > 0.0 => {
+                vec![self.larger(required / distance)]
+            }
+            Fault::Blocked(blocked) => match blocked.required {
+                Required::AtEnd { end, least } if end > 0.0 => vec![self.larger(least / end)],
+                Required::AtEnd { .. } => return None,
+                _ => vec![self.longer(&LONGER), self.larger(1.05), self.by_way_of()],
+            },
+            _ => return None,
+        };
+        let changes: Vec<String> = changes.into_iter().flatten().collect();
+        match changes.as_slice() {
+            [] => None,
+            [only] => Some(only.clone()),
+            several => Some(format!("any one of: {}", several.join("; "))),
+        }
+    }
+
+    /// How the ways come to end within the limits of the devices.
+    pub(super) fn within_limits(mut self, ways: &[Moved]) -> Option<String> {
+        match &self.group.action {
+            Action::Form(Form { to: Target::Formation(_), .. }) => {
+                let middle = self.formation()?.0.placing.middle_on_stage();
+                let part = self.part_within(ways, |_, axis| middle[axis]).filter(|part| *part > 0.0)?;
+                self.resized(&SMALLER.map(|factor| part * factor), f64::floor)
+            }
+            Action::Sweep(sweep) if sweep.turns == 0.0 && sweep.along.is_none() => {
+                let part =
+                    self.part_within(ways, |dancer, axis| dancer.from[axis]).filter(|part| *part >= 0.0)?;
+                let less = |value: f64| rounded(value, f64::trunc);
+                match (sweep.grow == 1.0, sweep.shift == [0.0; 3]) {
+                    (true, false) => {
+                        let [x, y, z] = sweep.shift.map(|along| less(along * part));
+                        Some(format!("`shift: [{x}, {y}, {z}]` is enough"))
+                    }
+                    (false, true) => Some(format!("`grow: {}` is enough", grown(sweep, part))),
+                    _ => None,
+                }
+            }
+            _ => None,
+        }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.group.over.as_millis_f64() / 1_000.0
+    }
+
+    /// The part of each way beyond a point that stays within the limits of its devices: the least of all.
+    fn part_within(&self, ways: &[Moved], from: impl Fn(&Dancer<'_>, usize) -> f64) -> Option<f64> {
+        let mut least = 1.0f64;
+        for (dancer, moved) in self.dancers.iter().zip(ways) {
+            let end = moved.end();
+            for (axis, to) in end.into_iter().enumerate() {
+                let Some([low, high]) = ends(&dancer.axes[axis]) else { continue };
+                let (from, bound) = (from(dancer, axis), if to > high { high } else { low });
+                if to > high || to < low {
+                    least = least.min((bound - from) / (to - from));
+                }
+            }
+        }
+        least.is_finite().then_some(least)
+    }
+
+    /// The formation that is asked, with what its size is called and how large it is.
+    fn formation(&self) -> Option<(&'f Formation, &'static str, f64)> {
+        let Action::Form(Form { to: Target::Formation(name), .. }) = &self.group.action else { return None };
+        let written = self.ground.of_scenario.formations.get(name)?;
+        let (key, size) = written.size;
+        Some((written.formation.as_ref()?, key, size))
+    }
+
+    /// A size that is enough, at least `factor` times the written one; with more time, if it needs that.
+    fn larger(&mut self, factor: f64) -> Option<String> {
+        self.resized(&LARGER.map(|more| factor * more), f64::ceil)
+    }
+
+    fn resized(&mut self, factors: &[f64], round: fn(f64) -> f64) -> Option<String> {
+        let (_, key, size) = self.formation()?;
+        for factor in factors {
+            let new = rounded(size * factor, round);
+            if let Some(over) = self.tried(new / size) {
+                return Some(match over == self.group.over {
+                    true => format!("`{key}: {new}` is enough"),
+                    false => format!("`{key}: {new}` is enough with `over: {}`", written(over)),
+                });
+            }
+        }
+        None
+    }
+
+    /// The time with which another size of the formation works; the shortest that is enough, if the one that is given is too short.
+    fn tried(&mut self, factor: f64) -> Option<Span> {
+        let mut over = self.group.over;
+        for _ in 0..2 {
+            match self.ways(factor, over)? {
+                Ok(()) => return Some(over),
+                Err(Fault::TooShort { seconds, .. }) => over = up(seconds),
+                Err(_) => return None,
+            }
+        }
+        None
+    }
+
+    /// A time that is enough.
+    fn longer(&mut self, factors: &[f64]) -> Option<String> {
+        let overs = factors.iter().map(|factor| up(self.seconds() * factor)).collect::<Vec<_>>();
+        let over = overs.into_iter().find(|over| matches!(self.ways(1.0, *over), Some(Ok(()))))?;
+        Some(format!("`over: {}` is enough", written(over)))
+    }
+
+    /// Another formation from which the way is free.
+    fn by_way_of(&mut self) -> Option<String> {
+        let (target, _) = self.target()?;
+        let mut names: Vec<&String> = self.ground.of_scenario.formations.keys().collect();
+        names.sort_unstable();
+        names.into_iter().filter(|name| **name != target).find_map(|name| {
+            let first = self.to(name);
+            let there = self.trial(&first, self.dancers, self.ground.of_scenario.formations)?.ok()?;
+            let between: Vec<Dancer<'_>> =
+                self.dancers.iter().zip(&there).map(|(dancer, moved)| at(dancer, moved.end())).collect();
+            self.trial(self.group, &between, self.ground.of_scenario.formations)?.ok()?;
+            Some(format!(
+                "via `{0}`: let a cue with `form: {0}` and the same `over` be before it",
+                shortened(name)
+            ))
+        })
+    }
+
+    fn target(&self) -> Option<(String, &'f Form)> {
+        match &self.group.action {
+            Action::Form(form @ Form { to: Target::Formation(name), .. }) => Some((name.clone(), form)),
+            Action::Form(form) => Some((String::new(), form)),
+            Action::Sweep(_) => None,
+        }
+    }
+
+    fn to(&self, name: &str) -> Together {
+        let mut together = self.group.clone();
+        if let Action::Form(form) = &mut together.action {
+            form.to = Target::Formation(name.to_owned());
+        }
+        together
+    }
+
+    /// Whether the group can do it with its formation scaled by `factor` in the time `over`; `None` if no trials are left.
+    fn ways(&mut self, factor: f64, over: Span) -> Option<Result<(), Fault>> {
+        let together = Together { over, ..self.group.clone() };
+        let mut formations: HashMap<String, WrittenFormation> = HashMap::new();
+        if let Some((name, _)) = self.target()
+            && let Some(written) = self.ground.of_scenario.formations.get(&name)
+        {
+            let mut written = written.clone();
+            if let Some(formation) = &mut written.formation {
+                formation.placing = formation.placing.scaled(factor);
+            }
+            formations.insert(name, written);
+        }
+        Some(self.trial(&together, self.dancers, &formations)?.map(drop))
+    }
+
+    fn trial(
+        &mut self,
+        together: &Together,
+        dancers: &[Dancer<'_>],
+        formations: &HashMap<String, WrittenFormation>,
+    ) -> Option<Result<Vec<Moved>, Fault>> {
+        self.left = self.left.checked_sub(1)?;
+        let ground = ensemble::Ground { formations, ..self.ground.of_scenario };
+        let asked = Asked { together, tolerance: self.cue.tolerance };
+        let ways = ensemble::ways(asked, dancers, ground);
+        Some(ways.and_then(|ways| match self.are_within(&ways) {
+            true => Ok(ways),
+            false => Err(Fault::ToldElsewhere),
+        }))
+    }
+
+    fn are_within(&self, ways: &[Moved]) -> bool {
+        self.dancers.iter().zip(ways).all(|(dancer, moved)| {
+            let within = |(axis, to): (&Axis<'_>, f64)| {
+                ends(axis).is_none_or(|[low, high]| to >= low - ROUNDING && to <= high + ROUNDING)
+            };
+            dancer.axes.iter().zip(moved.end()).all(within)
+        })
+    }
+}
+
+/// The factor of a group that grows by a part of what it is to grow by.
+fn grown(sweep: &Sweep, part: f64) -> f64 {
+    let factor = 1.0 + (sweep.grow - 1.0) * part;
+    rounded(factor, if sweep.grow > 1.0 { f64::floor } else { f64::ceil })
+}
+
+/// The same robot at another place.
+fn at<'d>(dancer: &Dancer<'d>, from: Point) -> Dancer<'d> {
+    let Dancer { robot, delay, body, axes, .. } = *dancer;
+    Dancer { robot, delay, body, axes, from }
+}
+
+/// The least and the largest coordinate to which the device of an axis can go, in metres.
+fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
+    let Axis::Moved { device, scale, offset, .. } = *axis else { return None };
+    let all = limits_of(device, ControlType::Position).map(|limits| [limits.min_value, limits.max_value]);
+    let [low, high] = all.reduce(|a, b| [a[0].max(b[0]), a[1].min(b[1])])?;
+    let ends = [offset + scale * low, offset + scale * high];
+    Some(if scale < 0.0 { [ends[1], ends[0]] } else { ends })
+}
+
+/// A time of two decimals that is no shorter, in seconds.
+fn up(seconds: f64) -> Span {
+    Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0)
+}
+
+/// A figure of three digits.
+fn rounded(value: f64, round: fn(f64) -> f64) -> f64 {
+    let scale = 10f64.powf(2.0 - value.abs().log10().floor());
+    // What is such a figure already stays, whatever its last bit is.
+    let near = (value * scale).round();
+    let scaled = if (near - value * scale).abs() < 1e-6 { near } else { round(value * scale) };
+    let rounded = (scaled / scale * 1e9).round() / 1e9 + 0.0;
+    if rounded.is_finite() { rounded } else { value + 0.0 }
+}

@@ -1,0 +1,41 @@
+//! Where a value of a movement is decided, if not where it is written: by a parameter that a cue gives to a move, or by a change that
+//! the cue makes.
+
+use std::sync::Arc;
+
+use crate::fields::{At, Reader};
+use crate::finding::Place;
+use crate::node::Node;
+
+/// A change of all values of a movement: `about + factor * (value - about)`.
+#[derive(Clone, Debug)]
+pub(crate) struct Changed {
+    pub(crate) change: Change,
+    pub(crate) about: f64,
+    pub(crate) factor: f64,
+    pub(crate) place: Place,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Change {
+    Scale,
+    Mirror,
+}
+
+impl Changed {
+    /// The value before the change.
+    pub(crate) fn undone(&self, value: f64) -> f64 {
+        self.about + (value - self.about) / self.factor
+    }
+}
+
+/// Items that depend on a parameter, and where that is given.
+pub(crate) type Givens = Vec<(u32, Arc<Place>)>;
+
+/// Where the first parameter on which a value depends is given.
+pub(super) fn given(reader: &Reader, at: &At<'_>) -> Option<Arc<Place>> {
+    let Node::Text(text) = at.node else { return None };
+    let is_part = |c: char| c.is_alphanumeric() || c == '_';
+    let names = text.split('$').skip(1).map(|rest| rest.split(|c| !is_part(c)).next().unwrap_or_default());
+    names.filter_map(|name| reader.scope.place(name)).next().cloned()
+}

@@ -1,0 +1,98 @@
+//! One cause, one finding: the robots that have a fault for the same reason.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use urrcp::RobotId;
+
+use crate::finding::{Code, Place, robots_named};
+
+/// A fault of some robots, or of a device of theirs. Faults of one code and one cause are one finding, which describes the largest of
+/// them.
+pub(crate) struct SharedFault {
+    pub(crate) code: Code,
+    pub(crate) cause: String,
+    /// How large the fault is.
+    pub(crate) size: f64,
+    /// Empty for a fault of the robots themselves.
+    pub(crate) device: String,
+    pub(crate) robots: Arc<[RobotId]>,
+    pub(crate) place: Place,
+    /// The message before the names of the robots, and after them.
+    pub(crate) message: [String; 2],
+    pub(crate) expected: String,
+    pub(crate) hint: Option<String>,
+}
+
+/// What a finding says of the robots that it concerns.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Affected {
+    size: f64,
+    /// Of the largest fault.
+    device: String,
+    message: [String; 2],
+    /// Devices in the order of the faults, each with the robots of every fault.
+    devices: Vec<(String, Vec<Arc<[RobotId]>>)>,
+}
+
+impl Affected {
+    pub(crate) fn by(fault: &SharedFault) -> Self {
+        let mut affected = Self {
+            size: fault.size,
+            device: fault.device.clone(),
+            message: fault.message.clone(),
+            devices: Vec::new(),
+        };
+        affected.extend(fault);
+        affected
+    }
+
+    /// Takes the robots of one more fault. Returns whether that is the largest so far.
+    pub(crate) fn add(&mut self, fault: &SharedFault) -> bool {
+        let is_largest = fault.size > self.size;
+        if is_largest {
+            (self.size, self.device) = (fault.size, fault.device.clone());
+            self.message.clone_from(&fault.message);
+        }
+        self.extend(fault);
+        is_largest
+    }
+
+    fn extend(&mut self, fault: &SharedFault) {
+        let index = self.devices.iter().position(|(device, _)| *device == fault.device);
+        let index = index.unwrap_or_else(|| {
+            self.devices.push((fault.device.clone(), Vec::new()));
+            self.devices.len() - 1
+        });
+        let robots = &mut self.devices[index].1;
+        // Faults of one track follow each other.
+        if robots.last().is_none_or(|last| !Arc::ptr_eq(last, &fault.robots)) {
+            robots.push(fault.robots.clone());
+        }
+    }
+
+    /// The message with all robots and devices.
+    pub(crate) fn message(&self) -> String {
+        let own = self.devices.iter().find(|(device, _)| *device == self.device);
+        let [before, after] = &self.message;
+        let mut message = format!("{before}{}{after}", own.map_or_else(String::new, |(_, all)| named(all)));
+        let others = self.devices.iter().filter(|(device, _)| *device != self.device);
+        let others: Vec<_> = others.map(|(device, all)| format!("`{device}` of {}", named(all))).collect();
+        if !others.is_empty() {
+            message += &format!("; the same for {}", others.join(", "));
+        }
+        message
+    }
+}
+
+/// Each robot once.
+fn named(faults: &[Arc<[RobotId]>]) -> String {
+    let mut seen = HashSet::new();
+    let robots: Vec<&str> = faults
+        .iter()
+        .flat_map(|robots| robots.iter())
+        .map(RobotId::as_str)
+        .filter(|id| seen.insert(*id))
+        .collect();
+    robots_named(robots.iter().copied())
+}

@@ -1,0 +1,467 @@
+//! Hints for what people write where the language has another word, key or form: words of other programs, units, lists without brackets.
+
+use std::collections::HashMap;
+
+use crate::composed::{composed, is_same};
+use crate::duration::parse_duration;
+use crate::fields::{At, Reader};
+use crate::finding::{Part, Place, did_you_mean_this};
+use crate::fleet::{Fleet, devices_of};
+use crate::node::{Node, shortened};
+use crate::scenario::CUE_KEYS;
+
+/// The devices of a fleet by name, each with its unit if all robots that have it agree.
+#[derive(Debug, Default)]
+pub(crate) struct Units(HashMap<String, Option<String>>);
+
+impl Units {
+    pub(crate) fn of(fleet: &Fleet) -> Self {
+        let mut units: HashMap<String, Option<String>> = HashMap::new();
+        for device in fleet.robots.iter().flat_map(devices_of) {
+            let unit = device.unit.as_ref().map(ToString::to_string);
+            units
+                .entry(composed(device.id.as_str()).into_owned())
+                .and_modify(|known| {
+                    if *known != unit {
+                        *known = None;
+                    }
+                })
+                .or_insert(unit);
+        }
+        Self(units)
+    }
+
+    pub(crate) fn has_device(&self, name: &str) -> bool {
+        self.0.contains_key(name)
+    }
+
+    /// The device that a place in a track is about, and its unit.
+    fn at<'p>(&self, place: &'p Place) -> Option<(&'p str, Option<&str>)> {
+        let at = place.path.iter().rposition(|part| matches!(part, Part::Key(key, _) if key == "tracks"))?;
+        let Part::Key(device, _) = place.path.get(at + 1)? else { return None };
+        Some((device, self.0.get(device)?.as_deref()))
+    }
+}
+
+/// Other words for the keys of a map: where, the words, and the key.
+const KEYS: [(&str, &[&str], &str); 43] = [
+    ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
+    ("a keyframe", &["time", "t", "when", "start"], "at"),
+    ("a keyframe", &["easing", "curve", "interpolation", "transition"], "ease"),
+    ("a point", &["value", "position", "pos", "angle", "target", "val"], "to"),
+    ("a point", &["time", "t", "when", "start"], "at"),
+    ("a cue", &["name", "id", "title", "label"], "cue"),
+    ("a cue", &["start", "time", "begin", "when"], "at"),
+    ("a cue", &["group", "groups", "who", "cast"], "robots"),
+    ("a cue", &["length"], "duration"),
+    ("a cue", &["loop", "loops", "times", "count"], "repeat"),
+    ("a cue", &["until", "end", "deadline", "finish"], "end_by"),
+    ("a cue", &["zone", "zones", "needs"], "uses"),
+    ("a cue", &["formation"], "form"),
+    ("a cue", &["path"], "along"),
+    ("a cue", &["rotate", "rotation"], "turn"),
+    ("a cue", &["translate", "offset"], "shift"),
+    ("a cue", &["args", "arguments"], "parameters"),
+    ("an act", &["name", "id", "title", "label"], "act"),
+    ("an act", &["then", "follow", "goto"], "next"),
+    ("`wait`", &["max", "limit"], "timeout"),
+    ("`wait`", &["at", "clock"], "time"),
+    ("the scenario", &["name", "title", "show"], "scenario"),
+    ("the scenario", &["bpm"], "tempo"),
+    ("the scenario", &["meter", "time_signature"], "signature"),
+    ("the scenario", &["scenes", "parts"], "acts"),
+    ("a wave", &["length", "duration"], "for"),
+    ("a wave", &["centre", "middle", "offset"], "center"),
+    ("a wave", &["hz", "freq"], "frequency"),
+    ("`travel`", &["length", "duration"], "for"),
+    ("`travel`", &["velocity"], "speed"),
+    ("a polynomial", &["length", "duration"], "for"),
+    ("`circle`", &["r"], "radius"),
+    ("`sphere`", &["r"], "radius"),
+    ("`line`", &["distance", "gap"], "spacing"),
+    ("`grid`", &["distance", "gap"], "spacing"),
+    ("`v`", &["distance", "gap"], "spacing"),
+    ("the formation", &["position", "center", "centre"], "at"),
+    ("the formation", &["rotation"], "rotate"),
+    ("the formation", &["ring"], "circle"),
+    ("limits", &["velocity", "max_speed", "v"], "speed"),
+    ("limits", &["accel", "max_acceleration"], "acceleration"),
+    ("robot", &["host", "ip", "url", "endpoint"], "address"),
+    ("robot", &["description", "model", "file", "path"], "init"),
+];
+
+/// A hint for a key that a map does not have.
+pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Option<String> {
+    let known = KEYS.iter().find(|(place, words, _)| {
+        (what == *place || what.strip_prefix(place).is_some_and(|rest| rest.starts_with(" `")))
+            && words.contains(&key)
+    });
+    if let Some((.., meant)) = known {
+        return Some(did_you_mean_this(meant));
+    }
+    let given = match value {
+        Node::Number(number) => number.to_string(),
+        Node::Text(text) => shortened(text),
+        _ => "...".to_owned(),
+    };
+    let advice = match (what, key) {
+        ("a cue", "delay" | "wait") => {
+            format!("to begin later, write `at: {given}`, or `after: NAME + {given}`")
+        }
+        ("a cue", "speed") => {
+            "`duration` stretches a movement; `--speed` plays the whole show more slowly".to_owned()
+        }
+        ("a cue", "ease" | "easing") => {
+            format!("write it in each keyframe: `{{at: 1s, to: 45, ease: {given}}}`")
+        }
+        ("an act", "at" | "after" | "with" | "before") => {
+            "acts follow each other in the order of the file, or as `next` says".to_owned()
+        }
+        ("an act", "timeout" | "otherwise") => {
+            format!("write it under `wait`: `wait: {{for: operator, {key}: {given}}}`")
+        }
+        ("an act", "robots" | "tracks" | "move") => "write it in a cue, below `cues`".to_owned(),
+        ("the scenario", "robots" | "groups") => {
+            "write it in the fleet file, and name its robots in each cue".to_owned()
+        }
+        ("`circle`", "diameter") => match value {
+            Node::Number(diameter) => format!("write half of it: `radius: {}`", diameter / 2.0),
+            _ => "write half of it as the `radius`".to_owned(),
+        },
+        ("a cue" | "an override" | "an entry of `play`", device) if reader.units.has_device(device) => {
+            format!("`{device}` is a device: write it below `tracks:`")
+        }
+        (part, device) if part.starts_with("the move ") && reader.units.has_device(device) => {
+            format!("`{device}` is a device: write it below `tracks:`")
+        }
+        _ => return None,
+    };
+    Some(advice)
+}
+
+/// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
+pub(crate) fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
+    let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
+    let value = match value {
+        Node::Number(number) => number.to_string(),
+        Node::Text(text) => shortened(text),
+        _ => return None,
+    };
+    let is_use =
+        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !CUE_KEYS.contains(&key);
+    is_use
+        .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
+}
+
+/// A hint for an unknown word.
+pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+    let plain: String = wrong.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase();
+    let has = |word: &str| known.clone().any(|known| known == word);
+    let meant = match plain.as_str() {
+        "hold" | "constant" | "none" | "jump" | "discrete" | "stepped" if has("step") => "step",
+        "sine" | "sin" | "soft" | "ease" | "smoothstep" | "minimumjerk" | "bezier" if has("smooth") => {
+            "smooth"
+        }
+        easing if has("smooth") && easing.starts_with("easeinout") => "smooth",
+        easing if has("smooth") && easing.starts_with("ease") => {
+            return Some("no easing is soft at one end only: `smooth` begins and ends softly".to_owned());
+        }
+        "reverse" | "reversed" | "backwards" | "back" | "desc" | "descending" if has("backward") => {
+            "backward"
+        }
+        "forwards" | "normal" | "asc" | "ascending" if has("forward") => "forward",
+        "left" | "lefttoright" | "right" | "righttoleft" if has("backward") => {
+            return Some(
+                "write `by: x`, in the `direction` `forward` from left to right, or `backward`".to_owned(),
+            );
+        }
+        "left" | "lefttoright" | "right" | "righttoleft" if has("x") => "x",
+        "continue" | "ignore" | "skip" | "goon" if has("without") => "without",
+        "halt" | "abort" | "fail" if has("stop") => "stop",
+        "no" | "off" | "false" | "none" if has("skip") => "skip",
+        "yes" | "on" | "true" if has("full") => "full",
+        "stop" | "stay" | "none" | "hold" if known.clone().eq(["home"]) => {
+            return Some("leave the key out: devices stay where they are".to_owned());
+        }
+        _ => return None,
+    };
+    Some(did_you_mean_this(meant))
+}
+
+/// A hint for a value of another kind than is expected there.
+pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str) -> Option<String> {
+    match node {
+        Node::Text(text) if reader.scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
+        Node::Text(text) if expected == "true or false" => truth(text, place),
+        Node::Text(text) if expected.starts_with("a whole number") && is_endless(text) => Some(
+            "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`".to_owned(),
+        ),
+        Node::Text(text) if expected.starts_with("a list of") => Some(format!("write a list: `[{}]`", words(text).join(", "))),
+        Node::Text(text) if expected.starts_with("the least and the largest delay") && parse_duration(text).is_some() => {
+            Some(format!("write `[{text}, {text}]`"))
+        }
+        Node::Text(text) => number(reader, place, text, expected)
+            .or_else(|| expected.contains(": a map").then(|| crate::syntax::without_space_at_all(text)).flatten()),
+        Node::Map(entries) if is_braced(entries) => Some("a variable is written `$name`, without braces".to_owned()),
+        Node::Map(entries) if expected.starts_with("a place in metres") => coordinates(entries),
+        Node::Map(_) if expected.starts_with("a list of") => Some("begin every entry of the list with a dash: `- `".to_owned()),
+        Node::Map(_) if expected.starts_with("the path of an initialization block") => {
+            Some("write the description into a file of its own, and name that".to_owned())
+        }
+        Node::Map(entries) if expected.starts_with("a robot, a group or a list") => {
+            let names: Vec<&str> = entries.iter().map(|(key, _)| key.as_str()).collect();
+            Some(format!("write a list: `[{}]`", names.join(", ")))
+        }
+        Node::Number(value) if expected.starts_with("a list of keyframes") => {
+            Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
+        }
+        Node::Number(value) if expected.starts_with("a place in metres") => Some(format!("write all three: `[0, 0, {value}]`")),
+        Node::Number(value) if expected.starts_with("metres along x, y and z") => Some(format!("write all three: `[0, 0, {value}]`")),
+        Node::Number(value) if expected.starts_with("a time signature") => Some(format!("write `{value}/4`")),
+        Node::Number(value) => in_a_map(expected, *value),
+        Node::List(_) if expected.starts_with("a map from robot id") => {
+            Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash".to_owned())
+        }
+        Node::List(_) if expected.starts_with("a map from device to its keyframes") => {
+            Some("write `elbow: [{at: 0s, to: 0}]` for each device, without a dash".to_owned())
+        }
+        Node::List(_) if expected.starts_with("a map from") => {
+            Some("write `name: ...` for each entry instead of a dash".to_owned())
+        }
+        Node::List(_) if expected == "the name of a move" => {
+            Some("write a cue for each move, or a move that has `play` with a list of them".to_owned())
+        }
+        Node::List(_) if expected.starts_with("the path of a fleet file") => {
+            Some("name one file that lists all robots".to_owned())
+        }
+        Node::Null if expected.starts_with("a list of keyframes") => {
+            Some("write its keyframes below it, as in `[{at: 0s, to: 0}, {at: 1s, to: 45}]`".to_owned())
+        }
+        Node::Null if expected.starts_with("`sim`") => Some("write `sim` to simulate it".to_owned()),
+        Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
+        _ => None,
+    }
+}
+
+/// `yes` and `no` are texts.
+fn truth(text: &str, place: &Place) -> Option<String> {
+    let is_mirror = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "mirror");
+    let value = match text.to_lowercase().as_str() {
+        "yes" | "on" | "y" | "ja" => true,
+        "no" | "off" | "n" | "nein" => false,
+        _ if is_mirror => return Some("`true` mirrors about 0, and `{about: 45}` about 45".to_owned()),
+        _ => return None,
+    };
+    Some(format!("write `{value}`"))
+}
+
+fn is_endless(text: &str) -> bool {
+    ["forever", "infinite", "infinitely", "endless", "always", "loop"].contains(&text.to_lowercase().as_str())
+}
+
+/// The words of a list without brackets: `left, right`, `left and right`, `left right`.
+pub(crate) fn words(text: &str) -> Vec<String> {
+    let plain = text.trim_matches(['[', ']', '{', '}']).replace(" and ", ",").replace(['&', '+', ';'], ",");
+    let separator = if plain.contains(',') { ',' } else { ' ' };
+    let words = plain.split(separator).map(str::trim).filter(|word| !word.is_empty());
+    words.map(str::to_owned).collect()
+}
+
+/// A hint for a text that has several of the known names, or one within marks that YAML keeps.
+pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+    let is_known = |name: &str| known.clone().any(|known| is_same(known, name));
+    let words = words(text);
+    if words.len() > 1 && words.iter().all(|word| is_known(word)) {
+        return Some(format!("write a list: `[{}]`", words.join(", ")));
+    }
+    let bare = text.trim_matches(['\u{201c}', '\u{201d}', '\u{201e}', '\u{2018}', '\u{2019}', '"', '\'']);
+    if bare != text && is_known(bare) {
+        return Some(format!("write it without these quotation marks: `{bare}`"));
+    }
+    let (name, rest) = text.split_once(' ')?;
+    let comments = rest.trim_start().starts_with("//") || rest.trim_start().starts_with("--");
+    (comments && is_known(name)).then(|| format!("a comment begins with `#`: `{name} # ...`"))
+}
+
+/// `{{height}}` is a map whose key is a map.
+fn is_braced(entries: &[(String, Node)]) -> bool {
+    matches!(entries, [(key, Node::Null)] if key == "a map")
+}
+
+/// `{x: 0, y: 0, z: 3}`
+fn coordinates(entries: &[(String, Node)]) -> Option<String> {
+    let value = |axis: &str| match entries.iter().find(|(key, _)| key == axis) {
+        Some((_, Node::Number(value))) => Some(*value),
+        Some(_) => None,
+        None => Some(0.0),
+    };
+    let [x, y, z] = [value("x")?, value("y")?, value("z")?];
+    Some(format!("write `[{x}, {y}, {z}]`"))
+}
+
+/// A number where a map with one usual key belongs: `limits: {elbow: 90}`, `circle: 4`.
+fn in_a_map(expected: &str, value: f64) -> Option<String> {
+    let (what, keys) = expected.split_once(": a map with `")?;
+    let of_one_number = ["limits", "`line`", "`circle`", "`grid`", "`v`", "`sphere`"];
+    let key = keys.split('`').next().filter(|_| of_one_number.contains(&what))?;
+    Some(format!("write `{{{key}: {value}}}`"))
+}
+
+/// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
+fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<String> {
+    let wants = |word: &str| expected.contains(word);
+    let is_number = wants("number")
+        || ["device's unit", "metres", "degrees", "hertz", "beats a minute", "factor"]
+            .iter()
+            .any(|word| wants(word));
+    if !is_number {
+        return None;
+    }
+    let parsed = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
+    if parsed(text.trim()).is_some() {
+        return Some(format!("write it without quotation marks: `{}`", text.trim()));
+    }
+    let with_point = text.trim().replacen(',', ".", 1);
+    if parsed(&with_point).is_some() {
+        return Some(format!("write a decimal point: `{with_point}`"));
+    }
+    let digits = with_point.trim_end_matches(|c: char| !c.is_ascii_digit()).trim();
+    let (value, unit) = (parsed(digits)?, with_point[digits.len()..].trim());
+    if wants("hertz") || wants("beats a minute") || wants("whole number") {
+        return Some(format!("write the number alone: `{digits}`"));
+    }
+    if wants("metres") {
+        return Some(
+            converted(value, unit, "m", &LENGTHS).unwrap_or_else(|| "write a number in metres".to_owned()),
+        );
+    }
+    if wants("degrees") {
+        return Some(
+            converted(value, unit, "deg", &ANGLES).unwrap_or_else(|| "write a number in degrees".to_owned()),
+        );
+    }
+    let Some((device, own)) = reader.units.at(place) else {
+        return wants("unit")
+            .then(|| format!("write the number alone, in the unit of the device, without `{unit}`"));
+    };
+    let Some(own) = own else {
+        return Some(format!("write the number alone: the description of `{device}` names no unit"));
+    };
+    if own == unit {
+        return Some(format!("`{device}` takes numbers in {own}: write `{digits}`"));
+    }
+    let scales =
+        [&LENGTHS[..], &ANGLES[..]].into_iter().find(|scales| scales.iter().any(|(known, _)| *known == own));
+    let hint = scales.and_then(|scales| converted(value, unit, own, scales));
+    Some(hint.map_or_else(
+        || format!("`{device}` takes numbers in {own}: write the number alone, in this unit"),
+        |hint| format!("`{device}` takes numbers in {own}: {hint}"),
+    ))
+}
+
+const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
+const ANGLES: [(&str, f64); 4] = [
+    ("rad", 1.0),
+    ("deg", std::f64::consts::PI / 180.0),
+    ("\u{b0}", std::f64::consts::PI / 180.0),
+    ("degrees", std::f64::consts::PI / 180.0),
+];
+
+/// A value in another unit, to four decimals.
+fn converted(value: f64, from: &str, to: &str, scales: &[(&str, f64)]) -> Option<String> {
+    let scale = |unit: &str| scales.iter().find(|(known, _)| *known == unit).map(|(_, scale)| *scale);
+    let value = value * scale(from)? / scale(to)?;
+    Some(format!("write `{}`", (value * 1e4).round() / 1e4))
+}
+
+/// `control_type` for `control`: a key that is one word of what was written.
+pub(crate) fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
+    let mut known = known.into_iter().filter(|name| name.len() > 3);
+    known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
+}
+
+/// What to write for a key that beginners leave out.
+pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
+    match (what, key) {
+        ("the scenario", "scenario") => {
+            Some("give the show a name in the first line, such as `scenario: my-show`")
+        }
+        ("the fleet file", "robots") => {
+            Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
+        }
+        (_, "address") => {
+            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
+        }
+        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
+        ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
+        ("a wave", "for") => Some("say how long it lasts, as in `for: 8s`"),
+        ("`grid`", "spacing") => Some("say how far neighbours are apart in metres, as in `spacing: 1`"),
+        _ => None,
+    }
+}
+
+/// Times and values that a beginner writes in another form than a list of keyframes, as that list; with what was found.
+pub(crate) fn as_keyframes(at: &At<'_>) -> Option<(String, String)> {
+    let time = |node: &Node| match node {
+        Node::Text(text) if parse_duration(text).is_some() => Some(text.clone()),
+        _ => None,
+    };
+    let keyframe = |at: &str, to: &Node| match to {
+        Node::Number(value) => Some(format!("{{at: {at}, to: {value}}}")),
+        Node::Text(text) if text.starts_with('$') => Some(format!("{{at: {at}, to: {}}}", shortened(text))),
+        _ => None,
+    };
+    let (found, keyframes): (&str, Option<Vec<String>>) = match at.node {
+        Node::Map(entries) if entries.iter().all(|(key, _)| parse_duration(key).is_some()) => {
+            ("a map from time to value", entries.iter().map(|(at, to)| keyframe(at, to)).collect())
+        }
+        Node::Map(entries) if entries.iter().any(|(key, _)| key == "at" || key == "to") => {
+            let of = |name: &str| entries.iter().find(|(key, _)| key == name).map(|(_, node)| node);
+            let begin = of("at").map_or_else(|| Some("0s".to_owned()), time);
+            ("a single keyframe", begin.zip(of("to")).and_then(|(at, to)| Some(vec![keyframe(&at, to)?])))
+        }
+        Node::List(items) if items.iter().all(|item| matches!(item, Node::List(pair) if pair.len() == 2)) => {
+            let pair = |item: &Node| match item {
+                Node::List(pair) => keyframe(&time(&pair[0])?, &pair[1]),
+                _ => None,
+            };
+            ("a list of pairs", items.iter().map(pair).collect())
+        }
+        Node::List(items) if items.iter().all(|item| matches!(item, Node::Number(_))) => (
+            "a list of numbers",
+            items.iter().enumerate().map(|(index, to)| keyframe(&format!("{index}s"), to)).collect(),
+        ),
+        Node::List(items) if items.iter().all(is_whole_or_single) && are_halves(items) => {
+            ("keyframes without braces", Some(vec!["{at: 1s, to: 45}".to_owned()]))
+        }
+        _ => return None,
+    };
+    let shown = match keyframes.as_deref() {
+        Some([]) => return None,
+        Some(all @ ([_] | [_, _])) => all.join(", "),
+        Some([first, second, ..]) => format!("{first}, {second}, ..."),
+        None => "{at: 0s, to: 0}, ...".to_owned(),
+    };
+    Some((found.to_owned(), format!("write `[{shown}]`")))
+}
+
+/// `at: 1s` in a list, without braces, is a map of one key.
+fn is_single(node: &Node) -> bool {
+    matches!(node, Node::Map(entries) if matches!(entries.as_slice(), [(key, _)] if ["at", "to", "ease"].contains(&key.as_str())))
+}
+
+/// Whether a time and a value, each by itself, follow each other.
+fn are_halves(items: &[Node]) -> bool {
+    let key = |node: &Node| match node {
+        Node::Map(entries) if is_single(node) => entries.first().map(|(key, _)| key.clone()),
+        _ => None,
+    };
+    items.windows(2).any(|pair| match (key(&pair[0]), key(&pair[1])) {
+        (Some(first), Some(second)) => first != second,
+        _ => false,
+    })
+}
+
+fn is_whole_or_single(node: &Node) -> bool {
+    is_single(node) || matches!(node, Node::Map(entries) if entries.len() > 1)
+}

@@ -1,0 +1,285 @@
+//! Figures in hints, put into the scenario: each has to be enough, and no larger than it need be.
+
+use super::groups::drone;
+use crate::space::{Coordinate, Space};
+use crate::{Code, Compiled, Fleet, NoFiles, Severity, Source, compile};
+
+/// Drones in rows of six on the ground, which stay there if they are flat.
+fn fleet(count: usize, is_flat: bool) -> Fleet {
+    let robots = (0..count).map(|index| {
+        let mut robot = drone(index, [(index % 6) as f64 * 0.7, (index / 6) as f64 * 0.7, 0.0]);
+        if let Some(body) = robot.body.as_mut().filter(|_| is_flat) {
+            body.coordinates[2] = Coordinate::Fixed(0.0);
+        }
+        robot
+    });
+    let robots: Vec<_> = robots.collect();
+    let all = robots.iter().map(|robot| robot.id.clone()).collect();
+    let space = Space { distance: Some(0.2), ..Space::default() };
+    Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() }
+}
+
+fn compiled(fleet: &Fleet, text: &str) -> Compiled {
+    compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
+}
+
+/// The only error, and its hint.
+#[track_caller]
+fn fault(fleet: &Fleet, text: &str) -> (Code, String) {
+    let found = compiled(fleet, text).findings;
+    let errors: Vec<_> = found.iter().filter(|finding| finding.severity == Severity::Error).collect();
+    let [only] = errors.as_slice() else { panic!("{text}\n{found:#?}") };
+    (only.code, only.hint.clone().unwrap_or_default())
+}
+
+#[track_caller]
+fn is_sound(fleet: &Fleet, text: &str) {
+    let compiled = compiled(fleet, text);
+    assert!(compiled.choreography.is_some(), "{text}\n{:#?}", compiled.findings);
+}
+
+/// What stands in backticks: `radius: 1.55`, `over: 12s`.
+fn edits(hint: &str) -> Vec<(&str, &str)> {
+    hint.split('`').skip(1).step_by(2).filter_map(|edit| edit.split_once(": ")).collect()
+}
+
+/// The text with another value of a key, which is written into the formation if it is not there.
+fn edited(text: &str, (key, value): (&str, &str)) -> String {
+    let Some(begin) = text.find(&format!("{key}: ")) else {
+        return text.replacen(", at: [", &format!(", {key}: {value}, at: ["), 1);
+    };
+    let begin = begin + key.len() + 2;
+    let rest = &text[begin..];
+    let end = if rest.starts_with('[') {
+        rest.find(']').unwrap() + 1
+    } else {
+        rest.find([',', '}', '\n']).unwrap()
+    };
+    format!("{}{value}{}", &text[..begin], &rest[end..])
+}
+
+/// The hint of a fault, put into the text.
+#[track_caller]
+fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
+    let (found, hint) = fault(fleet, text);
+    assert!(found == code && hint.contains("is enough"), "{text}\n{found:?} {hint}");
+    let first = hint.split("; ").next().unwrap();
+    let text = edits(first).into_iter().fold(text.to_owned(), |text, edit| edited(&text, edit));
+    is_sound(fleet, &text);
+    hint
+}
+
+fn form(formation: &str, cue: &str) -> String {
+    format!(
+        "scenario: s\nformations: {{f: {{{formation}, at: [1.5, 1, 4]}}}}\ncues: [{{robots: all, {cue}}}]\n"
+    )
+}
+
+#[test]
+fn a_size_that_is_enough_is_enough_and_little_less_is_not() {
+    let fleet = fleet(12, false);
+    for (formation, least) in [
+        ("circle: {radius: 0.4}", "circle: {radius: 0.75}"),
+        ("circle: {spacing: 0.3}", "circle: {spacing: 0.39}"),
+        ("line: {length: 2}", "line: {length: 4.3}"),
+        ("grid: {spacing: 0.25}", "grid: {spacing: 0.39}"),
+        ("sphere: {radius: 0.3}", "sphere: {radius: 0.4}"),
+        ("v: {spacing: 0.1}", "v: {spacing: 0.39}"),
+        ("text: OX, size: 0.7", "text: OX, size: 1"),
+        ("grid: {spacing: [0.2, 0.3, 1]}, scale: 1", "grid: {spacing: [0.2, 0.3, 1]}, scale: 1.9"),
+    ] {
+        let cue = "form: f, over: 30s";
+        fixed(&fleet, &form(formation, cue), Code::NoWayPast);
+        assert_eq!(fault(&fleet, &form(least, cue)).0, Code::NoWayPast, "{least}");
+    }
+}
+
+#[test]
+fn a_larger_formation_that_takes_more_time_says_how_much() {
+    let hint = fixed(&fleet(12, false), &form("line: {length: 2}", "form: f, over: 1s"), Code::NoWayPast);
+    assert!(hint.contains(" is enough with `over: "), "{hint}");
+}
+
+#[test]
+fn what_leaves_the_limits_is_told_how_large_it_may_be() {
+    let fleet = fleet(12, false);
+    for (cue, formation) in [
+        ("form: f, over: 300s", "circle: {radius: 70}"),
+        ("form: f, over: 300s", "line: {spacing: 20}"),
+        ("form: f, over: 300s", "text: HELLO, size: 210"),
+        ("shift: [70, -3, 0], over: 300s", "circle: {radius: 1}"),
+        ("shift: [0, 0, -80], over: 300s", "circle: {radius: 1}"),
+        ("grow: 90, over: 300s", "circle: {radius: 1}"),
+    ] {
+        fixed(&fleet, &form(formation, cue), Code::OutOfRange);
+    }
+}
+
+#[test]
+fn the_time_that_a_way_needs_is_enough() {
+    let fleet = fleet(12, false);
+    for over in ["10ms", "500ms", "1s"] {
+        fixed(&fleet, &form("circle: {radius: 3}", &format!("form: f, over: {over}")), Code::BodyTooFast);
+    }
+}
+
+/// Two robots that can pass each other neither above nor below, and are to change places.
+const SWAP: &str = "scenario: s
+formations: {wide: {points: [[0, 2, 0], [0.7, -2, 0]]}}
+cues:
+  - cue: there
+    robots: all
+    tracks:
+      x: [{at: 0s, to: \"if($index == 0, 0, 0.7)\"}, {at: 4s, to: \"if($index == 0, 0.7, 0)\"}]
+      y: [{at: 0s, to: 0}, {at: 2s, to: \"if($index == 0, 1, -1)\"}, {at: 4s, to: 0}]
+  - {cue: back, after: there, robots: all, form: home, over: 5s}
+";
+
+#[test]
+fn a_formation_on_the_way_leads_past() {
+    let fleet = fleet(2, true);
+    let (code, hint) = fault(&fleet, SWAP);
+    assert_eq!(code, Code::NoWayPast);
+    assert!(hint.contains("via `wide`"), "{hint}");
+    let between =
+        "  - {cue: wide, after: there, robots: all, form: wide, over: 5s}\n  - {cue: back, after: wide,";
+    is_sound(&fleet, &SWAP.replace("  - {cue: back, after: there,", between));
+}
+
+const CIRCLE: [&str; 3] = ["after: c", "after: a + 500ms", "after: end of b"];
+
+#[test]
+fn each_relation_of_a_circle_can_be_left_out() {
+    let cue = |(name, when): (&str, &str)| {
+        let tracks = "tracks: {x: [{at: 0s, to: 0}, {at: 2s, to: 1}]}";
+        format!(
+            "  - {{cue: {name}, {when}, robots: d{}, {tracks}}}\n",
+            ["a", "b", "c"].iter().position(|n| *n == name).unwrap()
+        )
+    };
+    let text = |relations: [&str; 3]| {
+        format!(
+            "scenario: s\ncues:\n{}",
+            ["a", "b", "c"].into_iter().zip(relations).map(cue).collect::<String>()
+        )
+    };
+    let mut fleet = fleet(3, false);
+    fleet.space.distance = None;
+    let (code, hint) = fault(&fleet, &text(CIRCLE));
+    let message = &compiled(&fleet, &text(CIRCLE)).findings[0].message;
+    assert!(message.contains("wait for each other in a circle"), "{message}");
+    for (index, relation) in ["after: c", "after: a + 500ms", "after: b"].iter().enumerate() {
+        assert!(code == Code::Conflict && hint.contains(&format!("`{relation}`")), "{hint}");
+        let mut without = CIRCLE;
+        without[index] = "at: 0s";
+        is_sound(&fleet, &text(without));
+    }
+    // A deadline or a fixed time is no circle.
+    let with = text(["at: 0s", "after: a, with: a", "at: 0s"]);
+    assert!(!compiled(&fleet, &with).findings[0].message.contains("wait"));
+    let both = text(["with: b", "after: a", "at: 0s"]);
+    assert!(compiled(&fleet, &both).findings[0].message.contains("wait for each other in a circle"));
+    let late = text(["at: 1s", "after: a + 0s..1s", "before: b"]);
+    assert!(!compiled(&fleet, &late).findings.iter().any(|found| found.message.contains("circle")));
+}
+
+#[test]
+fn acts_that_go_round_come_to_an_end_where_the_hint_says() {
+    let act = |number: usize, next: usize| {
+        format!(
+            "  - {{act: a{number}, next: a{next}, cues: [{{robots: d0, tracks: {{x: [{{at: 0s, to: 0}}]}}}}]}}\n"
+        )
+    };
+    let text = format!(
+        "scenario: s\nacts:\n{}",
+        (0..9).map(|number| act(number, (number + 1) % 9)).collect::<String>()
+    );
+    let fleet = fleet(1, false);
+    let (code, hint) = fault(&fleet, &text);
+    assert!(code == Code::DeadEnd && hint == "write `next: end` for `a8`", "{hint}");
+    is_sound(&fleet, &text.replace("act: a8, next: a0", "act: a8, next: end"));
+    // Two circles are two findings, and what leads into one is none.
+    let two = format!("scenario: s\nacts:\n{}{}{}{}", act(0, 1), act(1, 1), act(2, 3), act(3, 2))
+        .replace("act: a0,", "act: a0, wait: {for: operator, timeout: 1s, otherwise: a2},");
+    let found = compiled(&fleet, &two).findings;
+    let ends: Vec<_> =
+        found.iter().filter(|found| found.code == Code::DeadEnd).map(|found| found.line).collect();
+    assert_eq!(ends, [4, 6], "{found:#?}");
+}
+
+#[test]
+fn acts_that_nothing_leads_to_are_found_at_the_first_of_them() {
+    let act = |name: &str, next: &str| {
+        format!(
+            "  - {{act: {name}, next: {next}, cues: [{{robots: d0, tracks: {{x: [{{at: 0s, to: 0}}]}}}}]}}\n"
+        )
+    };
+    let text =
+        format!("scenario: s\nacts:\n{}{}{}{}", act("a", "end"), act("b", "c"), act("c", "d"), act("d", "c"));
+    let mut fleet = fleet(1, false);
+    fleet.space.distance = None;
+    let found = compiled(&fleet, &text).findings;
+    let messages: Vec<&str> = found.iter().map(|found| found.message.as_str()).collect();
+    assert_eq!(messages, ["no way leads to the act `b`, from which `c`, `d` would follow"]);
+}
+
+#[test]
+fn a_change_of_a_move_is_told_how_far_it_may_go() {
+    let text = |keys: &str| {
+        format!(
+            "scenario: s\nmoves: {{m: {{tracks: {{d: [{{at: 0s, to: 10}}, {{at: 1s, to: 40}}]}}}}}}\ncues: [{{robots: arm, move: m, {keys}}}]\n"
+        )
+    };
+    let fleet = super::fleet();
+    let (code, hint) = fault(&fleet, &text("scale: 3"));
+    assert_eq!((code, hint.as_str()), (Code::OutOfRange, "a factor of 2.25 is enough"));
+    is_sound(&fleet, &text("scale: 2.25"));
+    let (code, hint) = fault(&fleet, &text("mirror: true"));
+    assert_eq!(
+        (code, hint.as_str()),
+        (Code::OutOfRange, "mirrored about its middle it fits: `{about: 25, devices: [d]}`")
+    );
+    is_sound(&fleet, &text("mirror: {about: 25, devices: [d]}"));
+}
+
+#[test]
+fn a_parameter_is_found_where_it_is_given() {
+    let text = |to: &str| {
+        format!(
+            "scenario: s
+moves: {{m: {{parameters: {{to: 0}}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 1s, to: $to}}]}}}}}}
+cues:
+  - {{robots: arm, move: m, parameters: {{to: {to}}}}}
+"
+        )
+    };
+    let fleet = super::fleet();
+    let finding = &compiled(&fleet, &text("120")).findings[0];
+    assert_eq!((finding.line, finding.column), (4, 45), "{finding:#?}");
+    assert_eq!(finding.hint.as_deref(), Some("`to` makes it 120: the nearest that it can take is 90"));
+    is_sound(&fleet, &text("90"));
+    let finding = &compiled(&fleet, &text("20deg")).findings[0];
+    assert_eq!((finding.line, finding.column, finding.message.as_str()), (4, 45, "found the text `20deg`"));
+}
+
+#[test]
+fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
+    let text = |center: f64| {
+        format!(
+            "scenario: s\ncues: [{{robots: arm, tracks: {{d: {{tolerance: 3, wave: {{amplitude: 10, period: 4s, center: {center}, for: 4s}}}}}}}}]\n"
+        )
+    };
+    let fleet = super::fleet();
+    for (center, hint) in [(4.0, "move it up by 6"), (84.0, "move it down by 4")] {
+        let (code, told) = fault(&fleet, &text(center));
+        assert_eq!((code, told.as_str()), (Code::OutOfRange, hint));
+    }
+    is_sound(&fleet, &text(10.0));
+    is_sound(&fleet, &text(80.0));
+    // One that is too large for any place.
+    let large = |amplitude: &str| text(45.0).replace("amplitude: 10", &format!("amplitude: {amplitude}"));
+    let (code, told) = fault(&fleet, &large("60"));
+    let expected = "its values span 120, and the limits 90: make it 0.75 times as large";
+    assert_eq!((code, told.as_str()), (Code::OutOfRange, expected));
+    is_sound(&fleet, &large("0.75 * 60"));
+}
