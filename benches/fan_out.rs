@@ -75,6 +75,7 @@ fn plan(robots: usize, plays: Plays) -> Plan {
         start: Millis::new(id as f64 * 0.25).unwrap(),
         stop_condition,
         script: script(if plays == Plays::ItsOwn { id } else { 0 }),
+        rest: Span::ZERO,
     };
     let robot =
         |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };

@@ -77,6 +77,7 @@ fn plan(robots: usize, steps: u32, scripts: Scripts) -> Plan {
         start: Millis::new(id as f64 * 0.25).unwrap(),
         stop_condition,
         script: Script::new(steps_of(id)).unwrap(),
+        rest: Span::ZERO,
     };
     let robot =
         |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };

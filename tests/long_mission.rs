@@ -38,6 +38,7 @@ fn choreography() -> Choreography {
         start: Millis::ZERO,
         stop_condition,
         script: Script::new((0..8).map(step).collect()).unwrap(),
+        rest: Span::ZERO,
     };
     let robot =
         |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };

@@ -34,7 +34,8 @@ fn script() -> Script {
 fn plan() -> Plan {
     let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
     let device = DeviceId::new("d").unwrap();
-    let script = DeviceScript { device, start: Millis::ZERO, stop_condition, script: script() };
+    let script =
+        DeviceScript { device, start: Millis::ZERO, stop_condition, script: script(), rest: Span::ZERO };
     let robot =
         |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
     let robots = (0..ROBOTS).map(robot).collect();

@@ -1,8 +1,8 @@
-//! The fewest script steps that follow a sampled curve within a tolerance, and the least error for a number of steps.
+//! The fewest script steps that follow a curve within a tolerance, and the least error for a number of steps.
 //!
-//! Pure mathematics on numbers; what a curve is and where it comes from is not known here. Steps lie at the times of
-//! samples and their values on the device's grid. For devices that hold their value, `hold` is optimal; for devices that
-//! move linearly, `linear` is optimal over the candidates of `lattice`, and `tube` proves how far any other could get.
+//! Pure mathematics on numbers; what a curve is and where it comes from is not known here. Values of steps lie on the device's
+//! grid. For devices that hold their value, `hold` is optimal among all times. For devices that move linearly, steps lie at the
+//! times of samples: `linear` is optimal over the candidates of `lattice`, and `tube` proves how far any other could get.
 //! The two questions are the min-# and min-epsilon problems of Imai and Iri (Computer Vision, Graphics, and Image
 //! Processing 36, 1986), for errors measured along the value as in Hakimi and Schmeichel (CVGIP: Graphical Models and
 //! Image Processing 53, 1991).
@@ -15,8 +15,9 @@ mod search;
 mod tube;
 mod unfit;
 
-use urrcp::Interpolation;
+use urrcp::Limits;
 
+pub(crate) use hold::{Movement, Rates};
 use problem::Problem;
 pub use unfit::Unfit;
 
@@ -55,10 +56,16 @@ pub struct Grid {
     pub granularity: f64,
 }
 
+impl Grid {
+    pub(crate) fn of(limits: &Limits) -> Self {
+        Self { min: limits.min_value, max: limits.max_value, granularity: limits.granularity }
+    }
+}
+
 /// Values prescribed at the ends, taken as they are, also off the grid; `None` leaves the end free.
 ///
 /// A device that moves linearly has a step at both ends in any case. One that holds has a step at the last sample only
-/// where its value is prescribed.
+/// if it does not hold the prescribed value before.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ends {
     /// At the first sample.
@@ -74,9 +81,10 @@ pub struct Fit {
     pub steps: Vec<(f64, f64)>,
     /// Largest distance from the curve, its slack included, up to rounding.
     pub worst: f64,
-    /// The time in milliseconds of the sample where it is that far; of a held value also just ahead of that sample.
+    /// The time in milliseconds where it is that far; of a held value also just ahead of it.
     pub worst_at: f64,
-    /// No steps at the samples' times are fewer than this within the tolerance, which is `worst` for [`least_error`].
+    /// No steps are fewer than this within the tolerance, which is `worst` for [`least_error`]; of a device that moves
+    /// linearly, no steps at the samples' times.
     ///
     /// The number of steps itself, unless the grid or the sampling is so fine that it had to be thinned.
     pub at_least: usize,
@@ -84,31 +92,24 @@ pub struct Fit {
 
 /// The fewest steps within the tolerance, and among these the least error, to within one percent of the tolerance.
 ///
-/// For a device that moves linearly at most 35 values a sample are tried, the one nearest to the curve included, and of
+/// For a device that moves linearly. At most 35 values a sample are tried, the one nearest to the curve included, and of
 /// curves of more than 4,096 samples at most 256 places a straight piece. What is finer is thinned evenly, and then
 /// [`Fit::at_least`] tells how many steps fewer another fit could have.
 ///
 /// ```
 /// use downbeat_scripts::fit::{Ends, Grid, Samples, fewest};
-/// use urrcp::Interpolation;
 ///
 /// let curve = Samples { times: &[0.0, 10.0, 20.0, 30.0], values: &[0.0, 5.2, 9.8, 0.0], slack: 0.0, gaps: &[] };
 /// let grid = Grid { min: 0.0, max: 10.0, granularity: 1.0 };
-/// let fit = fewest(&curve, Interpolation::Linear, &grid, 0.5, Ends::default())?;
+/// let fit = fewest(&curve, &grid, 0.5, Ends::default())?;
 /// assert_eq!(fit.steps, [(0.0, 0.0), (20.0, 10.0), (30.0, 0.0)]);
 /// # Ok::<(), downbeat_scripts::fit::Unfit>(())
 /// ```
 ///
 /// # Errors
 /// What of the input cannot be used, or the smallest tolerance that can be met with any number of steps.
-pub fn fewest(
-    curve: &Samples,
-    interpolation: Interpolation,
-    grid: &Grid,
-    tolerance: f64,
-    ends: Ends,
-) -> Result<Fit, Unfit> {
-    Problem::new(curve, interpolation, grid, ends)?.fewest(tolerance)
+pub fn fewest(curve: &Samples, grid: &Grid, tolerance: f64, ends: Ends) -> Result<Fit, Unfit> {
+    Problem::new(curve, grid, ends)?.fewest(tolerance)
 }
 
 /// The least error with at most `budget` steps, to a relative 1e-6 or a millionth of the granularity.
@@ -119,14 +120,8 @@ pub fn fewest(
 ///
 /// # Errors
 /// What of the input cannot be used, or the number of steps that the ends alone take.
-pub fn least_error(
-    curve: &Samples,
-    interpolation: Interpolation,
-    grid: &Grid,
-    budget: usize,
-    ends: Ends,
-) -> Result<Fit, Unfit> {
-    Problem::new(curve, interpolation, grid, ends)?.least_error(budget)
+pub fn least_error(curve: &Samples, grid: &Grid, budget: usize, ends: Ends) -> Result<Fit, Unfit> {
+    Problem::new(curve, grid, ends)?.least_error(budget)
 }
 
 /// Steps that a device which moves linearly needs at least, whatever its grid: a proof for those that [`fewest`] finds.
@@ -141,19 +136,15 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     (room >= 0.0).then(|| tube::steps_at_least(curve, room + problem::dust(curve, Ends::default())))
 }
 
-/// Steps that any device needs at least, wherever in time and at whichever values they lie: a proof that holds for every way
-/// of following the curve, not only for steps at samples.
+/// Steps that a device which moves linearly needs at least, wherever in time and at whichever values they lie: a proof that
+/// holds for every way of following the curve, not only for steps at samples.
 ///
-/// The fewest groups of samples that one straight line, or one held value, can serve. `None` as for [`lower_bound`].
+/// One more than the fewest groups of samples that one straight line can serve. `None` as for [`lower_bound`].
 #[must_use]
-pub fn steps_at_least(curve: &Samples, interpolation: Interpolation, tolerance: f64) -> Option<usize> {
+pub fn steps_at_least(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
     let room = tolerance.min(4.0 * problem::EXTREME) + problem::dust(curve, Ends::default());
-    (room >= 0.0).then(|| match interpolation {
-        _ if curve.times.len() == 1 => 1,
-        Interpolation::Linear => tube::groups(curve, room) + 1,
-        Interpolation::Hold => hold::groups(curve, room),
-    })
+    (room >= 0.0).then(|| if curve.times.len() == 1 { 1 } else { tube::groups(curve, room) + 1 })
 }
 
 #[cfg(test)]

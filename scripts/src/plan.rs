@@ -193,6 +193,16 @@ pub struct DeviceScript {
     pub stop_condition: StopCondition,
     /// What it does.
     pub script: Script,
+    /// How much later than its last step the movement ends that it plays: until then the value stays.
+    pub rest: Span,
+}
+
+impl DeviceScript {
+    /// From its start to the end of the movement that it plays.
+    #[must_use]
+    pub fn duration(&self) -> Span {
+        self.script.duration() + self.rest
+    }
 }
 
 impl Act {
@@ -219,7 +229,7 @@ impl Act {
     #[must_use]
     pub fn duration(&self) -> Span {
         let ends = self.plan.robots.iter().flat_map(|robot| {
-            robot.scripts.iter().map(|script| self.moves_at(&robot.robot, script) + script.script.duration())
+            robot.scripts.iter().map(|script| self.moves_at(&robot.robot, script) + script.duration())
         });
         ends.max().unwrap_or_default()
     }
@@ -232,11 +242,11 @@ impl Act {
 }
 
 impl Plan {
-    /// From the start of the act to its last command.
+    /// From the start of the act to its end by the time of commands.
     #[must_use]
     pub fn duration(&self) -> Span {
         let scripts = self.robots.iter().flat_map(|robot| &robot.scripts);
-        scripts.map(|script| script.start.span() + script.script.duration()).max().unwrap_or_default()
+        scripts.map(|script| script.start.span() + script.duration()).max().unwrap_or_default()
     }
 }
 
@@ -338,6 +348,7 @@ mod tests {
                 start: Millis::new(0.0).unwrap(),
                 stop_condition: StopCondition::default(),
                 script: Script::new(vec![step]).unwrap(),
+                rest: Span::ZERO,
             }
         };
         let variants = [(1.0, None), (2.0, None), (1.0, Some(9.0)), (0.0, None), (-0.0, None), (1.0, None)];

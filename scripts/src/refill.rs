@@ -262,6 +262,7 @@ mod tests {
             start: millis(start),
             stop_condition: StopCondition::default(),
             script: Script::new(vec![step]).unwrap(),
+            rest: Span::ZERO,
         }
     }
 

@@ -133,6 +133,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
         let limits = listed.and_then(|listed| listed.limits.get(script.device.as_str())).copied();
         faults.extend(too_fast(&steps, device, limits.unwrap_or_default()));
     }
+    script.rest = Span::from_millis_f64(script.rest.as_millis_f64() / speed);
     match (Script::new(steps), millis(script.start)) {
         (Ok(stretched), Ok(start)) => (script.script, script.start) = (stretched, start),
         _ => faults.push("would last longer than a script can".to_owned()),

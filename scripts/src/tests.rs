@@ -269,6 +269,7 @@ mod entries;
 mod expressions;
 mod fixes;
 mod groups;
+mod held;
 mod hints;
 mod names;
 mod numbers;

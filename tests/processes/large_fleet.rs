@@ -36,6 +36,7 @@ fn plan() -> Plan {
         start: Millis::ZERO,
         stop_condition,
         script: Script::new((0..20).map(step).collect()).unwrap(),
+        rest: Span::ZERO,
     };
     let robot =
         |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };

@@ -173,8 +173,10 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
     ]);
     let mut scripts: BTreeMap<String, Vec<Value>> = BTreeMap::new();
     for robot in robots {
-        for DeviceScript { device, start, stop_condition, script } in &robot.scripts {
-            let one = json!({ "start_ms": start, "stop_condition": stop_condition, "steps": script });
+        for DeviceScript { device, start, stop_condition, script, rest } in &robot.scripts {
+            let one = json!({
+                "start_ms": start, "stop_condition": stop_condition, "steps": script, "rest_ms": rest,
+            });
             scripts.entry(format!("{}/{device}", robot.robot)).or_default().push(one);
         }
     }

@@ -437,6 +437,7 @@ mod tests {
             start: millis(0),
             stop_condition: StopCondition { pending: None, running: lease },
             script: Script::new(vec![step(0, 0.0), step(length, 45.0)]).unwrap(),
+            rest: Span::ZERO,
         }
     }
 

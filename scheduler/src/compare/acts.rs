@@ -340,6 +340,7 @@ mod tests {
             start: Millis::new(start).unwrap(),
             stop_condition: StopCondition::default(),
             script: Script::new(vec![step]).unwrap(),
+            rest: Span::ZERO,
         }
     }
 

@@ -30,6 +30,7 @@ fn mission_with(options: MissionOptions) -> Mission {
         start: Millis::ZERO,
         stop_condition,
         script: Script::new(vec![step]).unwrap(),
+        rest: Span::ZERO,
     };
     let plan = Plan {
         scenario: "s".into(),

@@ -38,6 +38,7 @@ fn plan(robots: usize) -> Plan {
         start: Millis::ZERO,
         stop_condition,
         script: Script::new(vec![step(0.0, 45.0), step(1_000.0, 0.0), step(2_000.0, 45.0)]).unwrap(),
+        rest: Span::ZERO,
     };
     let robots = (0..robots).map(|id| RobotPlan { robot: block(id).id, scripts: vec![script.clone()] });
     Plan {

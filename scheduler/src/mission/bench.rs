@@ -82,6 +82,7 @@ pub(super) fn device_script((device, start, duration): Planned) -> DeviceScript 
         start: Millis::from_span(ms(start)),
         stop_condition: stop_condition(),
         script: Script::new(vec![step(0), step(duration)]).unwrap(),
+        rest: Span::ZERO,
     }
 }
 

@@ -55,7 +55,7 @@ fn keeps_moving(step: &Step) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use urrcp::{Millis, Script, Setpoint, StopCondition};
+    use urrcp::{Millis, Script, Setpoint, Span, StopCondition};
 
     use super::*;
 
@@ -75,6 +75,7 @@ mod tests {
             start: millis(1),
             stop_condition: StopCondition::default(),
             script: Script::new(values.iter().enumerate().map(step).collect()).unwrap(),
+            rest: Span::ZERO,
         };
         let found: Vec<_> = moves_of(&script, script.start.get(), Some(interpolation)).into_iter().collect();
         let seconds: Vec<_> = found.iter().map(|(from, to)| (from / 1_000.0, to / 1_000.0)).collect();

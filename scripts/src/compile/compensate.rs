@@ -72,7 +72,7 @@ fn needed(act: &Act) -> Span {
 
 /// How much later the last motion of an act ends than its last command.
 fn tail(act: &Act) -> Span {
-    let ends = |script: &DeviceScript| script.start.span() + script.script.duration();
+    let ends = |script: &DeviceScript| script.start.span() + script.duration();
     let motions = scripts(act).map(|(script, _)| ends(script)).max();
     let commands = scripts(act).map(|(script, median)| ends(script) - median).max();
     motions.zip(commands).map_or(Span::ZERO, |(motions, commands)| motions - commands)

@@ -57,10 +57,7 @@ impl<'a> Scripts<'a> {
         let of_robot = stage.robots.iter().map(|plan| (&plan.robot, plan)).collect();
         let used = stage.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
         let all = stage.robots.iter().flat_map(|plan| &plan.scripts);
-        let end = |script: &DeviceScript| {
-            let last = script.script.steps().last().map_or(0.0, |step| step.offset.get());
-            script.start.get() / 1_000.0 + last / 1_000.0
-        };
+        let end = |script: &DeviceScript| (script.start.span() + script.duration()).as_millis_f64() / 1_000.0;
         Self { of_robot, used, ends: all.map(end).fold(0.0, f64::max) }
     }
 

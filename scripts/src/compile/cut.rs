@@ -10,6 +10,8 @@ pub(super) struct Cutting {
     /// It moves linearly.
     pub(super) moves: bool,
     pub(super) stop_condition: StopCondition,
+    /// When its movement ends, from the act's start.
+    pub(super) end: Span,
 }
 
 impl Cutting {
@@ -33,8 +35,12 @@ impl Cutting {
                 start: Millis::from_span(begin),
                 stop_condition: self.stop_condition,
                 script,
+                rest: Span::ZERO,
             });
             from = to;
+        }
+        if let Some(last) = scripts.last_mut() {
+            last.rest = (self.end - last.start.span() - last.script.duration()).max(Span::ZERO);
         }
         Some(scripts)
     }

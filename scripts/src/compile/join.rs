@@ -282,6 +282,11 @@ impl Lane<'_> {
         self.last_value().filter(|_| by_position)
     }
 
+    /// When its movements end; a last step may be earlier.
+    fn end(&self) -> Span {
+        self.segments.iter().map(Segment::end).max().unwrap_or_default()
+    }
+
     /// Every step with its time from the act's start.
     fn steps(&self) -> Vec<Step> {
         let count: usize = self.segments.iter().map(|segment| segment.part.steps.len() + 1).sum();
@@ -371,7 +376,7 @@ impl Lane<'_> {
 
     fn cutting(&self) -> Cutting {
         let (device, moves) = (self.device.id.clone(), self.moves());
-        Cutting { device, moves, stop_condition: self.stop_condition() }
+        Cutting { device, moves, stop_condition: self.stop_condition(), end: self.end() }
     }
 
     fn used(&self, steps: usize, scripts: usize, most: usize) -> DeviceUse {

@@ -352,6 +352,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             // A movement that lacks a beginning is reported already.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
                 || actuator.lacks_beginning(played.curve),
+            length: played.curve.length(),
             at_least: fitted.at_least,
             worst: fitted.worst,
             worst_at: fitted.worst_at,
@@ -505,6 +506,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         Some(Part {
             control_type,
+            length: steps.last().map_or(Span::ZERO, |last| last.at),
             at_least: steps.len(),
             worst,
             worst_at,

@@ -23,6 +23,8 @@ pub(super) struct Segment {
 pub(super) struct Part {
     pub(super) control_type: ControlType,
     pub(super) steps: Steps,
+    /// How long the movement lasts; its last step may be earlier.
+    pub(super) length: Span,
     pub(super) at_least: usize,
     pub(super) worst: f64,
     pub(super) worst_at: Span,
@@ -95,13 +97,6 @@ impl Steps {
             Self::Several(vectors) => vectors.first().map(|vector| vector.at),
         }
     }
-
-    fn last_at(&self) -> Option<Span> {
-        match self {
-            Self::One(values) => values.last().map(|value| value.at),
-            Self::Several(vectors) => vectors.last().map(|vector| vector.at),
-        }
-    }
 }
 
 impl Segment {
@@ -127,6 +122,6 @@ impl Segment {
     }
 
     pub(super) fn end(&self) -> Span {
-        self.begin + self.part.steps.last_at().unwrap_or_default()
+        self.begin + self.part.length
     }
 }

@@ -1,72 +1,356 @@
 //! Steps of a device that holds its value: the longest runs, one after the other.
 //!
-//! A value held from one step until the next meets the chords between all samples from the first step's to the second's,
-//! both included: just ahead of the second step the curve has almost its value there. What serves a run serves each part
-//! of it, so runs that are as long as possible are as few as possible.
+//! A movement is cut into pieces in which its value rises, falls or stays. Within a piece a run ends where the value reaches
+//! the border of what the run's value serves. So runs are found by values alone, and only the time of each border is looked
+//! for, by bisection. A value that serves a run serves each part of it, so runs that are as long as possible are as few as
+//! possible.
 
-use super::Samples;
-use super::problem::{Path, Problem};
+use super::lattice::Lattice;
+use super::problem::{EXTREME, ROUNDING};
+use super::{Ends, Fit, Grid};
 
-/// The fewest steps within the room, and that no fewer do; `None` if there are none or more than `most`.
-pub(super) fn steps(problem: &Problem, room: f64, most: usize) -> Option<(Path, usize)> {
-    let last = problem.curve.times.len() - 1;
-    let mut path = Path::new();
-    let mut start = 0;
-    while start < last {
-        let (end, value) = longest_run(problem, start, room)?;
-        path.push((start, value));
-        start = end;
-        if path.len() > most {
-            return None;
-        }
-    }
-    if let Some(value) = problem.ends.last {
-        let off = (value - problem.curve.values[last]).abs() + problem.curve.gap(last);
-        path.push((off <= room).then_some((last, value))?);
-    }
-    let steps = path.len();
-    (steps <= most).then_some((path, steps))
+/// Most samples of one smooth part.
+const SAMPLES_MAX: usize = 65_536;
+/// The largest and the smallest value of a movement are known to this part of the tolerance.
+const PRECISION: f64 = 1e-6;
+/// The error is the least that this number of steps allows, to this part of the tolerance.
+const LEAST_ERROR: f64 = 0.01;
+
+/// A movement as a device that holds is to follow it, in nanoseconds from its beginning.
+pub(crate) struct Movement<'a> {
+    /// The value of a smooth part at a time within it.
+    value: &'a dyn Fn(usize, i64) -> f64,
+    tolerance: f64,
+    pieces: Vec<Piece>,
+    end: i64,
 }
 
-/// The fewest groups of samples that follow each other and each of which one value can serve.
-pub(super) fn groups(curve: &Samples, room: f64) -> usize {
-    let (mut groups, mut range): (usize, Option<(f64, f64)>) = (0, None);
-    // A step right at a jump needs to be close to one side of it only.
-    for (_, &value) in curve.values.iter().enumerate().filter(|(k, _)| curve.gap(*k) == 0.0) {
-        let (low, high) = range.map_or((value, value), |(low, high)| (value.min(low), value.max(high)));
-        range = match range.is_some() && high - low <= 2.0 * room {
-            true => Some((low, high)),
-            false => {
-                groups += 1;
-                Some((value, value))
+/// Bounds of the first two derivatives, by seconds.
+#[derive(Clone, Copy)]
+pub(crate) struct Rates {
+    pub(crate) slope: f64,
+    pub(crate) curvature: f64,
+}
+
+/// A time in which the value rises, falls or stays; it ends where the following one begins.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    begin: i64,
+    from: f64,
+    to: f64,
+    /// The smooth part to which it belongs; `None` where the value stays.
+    part: Option<usize>,
+}
+
+/// Where a movement has a value: in a piece, or at its end behind the last one.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    piece: usize,
+    value: f64,
+}
+
+/// A value that is held from a place on, and the places where the movement is lowest and highest until the following run.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    start: Place,
+    held: f64,
+    low: Place,
+    high: Place,
+}
+
+/// What one question asks.
+struct Question<'a> {
+    movement: &'a Movement<'a>,
+    /// `None`: the device takes every value.
+    lattice: Option<Lattice>,
+    first: Option<f64>,
+    last: Option<f64>,
+    /// What is written for the end.
+    end: f64,
+    /// Added to the room, so that a movement which touches its tolerance fits in spite of rounding.
+    dust: f64,
+}
+
+impl<'a> Movement<'a> {
+    /// `value`: that of a smooth part at a time.
+    pub(crate) fn new(value: &'a dyn Fn(usize, i64) -> f64, tolerance: f64) -> Self {
+        Self { value, tolerance, pieces: Vec::new(), end: 0 }
+    }
+
+    /// The value stays at a level until this time.
+    pub(crate) fn stay(&mut self, level: f64, until: i64) {
+        if self.pieces.last().is_none_or(|last| last.part.is_some() || last.to != level) {
+            self.pieces.push(Piece { begin: self.end, from: level, to: level, part: None });
+        }
+        self.end = until;
+    }
+
+    /// The value follows a smooth part until this time. The part is halved until the value turns in none of its pieces.
+    pub(crate) fn follow(&mut self, part: usize, until: i64, rates: Rates) {
+        let sample = |at: i64| (at, (self.value)(part, at));
+        let mut samples = vec![sample(self.end), sample(until)];
+        loop {
+            let mut finer = Vec::with_capacity(samples.len() * 2);
+            finer.push(samples[0]);
+            for pair in samples.windows(2) {
+                if !self.turns_nowhere(pair[0], pair[1], rates) {
+                    finer.push(sample(pair[0].0.midpoint(pair[1].0)));
+                }
+                finer.push(pair[1]);
+            }
+            let is_fine = finer.len() == samples.len() || finer.len() > SAMPLES_MAX;
+            samples = finer;
+            if is_fine {
+                break;
+            }
+        }
+        let first = self.pieces.len();
+        for pair in samples.windows(2) {
+            let ((begin, from), (_, to)) = (pair[0], pair[1]);
+            match self.pieces[first..].last_mut() {
+                Some(last) if (last.to - last.from) * (to - from) >= 0.0 => last.to = to,
+                _ => self.pieces.push(Piece { begin, from, to, part: Some(part) }),
+            }
+        }
+        self.end = until;
+    }
+
+    /// Whether a smooth part rises or falls all the way between two samples. A slope of 0 between them would leave the value no
+    /// time to change by more than the curvature allows. Turns that are too small to matter are ignored.
+    fn turns_nowhere(&self, a: (i64, f64), b: (i64, f64), rates: Rates) -> bool {
+        #[expect(clippy::cast_precision_loss, reason = "rounded far below what matters")]
+        let seconds = (b.0 - a.0) as f64 * 1e-9;
+        let (change, bend) = ((b.1 - a.1).abs(), rates.curvature * seconds * seconds);
+        let beyond = (bend / 8.0).min((rates.slope * seconds - change) / 2.0);
+        b.0 - a.0 <= 1 || change >= bend || beyond <= PRECISION * self.tolerance
+    }
+
+    /// The fewest steps within the tolerance, and among these the least error, to within one percent of the tolerance. More
+    /// than `most` are not all found.
+    ///
+    /// `ends.first` is the value of the first step, free if `None`. If `ends.last` is there, the device has that value at the
+    /// end, where `written` is what the movement has. A change of the value lies at the last nanosecond before the movement
+    /// leaves the tolerance.
+    ///
+    /// # Errors
+    /// The smallest tolerance that can be met with any number of steps.
+    pub(crate) fn fewest(
+        &self,
+        grid: Option<&Grid>,
+        ends: Ends,
+        written: f64,
+        most: usize,
+    ) -> Result<Fit, f64> {
+        let lattice = grid.map(Lattice::new).transpose().map_err(|_| f64::INFINITY)?;
+        let values = self.pieces.iter().flat_map(|piece| [piece.from, piece.to]);
+        let values = values.chain(ends.first).chain(ends.last).chain([written]).map(f64::abs);
+        if !values.clone().all(|value| value <= EXTREME) {
+            return Err(f64::INFINITY);
+        }
+        let largest = values.fold(0.0, f64::max);
+        let (Ends { first, last }, dust) = (ends, ROUNDING * largest);
+        Question { movement: self, lattice, first, last, end: written, dust }.answer(most)
+    }
+}
+
+/// The lowest and the highest place of a run that has reached another one.
+fn widened((low, high): (Place, Place), place: Place) -> (Place, Place) {
+    (if place.value < low.value { place } else { low }, if place.value > high.value { place } else { high })
+}
+
+impl Question<'_> {
+    fn answer(&self, most: usize) -> Result<Fit, f64> {
+        let tolerance = self.movement.tolerance;
+        let smallest = self.smallest();
+        let found = Some(tolerance).filter(|tolerance| *tolerance + self.dust >= smallest);
+        let found = found.and_then(|tolerance| self.runs(tolerance, most));
+        let mut runs = found.ok_or(smallest.max(tolerance * (1.0 + 1e-9)))?;
+        let steps = runs.len();
+        if steps <= most {
+            let (mut too_little, mut enough) = (smallest, self.worst(&runs).0);
+            let mut room = smallest;
+            while enough - too_little > tolerance * LEAST_ERROR + self.dust {
+                match self.runs(room, steps).filter(|closer| closer.len() <= steps) {
+                    None => too_little = room,
+                    Some(closer) => {
+                        enough = room.min(self.worst(&closer).0);
+                        runs = closer;
+                    }
+                }
+                room = f64::midpoint(too_little, enough);
+            }
+        }
+        Ok(self.fit(&runs, most))
+    }
+
+    /// No steps at all are closer than this.
+    fn smallest(&self) -> f64 {
+        let pieces = &self.movement.pieces;
+        let first = self.first.zip(pieces.first()).map(|(first, piece)| (first - piece.from).abs());
+        let ends = first.unwrap_or(0.0).max(self.off_at_end());
+        let Some(lattice) = &self.lattice else { return ends };
+        let off = |piece: &Piece| {
+            let [from, to] = [piece.from, piece.to].map(|value| lattice.nearest(value));
+            let between = if from == to { 0.0 } else { lattice.granularity / 2.0 };
+            (from - piece.from).abs().max((to - piece.to).abs()).max(between)
+        };
+        pieces.iter().map(off).fold(ends, f64::max)
+    }
+
+    fn off_at_end(&self) -> f64 {
+        self.last.map_or(0.0, |last| (last - self.end).abs())
+    }
+
+    /// The fewest runs within the room; of more than `most` the first ones. `None` if there are none.
+    fn runs(&self, room: f64, most: usize) -> Option<Vec<Run>> {
+        let room = room + self.dust;
+        let last_from = self.last_from(room);
+        let mut prescribed = self.first;
+        let mut place = self.place(0);
+        let mut runs = Vec::new();
+        while runs.len() <= most {
+            // From here on the last value serves all the rest.
+            if self.reaches(place, last_from) && (prescribed.is_none() || prescribed == self.last) {
+                runs.extend(self.last.map(|last| self.longest(place, Some(last), room).0));
+                return Some(runs);
+            }
+            let (run, end) = self.longest(place, prescribed.take(), room);
+            // It would be held for an instant only.
+            if end.piece == place.piece && (end.value - place.value).abs() <= 2.0 * self.dust {
+                return None;
+            }
+            runs.push(run);
+            place = end;
+        }
+        Some(runs)
+    }
+
+    /// Where a piece begins; behind the last one it is the end.
+    fn place(&self, piece: usize) -> Place {
+        let value = self.movement.pieces.get(piece).map_or(self.end, |piece| piece.from);
+        Place { piece, value }
+    }
+
+    /// Whether one place is the other one or comes after it.
+    fn reaches(&self, place: Place, other: Place) -> bool {
+        let rises = self.movement.pieces.get(place.piece).is_none_or(|piece| piece.to >= piece.from);
+        let further = if rises { place.value >= other.value } else { place.value <= other.value };
+        place.piece > other.piece || place.piece == other.piece && further
+    }
+
+    /// From where on the last value serves all that follows.
+    fn last_from(&self, room: f64) -> Place {
+        let pieces = &self.movement.pieces;
+        let Some(last) = self.last else { return self.place(pieces.len()) };
+        let serves = |value: f64| (value - last).abs() <= room;
+        let is_served = |piece: &Piece| serves(piece.from) && serves(piece.to);
+        let Some(piece) = pieces.iter().rposition(|piece| !is_served(piece)) else { return self.place(0) };
+        match pieces[piece] {
+            Piece { to, .. } if !serves(to) => self.place(piece + 1),
+            Piece { from, .. } if from < last => Place { piece, value: last - room },
+            _ => Place { piece, value: last + room },
+        }
+    }
+
+    /// The longest run that one value serves, the one prescribed or any, and where it ends.
+    fn longest(&self, start: Place, prescribed: Option<f64>, room: f64) -> (Run, Place) {
+        let (mut low, mut high) = (start, start);
+        let mut place = start;
+        while let Some(piece) = self.movement.pieces.get(place.piece) {
+            let (least, greatest) = self.served(prescribed, low.value, high.value, room);
+            // Where it jumps, the value behind the jump may be out of reach.
+            if !(place.value >= least && place.value <= greatest) {
+                break;
+            }
+            (low, high) = widened((low, high), place);
+            let (least, greatest) = self.served(prescribed, low.value, high.value, room);
+            place.value = piece.to.clamp(least.min(place.value), greatest.max(place.value));
+            (low, high) = widened((low, high), place);
+            if place.value != piece.to {
+                break;
+            }
+            place = self.place(place.piece + 1);
+        }
+        let middle = low.value + (high.value - low.value) / 2.0;
+        let nearest = self.lattice.as_ref().map_or(middle, |lattice| lattice.nearest(middle));
+        (Run { start, held: prescribed.unwrap_or(nearest), low, high }, place)
+    }
+
+    /// How low and how high a run may reach that has been so low and so high.
+    fn served(&self, prescribed: Option<f64>, low: f64, high: f64, room: f64) -> (f64, f64) {
+        let (least, greatest) = match (prescribed, &self.lattice) {
+            (Some(value), _) => (value, value),
+            (None, None) => (high - room, low + room),
+            (None, Some(lattice)) => (lattice.above(high - room), lattice.below(low + room)),
+        };
+        (least - room, greatest + room)
+    }
+
+    /// The largest error, and where it is.
+    fn worst(&self, runs: &[Run]) -> (f64, Place) {
+        let offs = runs
+            .iter()
+            .flat_map(|run| [(run.held - run.low.value, run.low), (run.high.value - run.held, run.high)]);
+        let end = (self.off_at_end(), self.place(self.movement.pieces.len()));
+        offs.fold(end, |worst, off| if off.0 > worst.0 { off } else { worst })
+    }
+
+    fn fit(&self, runs: &[Run], most: usize) -> Fit {
+        let mut steps: Vec<(i64, f64)> = Vec::with_capacity(runs.len());
+        for run in runs {
+            let at = self.time(run.start);
+            // Of several values within one nanosecond the last one stays, unless there are too many in any case.
+            if runs.len() <= most && steps.last().is_some_and(|last| last.0 >= at) {
+                steps.pop();
+            }
+            steps.push((at, run.held));
+        }
+        let (worst, place) = self.worst(runs);
+        #[expect(clippy::cast_precision_loss, reason = "exact for a hundred days")]
+        let millis = |nanos: i64| nanos as f64 / 1e6;
+        Fit {
+            at_least: steps.len(),
+            steps: steps.into_iter().map(|(at, value)| (millis(at), value)).collect(),
+            worst,
+            worst_at: millis(self.time(place)),
+        }
+    }
+
+    /// The last nanosecond before the movement goes beyond a place.
+    fn time(&self, place: Place) -> i64 {
+        let Movement { pieces, end, value, .. } = self.movement;
+        let Some(piece) = pieces.get(place.piece) else { return *end };
+        let until = pieces.get(place.piece + 1).map_or(*end, |next| next.begin);
+        let Some(part) = piece.part.filter(|_| place.value != piece.from) else { return piece.begin };
+        if place.value == piece.to {
+            return until;
+        }
+        let sign = if piece.to > piece.from { 1.0 } else { -1.0 };
+        let beyond = |at: i64| (value(part, at) - place.value) * sign;
+        let (mut before, mut after) =
+            ((piece.begin, (piece.from - place.value) * sign), (until, (piece.to - place.value) * sign));
+        let narrow = |at: i64, before: &mut (i64, f64), after: &mut (i64, f64)| {
+            if at > before.0 && at < after.0 {
+                let off = beyond(at);
+                *(if off > 0.0 { after } else { before }) = (at, off);
             }
         };
-    }
-    groups
-}
-
-/// One value for the whole curve, and the step at its end if one is prescribed.
-pub(super) fn single(problem: &Problem) -> Path {
-    let last = problem.curve.times.len() - 1;
-    let run = longest_run(problem, 0, f64::INFINITY);
-    run.map(|(_, value)| (0, value)).into_iter().chain(problem.ends.last.map(|value| (last, value))).collect()
-}
-
-/// The last sample that a value set at `start` can be held to, with the value that is closest until there.
-fn longest_run(problem: &Problem, start: usize, room: f64) -> Option<(usize, f64)> {
-    let values = problem.curve.values;
-    let prescribed = problem.ends.first.filter(|_| start == 0);
-    let (mut low, mut high) =
-        (values[start] - problem.curve.gap(start), values[start] + problem.curve.gap(start));
-    let mut run = None;
-    for (end, &value) in values.iter().enumerate().skip(start + 1) {
-        let gap = problem.curve.gap(end);
-        (low, high) = (low.min(value - gap), high.max(value + gap));
-        let held = prescribed.unwrap_or_else(|| problem.lattice.nearest(low + (high - low) / 2.0));
-        if !(held - low <= room && high - held <= room) {
-            break;
+        while after.0 - before.0 > 1 {
+            // Where a straight line would go beyond it, right next to that, and in the middle.
+            #[expect(
+                clippy::cast_precision_loss,
+                clippy::cast_possible_truncation,
+                reason = "a guess between both"
+            )]
+            let straight =
+                ((after.0 - before.0) as f64 * (before.1 / (before.1 - after.1))) as i64 + before.0;
+            narrow(straight, &mut before, &mut after);
+            narrow(if straight == before.0 { straight + 1 } else { straight - 1 }, &mut before, &mut after);
+            narrow(before.0.midpoint(after.0), &mut before, &mut after);
         }
-        run = Some((end, held));
+        before.0
     }
-    run
 }
+
+#[cfg(test)]
+mod tests;

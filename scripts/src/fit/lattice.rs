@@ -30,6 +30,16 @@ impl Lattice {
         self.nearest_index(value) * self.granularity
     }
 
+    /// The largest value up to this one, or the smallest of all if no value is as small.
+    pub(super) fn below(&self, value: f64) -> f64 {
+        (value / self.granularity).floor().clamp(self.low, self.high) * self.granularity
+    }
+
+    /// The smallest value from this one on, or the largest of all if no value is as large.
+    pub(super) fn above(&self, value: f64) -> f64 {
+        (value / self.granularity).ceil().clamp(self.low, self.high) * self.granularity
+    }
+
     fn nearest_index(&self, value: f64) -> f64 {
         (value / self.granularity).round().clamp(self.low, self.high)
     }

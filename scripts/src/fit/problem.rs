@@ -1,14 +1,12 @@
 //! A curve, a grid and the ends, checked once; how far steps are from the curve.
 
-use urrcp::Interpolation;
-
 use super::lattice::Lattice;
-use super::{Ends, Fit, Grid, Samples, Unfit, hold, linear, search};
+use super::{Ends, Fit, Grid, Samples, Unfit, linear, search};
 
 /// Times and values up to here; slopes and their products then stay finite.
 pub(super) const EXTREME: f64 = 1e100;
 /// What a few roundings move a value by, as a part of the largest value.
-const ROUNDING: f64 = 64.0 * f64::EPSILON;
+pub(super) const ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 /// Steps as sample and value.
 pub(super) type Path = Vec<(usize, f64)>;
@@ -16,7 +14,6 @@ pub(super) type Path = Vec<(usize, f64)>;
 /// A question whose parts are known to be usable.
 pub(super) struct Problem<'a> {
     pub(super) curve: Samples<'a>,
-    pub(super) interpolation: Interpolation,
     pub(super) lattice: Lattice,
     pub(super) ends: Ends,
     /// Added to the room, so that a curve which touches its tolerance fits in spite of rounding.
@@ -35,12 +32,7 @@ pub(super) struct Found {
 }
 
 impl<'a> Problem<'a> {
-    pub(super) fn new(
-        curve: &Samples<'a>,
-        interpolation: Interpolation,
-        grid: &Grid,
-        ends: Ends,
-    ) -> Result<Self, Unfit> {
+    pub(super) fn new(curve: &Samples<'a>, grid: &Grid, ends: Ends) -> Result<Self, Unfit> {
         check(curve)?;
         let usable = [ends.first, ends.last].into_iter().flatten().all(|value| value.abs() <= EXTREME);
         let differ = ends.first.zip(ends.last).is_some_and(|(first, last)| first != last);
@@ -48,7 +40,7 @@ impl<'a> Problem<'a> {
             return Err(Unfit::Ends);
         }
         let dust = dust(curve, ends);
-        Ok(Self { curve: *curve, interpolation, lattice: Lattice::new(grid)?, ends, dust })
+        Ok(Self { curve: *curve, lattice: Lattice::new(grid)?, ends, dust })
     }
 
     pub(super) fn fewest(&self, tolerance: f64) -> Result<Fit, Unfit> {
@@ -84,32 +76,26 @@ impl<'a> Problem<'a> {
         if self.curve.times.len() == 1 {
             return None;
         }
-        let (path, at_least) = match self.interpolation {
-            Interpolation::Hold => hold::steps(self, room, most)?,
-            Interpolation::Linear => linear::steps(self, room, most)?,
-        };
+        let (path, at_least) = linear::steps(self, room, most)?;
         Some(self.measured(path, at_least))
     }
 
     /// The steps at the ends alone; nothing else has fewer.
     fn shortest(&self) -> Found {
         let last = self.curve.times.len() - 1;
-        let path = match self.interpolation {
-            _ if last == 0 => vec![(0, self.end(self.ends.first.or(self.ends.last), 0))],
-            Interpolation::Hold => hold::single(self),
-            Interpolation::Linear => {
-                vec![(0, self.end(self.ends.first, 0)), (last, self.end(self.ends.last, last))]
-            }
+        let path = match last {
+            0 => vec![(0, self.end(self.ends.first.or(self.ends.last), 0))],
+            _ => vec![(0, self.end(self.ends.first, 0)), (last, self.end(self.ends.last, last))],
         };
         let steps = path.len();
         self.measured(path, steps)
     }
 
-    /// Any steps from which to search for the closest: for linear ones, a step at each sample.
+    /// Any steps from which to search for the closest: one at each sample.
     fn closest_start(&self) -> Found {
         let shortest = self.shortest();
         let last = self.curve.times.len() - 1;
-        if self.interpolation == Interpolation::Hold || last == 0 {
+        if last == 0 {
             return shortest;
         }
         let mut path: Path =
@@ -125,13 +111,11 @@ impl<'a> Problem<'a> {
         prescribed.unwrap_or_else(|| self.lattice.nearest(self.curve.values[sample]))
     }
 
-    /// No steps at all are closer than this: the distance at prescribed ends, and of linear ones at free ends.
+    /// No steps at all are closer than this: the distance at both ends.
     pub(super) fn off_min(&self) -> f64 {
         let last = self.curve.times.len() - 1;
-        let linear = self.interpolation == Interpolation::Linear;
-        let off = |end: Option<f64>, sample: usize| match end {
-            None if !linear => 0.0,
-            end => (self.end(end, sample) - self.curve.values[sample]).abs() + self.curve.gap(sample),
+        let off = |end: Option<f64>, sample: usize| {
+            (self.end(end, sample) - self.curve.values[sample]).abs() + self.curve.gap(sample)
         };
         if last == 0 { self.shortest().off } else { off(self.ends.first, 0).max(off(self.ends.last, last)) }
     }
@@ -151,16 +135,14 @@ impl<'a> Problem<'a> {
         Found { path, at_least, off: worst.0, off_at: worst.1 }
     }
 
-    /// What the device does between two steps; a held value is held until just ahead of the next step.
+    /// The value between two steps.
     fn follows(&self, from: (usize, f64), to: (usize, f64), sample: usize) -> f64 {
-        let times = self.curve.times;
-        match self.interpolation {
-            Interpolation::Linear if sample > from.0 => {
-                let part = (times[sample] - times[from.0]) / (times[to.0] - times[from.0]);
-                from.1 + (to.1 - from.1) * part
-            }
-            _ => from.1,
+        if sample == from.0 {
+            return from.1;
         }
+        let times = self.curve.times;
+        let part = (times[sample] - times[from.0]) / (times[to.0] - times[from.0]);
+        from.1 + (to.1 - from.1) * part
     }
 
     fn fit(&self, found: &Found) -> Fit {

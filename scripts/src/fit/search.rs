@@ -1,7 +1,5 @@
 //! The least error with a number of steps, by bisecting the room over the fewest steps within it.
 
-use urrcp::Interpolation;
-
 use super::problem::{Found, Problem};
 use super::tube;
 
@@ -54,9 +52,6 @@ pub(super) fn least(problem: &Problem, start: Found, budget: usize, precision: P
 
 /// A room that is too little, or only just enough, for connected lines on any grid.
 fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) -> f64 {
-    if problem.interpolation == Interpolation::Hold {
-        return 0.0;
-    }
     let close = match precision {
         Precision::Fine => problem.lattice.granularity * 1e-7,
         Precision::Within(distance) => distance / 4.0,

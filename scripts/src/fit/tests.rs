@@ -10,15 +10,14 @@ const CLOSE: f64 = 1e-9;
 /// The least error with each number of steps, by trying all sets of sample times and all values of `GRID`.
 struct BruteForce<'a> {
     curve: Samples<'a>,
-    interpolation: Interpolation,
     ends: Ends,
     /// By number of steps.
     least: Vec<f64>,
 }
 
 impl<'a> BruteForce<'a> {
-    fn new(curve: Samples<'a>, interpolation: Interpolation, ends: Ends) -> Self {
-        let mut all = Self { curve, interpolation, ends, least: vec![f64::INFINITY; curve.times.len() + 1] };
+    fn new(curve: Samples<'a>, ends: Ends) -> Self {
+        let mut all = Self { curve, ends, least: vec![f64::INFINITY; curve.times.len() + 1] };
         let first = ends.first.map_or((-3..=3).map(f64::from).collect(), |value| vec![value]);
         first.into_iter().for_each(|value| all.extend(&mut vec![(0, value)], 0.0));
         all
@@ -46,7 +45,7 @@ impl<'a> BruteForce<'a> {
         let end = steps[steps.len() - 1];
         let at_end = end.0 == self.last();
         let prescribed = self.ends.last.is_none_or(|value| at_end && value == end.1);
-        if prescribed && (at_end || self.interpolation == Interpolation::Hold) {
+        if prescribed && at_end {
             let tail = self.piece(end, (self.last(), end.1));
             self.least[steps.len()] = self.least[steps.len()].min(worst.max(tail));
         }
@@ -55,12 +54,8 @@ impl<'a> BruteForce<'a> {
     fn piece(&self, from: (usize, f64), to: (usize, f64)) -> f64 {
         let Samples { times, values, slack, .. } = self.curve;
         let off = |k: usize| {
-            let part = match self.interpolation {
-                Interpolation::Linear if k > from.0 => {
-                    (times[k] - times[from.0]) / (times[to.0] - times[from.0])
-                }
-                _ => 0.0,
-            };
+            let part =
+                if k > from.0 { (times[k] - times[from.0]) / (times[to.0] - times[from.0]) } else { 0.0 };
             (from.1 * (1.0 - part) + to.1 * part - values[k]).abs() + slack + self.curve.gap(k)
         };
         (from.0..=to.0).map(off).fold(0.0, f64::max)
@@ -81,7 +76,6 @@ struct Case {
     values: Vec<f64>,
     slack: f64,
     gaps: Vec<f64>,
-    interpolation: Interpolation,
     ends: Ends,
 }
 
@@ -91,15 +85,15 @@ impl Case {
     }
 
     fn brute_force(&self) -> BruteForce<'_> {
-        BruteForce::new(self.curve(), self.interpolation, self.ends)
+        BruteForce::new(self.curve(), self.ends)
     }
 
     fn fewest(&self, tolerance: f64) -> Result<Fit, Unfit> {
-        fewest(&self.curve(), self.interpolation, &GRID, tolerance, self.ends)
+        fewest(&self.curve(), &GRID, tolerance, self.ends)
     }
 
     fn least_error(&self, budget: usize) -> Result<Fit, Unfit> {
-        least_error(&self.curve(), self.interpolation, &GRID, budget, self.ends)
+        least_error(&self.curve(), &GRID, budget, self.ends)
     }
 }
 
@@ -112,23 +106,20 @@ fn cases() -> impl Strategy<Value = Case> {
     // Gaps as of pieces that do not quite meet: none, microscopic, or not small.
     let gap = prop_oneof![4 => Just(0.0), 1 => Just(1.0 / 1024.0), 1 => eighths(0..4)];
     let samples = prop::collection::vec((1i32..5, eighths(-28..28), gap), 1..8);
-    let interpolation = prop_oneof![Just(Interpolation::Hold), Just(Interpolation::Linear)];
     let end = || prop::option::weighted(0.3, -3i32..4);
-    (samples, eighths(0..2), interpolation, end(), end()).prop_map(
-        |(samples, slack, interpolation, first, last)| {
-            let mut now = 0;
-            let times = samples.iter().map(|(after, ..)| {
-                now += after;
-                f64::from(now)
-            });
-            let times: Vec<_> = times.collect();
-            let last = if times.len() == 1 { first } else { last };
-            let ends = Ends { first: first.map(f64::from), last: last.map(f64::from) };
-            let values = samples.iter().map(|(_, value, _)| *value).collect();
-            let gaps = samples.iter().map(|(.., gap)| *gap).collect();
-            Case { times, values, slack, gaps, interpolation, ends }
-        },
-    )
+    (samples, eighths(0..2), end(), end()).prop_map(|(samples, slack, first, last)| {
+        let mut now = 0;
+        let times = samples.iter().map(|(after, ..)| {
+            now += after;
+            f64::from(now)
+        });
+        let times: Vec<_> = times.collect();
+        let last = if times.len() == 1 { first } else { last };
+        let ends = Ends { first: first.map(f64::from), last: last.map(f64::from) };
+        let values = samples.iter().map(|(_, value, _)| *value).collect();
+        let gaps = samples.iter().map(|(.., gap)| *gap).collect();
+        Case { times, values, slack, gaps, ends }
+    })
 }
 
 proptest! {
@@ -143,10 +134,7 @@ proptest! {
                 prop_assert_eq!(fit.at_least, fewest);
                 prop_assert!(fit.worst <= tolerance + CLOSE);
                 prop_assert!(fit.worst <= all.least_error(fewest) + tolerance / 100.0 + CLOSE);
-                let anywhere = steps_at_least(&case.curve(), case.interpolation, tolerance);
-                prop_assert!(anywhere.is_some_and(|bound| bound <= fewest));
-                if case.interpolation == Interpolation::Linear {
-                    let bound = lower_bound(&case.curve(), tolerance);
+                for bound in [steps_at_least(&case.curve(), tolerance), lower_bound(&case.curve(), tolerance)] {
                     prop_assert!(bound.is_some_and(|bound| bound <= fewest));
                 }
             }
@@ -181,28 +169,25 @@ proptest! {
 
 /// The fewest steps at the times of samples or between two of them, with values from -1 to 1, that are within the tolerance
 /// at all samples.
-fn fewest_anywhere(curve: &Samples, interpolation: Interpolation, tolerance: f64) -> Option<usize> {
+fn fewest_anywhere(curve: &Samples, tolerance: f64) -> Option<usize> {
     let between = curve.times.windows(2).map(|pair| f64::midpoint(pair[0], pair[1]));
     let mut times: Vec<f64> = curve.times.iter().copied().chain(between).collect();
     times.sort_by(f64::total_cmp);
     let follows = |steps: &[(f64, f64)], at: f64| {
         let after = steps.iter().position(|step| step.0 > at);
         let before = steps[after.unwrap_or(steps.len()) - 1];
-        match (interpolation, after) {
-            (Interpolation::Linear, Some(after)) => {
-                let after = steps[after];
-                before.1 + (after.1 - before.1) * (at - before.0) / (after.0 - before.0)
-            }
-            _ => before.1,
-        }
+        after.map_or(before.1, |after| {
+            let after = steps[after];
+            before.1 + (after.1 - before.1) * (at - before.0) / (after.0 - before.0)
+        })
     };
     let mut fewest: Option<usize> = None;
     for choice in 0..4u32.pow(times.len() as u32) {
         let value = |k: usize| (choice / 4u32.pow(k as u32)) % 4;
         let set = (0..times.len()).filter(|k| value(*k) > 0);
         let steps: Vec<_> = set.map(|k| (times[k], f64::from(value(k)) - 2.0)).collect();
-        let ends = interpolation == Interpolation::Hold || value(times.len() - 1) > 0;
-        if value(0) == 0 || !ends || fewest.is_some_and(|known| steps.len() >= known) {
+        let ends = value(0) > 0 && value(times.len() - 1) > 0;
+        if !ends || fewest.is_some_and(|known| steps.len() >= known) {
             continue;
         }
         let off = |k: usize| (follows(&steps, curve.times[k]) - curve.values[k]).abs();
@@ -217,15 +202,13 @@ proptest! {
     #[test]
     fn no_steps_between_samples_are_fewer_than_the_bound(
         samples in prop::collection::vec((1i32..4, eighths(-12..12)), 2..5),
-        linear in any::<bool>(),
         tolerance in eighths(0..12),
     ) {
         let times: Vec<_> = samples.iter().scan(0, |now, (after, _)| { *now += after; Some(f64::from(*now)) }).collect();
         let values: Vec<_> = samples.iter().map(|(_, value)| *value).collect();
         let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
-        let interpolation = if linear { Interpolation::Linear } else { Interpolation::Hold };
-        if let Some(fewest) = fewest_anywhere(&curve, interpolation, tolerance) {
-            prop_assert!(steps_at_least(&curve, interpolation, tolerance).unwrap() <= fewest);
+        if let Some(fewest) = fewest_anywhere(&curve, tolerance) {
+            prop_assert!(steps_at_least(&curve, tolerance).unwrap() <= fewest);
         }
     }
 }
@@ -273,10 +256,10 @@ proptest! {
         let curve = Samples { times: &times, values: &values, slack: 0.25, gaps: &[] };
         let grid = Grid { min: -1e4, max: 1e4, granularity: 1e-4 };
         let tolerance = room + 0.25;
-        let fit = fewest(&curve, Interpolation::Linear, &grid, tolerance, Ends::default()).unwrap();
+        let fit = fewest(&curve, &grid, tolerance, Ends::default()).unwrap();
         prop_assert!(fit.worst <= tolerance + CLOSE);
         prop_assert!(fit.at_least <= fit.steps.len() && fit.at_least >= lower_bound(&curve, tolerance).unwrap());
-        let again = least_error(&curve, Interpolation::Linear, &grid, fit.steps.len(), Ends::default()).unwrap();
+        let again = least_error(&curve, &grid, fit.steps.len(), Ends::default()).unwrap();
         // What `least_error` promises of thinned values.
         let (off, off_again) = (fit.worst - curve.slack, again.worst - curve.slack);
         prop_assert!(again.steps.len() <= fit.steps.len());
@@ -311,14 +294,12 @@ fn never_panics(
 ) {
     let curve = Samples { times, values, slack, gaps: &[] };
     let _ = lower_bound(&curve, tolerance);
-    for interpolation in [Interpolation::Hold, Interpolation::Linear] {
-        for tolerance in [tolerance, f64::INFINITY, f64::NAN] {
-            if let Ok(fit) = fewest(&curve, interpolation, &grid, tolerance, ends) {
-                assert!(fit.worst.is_finite() && !tolerance.is_nan());
-            }
+    for tolerance in [tolerance, f64::INFINITY, f64::NAN] {
+        if let Ok(fit) = fewest(&curve, &grid, tolerance, ends) {
+            assert!(fit.worst.is_finite() && !tolerance.is_nan());
         }
-        let _ = least_error(&curve, interpolation, &grid, budget, ends);
     }
+    let _ = least_error(&curve, &grid, budget, ends);
 }
 
 #[test]
@@ -327,6 +308,6 @@ fn a_long_curve_is_as_good_as_its_bound() {
     let values: Vec<_> = times.iter().map(|time| 40.0 * (time / 3_000.0).sin()).collect();
     let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
     let grid = Grid { min: -90.0, max: 90.0, granularity: 0.5 };
-    let fit = fewest(&curve, Interpolation::Linear, &grid, 2.0, Ends::default()).unwrap();
+    let fit = fewest(&curve, &grid, 2.0, Ends::default()).unwrap();
     assert!(fit.worst <= 2.0 + CLOSE && fit.steps.len() <= fit.at_least + 1, "{fit:?}");
 }

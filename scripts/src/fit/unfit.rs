@@ -50,8 +50,6 @@ impl std::error::Error for Unfit {}
 
 #[cfg(test)]
 mod tests {
-    use urrcp::Interpolation;
-
     use super::*;
     use crate::fit::{Ends, Grid, Samples, fewest, least_error};
 
@@ -60,10 +58,8 @@ mod tests {
     #[track_caller]
     fn check_unfit(times: &[f64], values: &[f64], grid: Grid, ends: Ends, expected: Unfit) {
         let curve = Samples { times, values, slack: 0.0, gaps: &[] };
-        for interpolation in [Interpolation::Hold, Interpolation::Linear] {
-            assert_eq!(fewest(&curve, interpolation, &grid, 1.0, ends), Err(expected));
-            assert_eq!(least_error(&curve, interpolation, &grid, 9, ends), Err(expected));
-        }
+        assert_eq!(fewest(&curve, &grid, 1.0, ends), Err(expected));
+        assert_eq!(least_error(&curve, &grid, 9, ends), Err(expected));
     }
 
     #[test]

@@ -1,13 +1,15 @@
 //! From a movement to the steps of a device: what the device moves by itself as written, the rest with the fewest
 //! steps within the tolerance.
 
+mod hold;
+
 use std::borrow::Cow;
 use std::collections::HashMap;
+use std::ops::Range;
 use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Interpolation, Limits, Span};
 
-use super::held::runs;
 use super::{Between, Curve, Easing, Function, Knot, Shape};
 use crate::fit::{self, Ends, Fit, Grid, Samples};
 
@@ -75,7 +77,7 @@ enum Means {
     Alone,
     /// Fitted together with its neighbours of the same kind.
     Joined,
-    /// Steps of a device that holds, merged with their neighbours.
+    /// Of a device that holds: fitted together with its neighbours, whether they are steps or curves.
     Held,
     /// Nothing changes.
     Still,
@@ -196,13 +198,13 @@ impl<'a> Actuator<'a> {
                         fitted.put(before.at, set_before, before.to);
                     }
                     fitted.put(before.at, set, knot.to);
-                    // The last step is where the movement ends.
-                    if self.moves() || end == knots.len() {
+                    if self.moves() {
                         fitted.put(knot.at, set, knot.to);
                     }
                 }
                 Means::Still => {}
-                Means::Alone => self.fit(&track, index..end, &mut fitted, fits),
+                Means::Alone if self.moves() => self.fit(&track, index..end, &mut fitted, fits),
+                Means::Alone => self.hold(&track, index..end, &mut fitted, fits),
                 Means::Joined => {
                     end = self.run_end(&track, index);
                     self.fit(&track, index..end, &mut fitted, fits);
@@ -213,13 +215,16 @@ impl<'a> Actuator<'a> {
                     end = (index + 1..knots.len())
                         .find(|next| self.way(&track, *next) != Means::Held)
                         .unwrap_or(knots.len());
-                    self.hold(&track, index..end, &mut fitted);
+                    self.hold(&track, index..end, &mut fitted, fits);
                 }
             }
             cut = means == Means::Joined && end < knots.len() && self.way(&track, end) == Means::Joined;
             index = end;
         }
         fitted.settle();
+        if !self.moves() && self.control_type == ControlType::Position {
+            fitted.drop_idle();
+        }
         fitted
     }
 
@@ -233,14 +238,13 @@ impl<'a> Actuator<'a> {
         }
         let lasts = |index: &usize| knots[*index].at > knots[*index - 1].at;
         let (before, after) = ((1..index).rev().find(lasts), (index..knots.len()).find(lasts));
-        let both = before.zip(after).map(|(before, after)| (means(before), means(after)));
         let gap = (knots[index].to - knots[index - 1].to).abs();
         let granularity = self.limits.map_or(0.0, |limits| limits.granularity);
         // The samples between have to leave room for a value on the grid.
         let closes = gap <= track.tolerance && 1.9 * track.tolerance - gap >= granularity;
-        match both {
-            Some((Means::Joined, Means::Joined)) if closes => Means::Joined,
-            Some((Means::Held, Means::Held)) => Means::Held,
+        match (before.map(means), after.map(means)) {
+            (Some(Means::Joined), Some(Means::Joined)) if closes => Means::Joined,
+            (Some(Means::Held), Some(Means::Held) | None) => Means::Held,
             _ => Means::Own,
         }
     }
@@ -268,31 +272,6 @@ impl<'a> Actuator<'a> {
             true => played.set(index),
             false => self.on_grid(played.set(index)),
         }
-    }
-
-    /// The longest runs of the values that a movement made of steps holds. It ends with a step, as written.
-    fn hold(&self, track: &Tracked<'_>, run: std::ops::Range<usize>, fitted: &mut Fitted) {
-        let (knots, last) = (&track.played.curve.knots, run.end - 1);
-        let lasting = run.clone().filter(|index| knots[*index].at > knots[*index - 1].at);
-        let level = |index: usize| match knots[index].shape {
-            Shape::OwnReversed | Shape::Early => knots[index].to,
-            Shape::Sampled(Between::OwnReversed | Between::Early) => knots[index].to,
-            _ => knots[index - 1].to,
-        };
-        let levels: Vec<(Span, f64)> = lasting.map(|index| (knots[index - 1].at, level(index))).collect();
-        let values = levels.iter().map(|(_, level)| std::slice::from_ref(level));
-        // The first level may be set to another value than its own.
-        fitted.take_back(knots[run.start - 1].at);
-        for found in runs(values, |value| self.on_grid(value), track.tolerance) {
-            let (at, value) = (levels[found.first].0, found.values[0]);
-            fitted.put(at, value, value);
-            fitted.off_by(found.worst, at);
-            if found.worst > track.tolerance * (1.0 + 1e-9) {
-                fitted.needs(found.worst);
-            }
-        }
-        let end = self.on_grid(track.played.set(last));
-        fitted.put(knots[last].at, end, knots[last].to);
     }
 
     /// The smallest error with at most `most` steps, no smaller than the tolerance, by bisecting it; and that tolerance.
@@ -345,6 +324,8 @@ impl<'a> Actuator<'a> {
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,
+            (_, Interpolation::Hold) if thinned => Means::Held,
+            (Shape::Function { .. } | Shape::Sampled(_), Interpolation::Hold) => Means::Held,
             (Shape::Own | Shape::OwnReversed | Shape::Eased(Easing::Linear), Interpolation::Linear) => {
                 if thinned {
                     Means::Joined
@@ -354,11 +335,6 @@ impl<'a> Actuator<'a> {
             }
             (Shape::Function { .. } | Shape::Sampled(Linear), _) => Means::Joined,
             (Shape::Sampled(Between::Own | OwnReversed), Interpolation::Linear) => Means::Joined,
-            (Shape::Sampled(_), Interpolation::Hold) => Means::Held,
-            (
-                Shape::Own | Shape::OwnReversed | Shape::Early | Shape::Eased(Easing::Step),
-                Interpolation::Hold,
-            ) if thinned => Means::Held,
             (Shape::Sampled(_), Interpolation::Linear) if still() => Means::Still,
             (Shape::Eased(Easing::Step), Interpolation::Linear) if thinned && still() => Means::Still,
             (Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Step), _) => Means::Jump,
@@ -371,7 +347,7 @@ impl<'a> Actuator<'a> {
     }
 
     /// Fits the ways to the knots of `run` and adds the steps after the first, which is there already.
-    fn fit(&self, track: &Tracked<'_>, run: std::ops::Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
+    fn fit(&self, track: &Tracked<'_>, run: Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
         let (played, tolerance) = (track.played, track.tolerance);
         let knots = &played.curve.knots;
         let (begin, last) = (knots[run.start - 1].at, run.end - 1);
@@ -387,9 +363,8 @@ impl<'a> Actuator<'a> {
             let sampled = self.sample(played.curve, run.clone(), tolerance);
             let Sampled { times, values, gaps, slack } = &sampled;
             let samples = Samples { times, values, slack: *slack, gaps };
-            let grid = Grid { min: limits.min_value, max: limits.max_value, granularity: limits.granularity };
-            let fit = fit::fewest(&samples, self.interpolation, &grid, tolerance, ends);
-            let at_least = self.steps_at_least(&samples, tolerance);
+            let fit = fit::fewest(&samples, &Grid::of(limits), tolerance, ends);
+            let at_least = fit::steps_at_least(&samples, tolerance).unwrap_or(0).max(2);
             Arc::new(fit.map(|fit| Fit { at_least: at_least.min(fit.steps.len()), ..fit }).map_err(|unfit| {
                 match unfit {
                     fit::Unfit::Tolerance { smallest, .. } => smallest,
@@ -406,16 +381,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// Both ends have a step: of a device that holds, the last one besides those that hold what is before.
-    fn steps_at_least(&self, samples: &Samples<'_>, tolerance: f64) -> usize {
-        let ahead = samples.times.len() - usize::from(!self.moves() && samples.times.len() > 1);
-        let samples =
-            Samples { times: &samples.times[..ahead], values: &samples.values[..ahead], ..*samples };
-        let bound = fit::steps_at_least(&samples, self.interpolation, tolerance).unwrap_or(0);
-        (bound + usize::from(!self.moves())).max(2)
-    }
-
-    fn sample(&self, curve: &Curve, run: std::ops::Range<usize>, tolerance: f64) -> Sampled {
+    fn sample(&self, curve: &Curve, run: Range<usize>, tolerance: f64) -> Sampled {
         let begin = curve.knots[run.start - 1].at;
         let first = curve.value(run.start, 0.0);
         let mut sampled = Sampled { times: vec![0.0], values: vec![first], gaps: Vec::new(), slack: 0.0 };
@@ -447,23 +413,20 @@ impl<'a> Actuator<'a> {
 
     /// Into how many equal parts a way is cut to be sampled: so many that a linear piece between two samples is off by
     /// a thirty-second of the tolerance (curvature times the part's length squared over 8: de Boor, A Practical Guide to
-    /// Splines, chapter III), or a held value moves by a quarter of it.
+    /// Splines, chapter III).
     fn parts(&self, curve: &Curve, index: usize, tolerance: f64) -> f64 {
         let seconds = (curve.knots[index].at - curve.knots[index - 1].at).as_millis_f64() / 1_000.0;
-        let (slope, curvature) = curve.rates(index);
-        if self.moves() && curvature == 0.0 {
+        let (_, curvature) = curve.rates(index);
+        if curvature == 0.0 {
             return 1.0;
         }
-        let parts = match self.interpolation {
-            Interpolation::Linear => seconds * (4.0 * curvature / tolerance).sqrt(),
-            Interpolation::Hold => 4.0 * seconds * slope / tolerance,
-        };
+        let parts = seconds * (4.0 * curvature / tolerance).sqrt();
         // Parts of a microsecond are fine enough for anything that moves.
         parts.ceil().min(seconds * 1e6).clamp(SAMPLES_MIN, SAMPLES_MAX)
     }
 
     /// Everything on which the fit of a run depends.
-    fn key(&self, curve: &Curve, run: std::ops::Range<usize>, tolerance: f64, ends: Ends) -> Vec<u64> {
+    fn key(&self, curve: &Curve, run: Range<usize>, tolerance: f64, ends: Ends) -> Vec<u64> {
         let limits = self.limits.map_or([0.0; 3], |l| [l.min_value, l.max_value, l.granularity]);
         let mut key =
             vec![u64::from(self.moves()), tolerance.to_bits(), curve.knots[run.start - 1].to.to_bits()];
@@ -474,7 +437,8 @@ impl<'a> Actuator<'a> {
             key.extend([(knot.at - curve.knots[index - 1].at).as_nanos().cast_unsigned(), knot.to.to_bits()]);
             match knot.shape {
                 Shape::Own | Shape::OwnReversed | Shape::Sampled(_) | Shape::Early | Shape::Meets => {
-                    key.push(0)
+                    let level = hold::level(&curve.knots, index).filter(|_| !self.moves());
+                    key.extend([0, level.unwrap_or(f64::NAN).to_bits()])
                 }
                 Shape::Eased(easing) => key.push(1 + easing as u64),
                 Shape::Function { index, gain, offset, reversed } => {

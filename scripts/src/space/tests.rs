@@ -1,7 +1,7 @@
 //! Distances against closed forms, and against a slow reading of the same movements that looks at many moments.
 
 use proptest::prelude::*;
-use urrcp::{Interpolation, Millis, Script, Setpoint, Step, StopCondition};
+use urrcp::{Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
 
 use super::closest::{Approach, Mover, closest, depth, first_contact};
 use super::path::{Axis, Path, Played, peaks};
@@ -25,6 +25,7 @@ fn script(start_ms: f64, steps: &[(f64, f64)]) -> DeviceScript {
         start: millis(start_ms),
         stop_condition: StopCondition::default(),
         script: Script::new(steps.iter().map(step).collect()).unwrap(),
+        rest: Span::ZERO,
     }
 }
 

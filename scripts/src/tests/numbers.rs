@@ -19,6 +19,9 @@ const DEVICES: &str = r#"{"id": "bot", "api_version": "1", "devices": [
   {"id": "valve", "name": "valve", "available_control_types": {
      "position": {"min_value": -1000, "max_value": 1000, "granularity": 0.5},
      "script": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_number_of_steps": 100000}}},
+  {"id": "dial", "name": "dial", "available_control_types": {
+     "position": {"min_value": -50.2, "max_value": 47.3, "granularity": 4, "max_error": 4},
+     "script": {"min_value": -50.2, "max_value": 47.3, "granularity": 4, "max_error": 4, "max_number_of_steps": 100000}}},
   {"id": "crane", "name": "crane", "interpolation": "linear", "available_control_types": {
      "position": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_error": 0.5},
      "script": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_number_of_steps": 100000}}},
@@ -307,10 +310,11 @@ fn sampled(device: &str, keys: &str) -> Act {
 
 #[test]
 fn samples_of_a_device_that_holds_are_steps_unless_they_are_said_to_be_linear() {
-    let steps = [(0, 0.0), (2_000, 255.0), (5_000, 0.0), (6_000, 0.0)];
+    let steps = [(0, 0.0), (2_000, 255.0), (5_000, 0.0)];
     let act = sampled("lamp", "");
     assert_eq!(values(&act, "lamp"), steps);
-    assert_eq!((used(&act, "lamp").at_least, used(&act, "lamp").worst_error), (4, 0.0));
+    assert_eq!((used(&act, "lamp").at_least, used(&act, "lamp").worst_error), (3, 0.0));
+    assert_eq!(act.duration(), urrcp::Span::from_millis(6_000));
     assert_eq!(values(&sampled("lamp", ", ease: step"), "lamp"), steps);
     assert!(values(&sampled("lamp", ", ease: linear"), "lamp").len() > 100);
 }

@@ -1,4 +1,4 @@
-//! From the start to the last step: who has started, how exactly, what frees room for further scripts, and who has ended.
+//! From the start to the end: who has started, how exactly, what frees room for further scripts, and who has ended.
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
 
@@ -260,7 +260,7 @@ impl Act {
     /// Ends the act when all is done, and finds reports that are overdue.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
-        if self.is_played(robots) && !self.awaits_those_left_out(now, robots) {
+        if self.has_ended(now, robots) {
             self.stage = Stage::Over;
             return actions;
         }
@@ -269,7 +269,7 @@ impl Act {
             return actions;
         }
         actions.extend(self.refill_lapsed(now, robots));
-        if self.is_played(robots) && !self.awaits_those_left_out(now, robots) {
+        if self.has_ended(now, robots) {
             self.stage = Stage::Over;
             return actions;
         }
@@ -281,6 +281,20 @@ impl Act {
             playing.grace = grace;
         }
         actions
+    }
+
+    fn has_ended(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        self.is_played(robots)
+            && !self.awaits_those_left_out(now, robots)
+            && self.rests_until().is_none_or(|end| now >= end)
+    }
+
+    /// When the last movement ends of those that continue after their last steps.
+    fn rests_until(&self) -> Option<Timestamp<Server>> {
+        let start = self.timing.as_ref()?.start;
+        let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
+        let resting = plans.filter(|plan| plan.rest > Span::ZERO);
+        resting.map(|plan| start + plan.start.span() + plan.duration()).max()
     }
 
     /// Whether nothing of it can still run. Each event looks at the first that can.
@@ -451,7 +465,13 @@ impl Act {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| self.watched(member, robots, grace));
         let answered = Some(self.since + REPORT_GRACE).filter(|_| self.awaits_those_left_out(now, robots));
-        let next = due.flatten().chain(answered).filter(|at| *at > now).min().unwrap_or(now + grace);
+        let next = due
+            .flatten()
+            .chain(answered)
+            .chain(self.rests_until())
+            .filter(|at| *at > now)
+            .min()
+            .unwrap_or(now + grace);
         next.min(now + self.patience_with_silent_ones(robots))
     }
 

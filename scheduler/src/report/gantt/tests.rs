@@ -20,6 +20,7 @@ fn arm(steps: &[(f64, f64)]) -> RobotPlan {
         start: Millis::new(0.0).unwrap(),
         stop_condition: StopCondition::default(),
         script: Script::new(steps.iter().map(step).collect()).unwrap(),
+        rest: Span::ZERO,
     };
     RobotPlan { robot: "arm-1".parse().unwrap(), scripts: vec![script] }
 }

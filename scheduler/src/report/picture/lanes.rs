@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use downbeat_scripts::{Act, DeviceScript, FleetRobot};
-use urrcp::{DeviceId, Interpolation, RobotId};
+use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
 use super::pen::Pen;
 use super::thinned::thinned;
@@ -150,8 +150,8 @@ impl Lane<'_> {
         steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
     }
 
-    /// The planned values as points, the first value of each step or a later one. A device that holds its values is drawn in
-    /// steps, until its last one.
+    /// The planned values as points, the first value of each step or a later one, until the movement ends. A device that holds its
+    /// values is drawn in steps.
     fn planned(&self, which: usize, frame: &Frame, scale: &Scale) -> Vec<(f64, f64)> {
         let mut points: Vec<(f64, f64)> = Vec::new();
         for script in &self.scripts {
@@ -163,6 +163,9 @@ impl Lane<'_> {
                 points.extend(held);
                 points.push(point);
             }
+            let end = self.latency_ms + script.start.get() + script.duration().as_millis_f64();
+            let rests = points.last().filter(|_| script.rest > Span::ZERO);
+            points.extend(rests.map(|last| (frame.offset(end), last.1)));
         }
         points
     }

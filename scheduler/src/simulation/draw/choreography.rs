@@ -165,12 +165,27 @@ fn draw_scripts(
         let steps: Vec<Step> = steps.collect::<Vec<_>>().into_iter().flatten().collect();
         let last = steps.last().map_or(0.0, |step| step.offset.get());
         if let (Ok(script), Ok(at)) = (Script::new(steps), Millis::new(start)) {
-            scripts.push(DeviceScript { device: device.id.clone(), start: at, stop_condition, script });
+            scripts.push(DeviceScript {
+                device: device.id.clone(),
+                start: at,
+                stop_condition,
+                script,
+                rest: Span::ZERO,
+            });
         }
         let pause = if device.script_queue == 1 { 150..450 } else { 1..200 };
         start += last + f64::from(rng.u32(pause));
     }
+    if let Some(last) = scripts.last_mut() {
+        last.rest = draw_rest(&last.script);
+    }
     scripts
+}
+
+/// For how long the movement continues after its last step: some, by the value of that step.
+fn draw_rest(script: &Script) -> Span {
+    let last = script.steps().last().map_or(0.0, |step| step.setpoint.value);
+    if last % 5.0 == 0.0 { Span::from_millis_f64(last * 6.0) } else { Span::ZERO }
 }
 
 fn draw_policy(rng: &mut Rng, robots: &[DrawnRobot], act: usize, acts: usize) -> FailurePolicy {

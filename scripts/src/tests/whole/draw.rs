@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 
-use super::super::verified::{Change, Movement, changes, movements};
+use super::super::verified::{Change, Movement, changes, movements, tolerances};
 use super::spread::{By, Direction, Each, Ease, Share};
 use super::{Canon, Cue, DEVICES, LAMP, Lag, NAMES, ROBOTS, Relation, Show, Tempo, When, Word};
 
@@ -157,7 +157,7 @@ fn cue() -> impl Strategy<Value = Cue> {
         1 => (9_000i64..90_000).prop_map(When::EndBy),
     ];
     let stretch = prop_oneof![4 => Just(None), 1 => (700i64..20_000, 0i64..2).prop_map(|(least, more)| Some((least, least + more * 2_000)))];
-    let tolerance = prop_oneof![2 => Just(None), 1 => (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))];
+    let tolerance = tolerances();
     let canon = prop_oneof![2 => Just(None), 1 => canons().prop_map(Some)];
     let late = prop_oneof![3 => Just(None), 1 => (0usize..ROBOTS.len(), 0i64..900).prop_map(Some)];
     let zone = prop_oneof![2 => Just(None), 1 => (0usize..2).prop_map(Some)];

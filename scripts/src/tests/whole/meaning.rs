@@ -4,7 +4,7 @@ use num_rational::Ratio;
 
 use super::super::verified::{Change, Movement};
 use super::spread::Each;
-use super::{Canon, Cue, DEVICES, MS, NAMES, Nanos, PLACES, Show, Tempo, When};
+use super::{Canon, Cue, DEVICES, MS, NAMES, Nanos, PLACES, Show, Tempo, When, settable};
 
 pub(super) fn rounded(time: Ratio<i128>) -> Nanos {
     (time + Ratio::new(1, 2)).floor().to_integer()
@@ -203,7 +203,7 @@ impl Cue {
         let start = self.start(show);
         let (lap, cycle) = (self.lap(show, index), self.cycle(show, index));
         let change = self.change(show, index);
-        let on_grid = |written: f64| (written / granularity).round() * granularity;
+        let on_grid = |written: f64| settable(self.device).nearest(written);
         let is_held = self.is_held_by_doubles(index);
         let mut steps: Vec<(Nanos, f64, f64)> = Vec::new();
         for turn in 0..self.change.turns {

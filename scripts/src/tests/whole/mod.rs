@@ -23,6 +23,7 @@ use self::draw::shows;
 use self::spread::Each;
 use self::steps::compare;
 use super::robot;
+use super::verified::held::Values;
 use super::verified::{Change, Movement};
 use crate::space::{Body, Coordinate, Shape};
 use crate::{Code, Compiled, Files, Finding, Fleet, FleetRobot, Severity, Source, compile};
@@ -37,11 +38,19 @@ const DEVICES: [(&str, bool, f64, usize); 7] = [
     ("chain", true, 0.5, 7),
     ("valve", false, 0.5, 100_000),
     ("tap", false, 0.5, 9),
-    ("gate", false, 0.5, 100_000),
+    ("gate", false, 4.0, 100_000),
     ("lamp", false, 1.0, 100_000),
 ];
 /// The one that takes three values at once.
 const LAMP: usize = 6;
+/// What a device can be set to. The ends of one that is coarse are off its grid.
+fn settable(device: usize) -> Values {
+    match DEVICES[device] {
+        (_, _, granularity, _) if granularity > 1.0 => Values(-50.2, 47.3, granularity),
+        (_, _, granularity, _) => Values(-1_000.0, 1_000.0, granularity),
+    }
+}
+
 /// What every robot reads.
 const SENSOR: &str = "eye";
 const ROBOTS: [&str; 4] = ["a", "b", "c", "d"];
@@ -188,14 +197,17 @@ fn standing(x: f64) -> Body {
 }
 
 fn fleet() -> Fleet {
-    let device = |(name, moves, granularity, most): &(&str, bool, f64, usize)| {
+    let device = |(index, (name, moves, granularity, most)): (usize, &(&str, bool, f64, usize))| {
         let interpolation = if *moves { "linear" } else { "hold" };
-        let error = if *moves {
-            if *granularity < 0.1 { r#", "max_error": 0.01"# } else { r#", "max_error": 0.5"# }
-        } else {
-            ""
+        let error = match (*moves, *granularity) {
+            (true, fine) if fine < 0.1 => r#", "max_error": 0.01"#,
+            (true, _) => r#", "max_error": 0.5"#,
+            (false, coarse) if coarse > 1.0 => r#", "max_error": 4"#,
+            (false, _) => "",
         };
-        let limits = format!(r#""min_value": -1000, "max_value": 1000, "granularity": {granularity}{error}"#);
+        let Values(min, max, _) = settable(index);
+        let limits =
+            format!(r#""min_value": {min}, "max_value": {max}, "granularity": {granularity}{error}"#);
         if *name == DEVICES[LAMP].0 {
             return format!(
                 r#"{{"id": "{name}", "name": "{name}", "available_control_types": {{
@@ -210,7 +222,7 @@ fn fleet() -> Fleet {
     let sensor = format!(
         r#"{{"id": "{SENSOR}", "name": "{SENSOR}", "available_control_types": {{"sensor": {{"min_value": 0, "max_value": 9}}}}}}"#
     );
-    let devices: Vec<String> = DEVICES.iter().map(device).chain([sensor]).collect();
+    let devices: Vec<String> = DEVICES.iter().enumerate().map(device).chain([sensor]).collect();
     let bot = |id: &&str| {
         let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
         let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();

@@ -29,6 +29,34 @@ fn an_act_is_over_when_every_script_has_completed() {
 }
 
 #[test]
+fn an_act_whose_last_value_stays_is_over_when_its_movement_ends() {
+    for tells in [Tells::Everything, Tells::Answers, Tells::Nothing] {
+        let mut choreography = bench::choreography(&[&[("a", 0, 400)], &[("a", 0, 500)]]);
+        choreography.acts[0].plan.robots[0].scripts[0].rest = ms(2_000);
+        let mut bench = Bench::of(&[tells; 2], 2, Arc::new(choreography));
+        bench.play(Leases::Shortened);
+        let end = bench.start() + ms(2_400);
+        assert_eq!(bench.timing().end, end);
+        bench.run_until(end - ms(1));
+        assert!(bench.act.is_playing(), "{tells:?}");
+        bench.run_until(end);
+        assert!(bench.act.is_over(), "{tells:?}");
+    }
+}
+
+#[test]
+fn the_movement_of_a_robot_that_is_left_out_keeps_no_act_from_its_end() {
+    let mut choreography = bench::choreography(&[&[("a", 0, 400)], &[("a", 0, 500)]]);
+    choreography.acts[0].plan.robots[0].scripts[0].rest = ms(2_000);
+    let bench = Bench::of(&[Tells::Everything; 2], 2, Arc::new(choreography));
+    let mut bench = Bench { policy: Policy::Without, ..bench };
+    bench.play(Leases::Shortened);
+    bench.act.drop_robot(0);
+    bench.run_until(bench.start() + ms(505));
+    assert!(bench.act.is_over());
+}
+
+#[test]
 fn what_fails_after_its_start_without_a_word_of_its_steps_may_have_begun() {
     for (steps_done, state) in [(None, ScriptState::Unknown), (Some(0), failed())] {
         let mut bench = Bench { mum: vec![1], ..Bench::pair() };
