@@ -51,7 +51,7 @@ pub(super) fn join(
     }
     let mut last_robot = None;
     for ((robot, index), mut segments) in segments {
-        segments.sort_by_key(Segment::start);
+        segments.sort_by_key(|segment| (segment.start(), segment.end()));
         let device = &cast.devices(robot)[index];
         let speed = cast.limits(robot, device, ControlType::Position).speed;
         let corrected = cast.fleet.robots[robot].mission.clock == ClockMode::Measured;

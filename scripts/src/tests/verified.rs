@@ -142,7 +142,11 @@ impl Movement {
             let form = Form::Eased(ease, pair[0].1, pair[1].1);
             Way { begin: pair[0].0, end: pair[1].0, form }
         };
-        Self { yaml: yaml.to_owned(), csv: String::new(), ways: keyframes.windows(2).map(way).collect() }
+        let ways = match keyframes {
+            [(at, to)] => vec![Way { begin: *at, end: *at, form: Form::Eased(Ease::Step, *to, *to) }],
+            _ => keyframes.windows(2).map(way).collect(),
+        };
+        Self { yaml: yaml.to_owned(), csv: String::new(), ways }
     }
 }
 

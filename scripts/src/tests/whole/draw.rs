@@ -54,6 +54,11 @@ fn musical() -> impl Strategy<Value = Vec<(Each, Each)>> {
     })
 }
 
+/// A value that is set without a movement.
+fn instant() -> impl Strategy<Value = Vec<(Each, Each)>> {
+    (-9i64..9).prop_map(|value| vec![(Each::Same(0), Each::Same(8 * value))])
+}
+
 /// Several values at once.
 fn colourful() -> impl Strategy<Value = (Movement, Vec<(i64, [f64; 3])>)> {
     let part = || (0i32..256).prop_map(f64::from);
@@ -138,19 +143,21 @@ fn cue() -> impl Strategy<Value = Cue> {
     let device = 0..DEVICES.len();
     let moving = device.prop_flat_map(|device| {
         let moves = DEVICES[device].1;
-        let any = movements(moves).prop_map(|movement| (movement, None, None));
+        let any = movements(moves).prop_map(|movement| (movement, None, None)).boxed();
         let nothing = Movement::of_keyframes("", moves, &[]);
-        let musical = musical().prop_map(move |beats| (nothing.clone(), Some(beats), None));
+        let in_beats = move |beats| (nothing.clone(), Some(beats), None);
+        let (musical, instant) =
+            (musical().prop_map(in_beats.clone()).boxed(), instant().prop_map(in_beats).boxed());
         let movement = match device {
             LAMP => colourful().prop_map(|(movement, colours)| (movement, None, Some(colours))).boxed(),
-            _ => prop_oneof![any.boxed(), musical.boxed()].boxed(),
+            _ => prop_oneof![3 => any, 3 => musical, 1 => instant].boxed(),
         };
         (Just(device), movement)
     });
     let reads = prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(0i64..3_000, 1..3)];
     let when = prop_oneof![
         12 => Just(When::Free),
-        1 => (0i64..9_000).prop_map(When::At),
+        2 => (0i64..9_000).prop_map(When::At),
         1 => (0i64..9_000, 0i64..900).prop_map(|(first, gap)| When::Each(first, gap)),
         1 => (0i64..9_000, 0i64..4_000).prop_map(|(least, more)| When::Between(least, least + more)),
         1 => (1i64..6).prop_map(When::Bar),
@@ -183,6 +190,17 @@ fn cue() -> impl Strategy<Value = Cue> {
                 if colours.is_some() {
                     change = Change::none();
                 }
+                // Nor has an instant turns or a length.
+                let is_instant = beats.as_ref().is_some_and(|beats| beats.len() == 1);
+                if is_instant {
+                    change = Change::none();
+                }
+                let stretch = stretch.filter(|_| !is_instant);
+                let when = match when {
+                    // So that several are at one.
+                    When::At(millis) if is_instant => When::At(millis / 3_000 * 500),
+                    _ => when,
+                };
                 let scale = scale.filter(|_| colours.is_none() && !change.yaml.contains("scale"));
                 let relation = |(word, other, end, lag)| Relation { word, other, end, lag };
                 let relations = relations.into_iter().map(relation).collect();

@@ -3,7 +3,7 @@
 //! fractions, solved by the plainest way there is; movements are evaluated point by point, and step by step where a device plays
 //! them as they are written.
 //!
-//! It looks at 500 scenarios, with `DOWNBEAT_SCENARIOS` at as many.
+//! It looks at 150 scenarios, with `DOWNBEAT_SCENARIOS` at as many.
 
 mod draw;
 mod meaning;
@@ -99,6 +99,13 @@ struct Cue {
     composed: bool,
     /// What differs in it are its parameters, by their defaults or not.
     parameters: Option<bool>,
+}
+
+impl Cue {
+    /// Whether it sets a value without a movement.
+    fn is_instant(&self) -> bool {
+        self.beats.as_ref().is_some_and(|beats| beats.len() == 1)
+    }
 }
 
 /// How much later robots begin, in milliseconds; `Speed` is in quarters of a metre a second.
@@ -254,9 +261,10 @@ struct Tally {
     /// Cues that could start later, and devices of which every step is known.
     slack: usize,
     to_the_step: usize,
-    /// Sensors read, tracks of several values, and acts whose tempo changes.
+    /// Sensors read, tracks of several values, values set without a movement, and acts whose tempo changes.
     readings: usize,
     colours: usize,
+    instants: usize,
     tempo_changes: usize,
     /// Numbers spread over the robots and calculated for each of them, and cues with `every`.
     spreads: usize,
@@ -279,6 +287,7 @@ impl Tally {
             self.acts += 1;
             self.readings += act.readings.len();
             self.colours += written.iter().filter(|cue| cue.colours.is_some()).count();
+            self.instants += written.iter().filter(|cue| cue.is_instant()).count();
             self.tempo_changes += usize::from(show.tempos.len() > 1);
             self.cues += act.cues.len();
             self.slack += act.cues.iter().filter(|cue| cue.slack > urrcp::Span::ZERO).count();

@@ -24,6 +24,13 @@ struct Segment<'a> {
     length: Nanos,
 }
 
+impl Segment<'_> {
+    /// What the device is set to at its begin.
+    fn first(&self) -> f64 {
+        settable(self.cue.device).nearest(meant(&self.movement, &self.change, 0.0))
+    }
+}
+
 /// Everything that each device does, in order.
 fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usize), Vec<Segment<'a>>> {
     let mut lanes: BTreeMap<(usize, usize), Vec<Segment<'_>>> = BTreeMap::new();
@@ -31,7 +38,10 @@ fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usi
         let start = times.starts[number];
         let (written, length) = (cue.length(show), times.ends[number] - start - cue.delay(show));
         for (index, (robot, delay)) in cue.delays(show).into_iter().enumerate() {
-            let own = rounded(Ratio::new(cue.own_length(show, index) * length, written));
+            let own = match written {
+                0 => 0,
+                _ => rounded(Ratio::new(cue.own_length(show, index) * length, written)),
+            };
             let mut change = cue.change(show, index);
             change.duration = (length != written).then_some(own as f64 / 1e6);
             lanes.entry((robot, cue.device)).or_default().push(Segment {
@@ -44,7 +54,8 @@ fn lanes<'a>(show: &Show, act: &'a [Cue], times: &Times) -> BTreeMap<(usize, usi
             });
         }
     }
-    lanes.values_mut().for_each(|segments| segments.sort_by_key(|segment| segment.begin));
+    let in_order = |segment: &Segment<'_>| (segment.begin, segment.length);
+    lanes.values_mut().for_each(|segments| segments.sort_by_key(in_order));
     lanes
 }
 
@@ -54,7 +65,7 @@ fn overlaps(segments: &[Segment<'_>]) -> bool {
         let early = segment.begin < end;
         end = end.max(segment.begin + segment.length);
         early
-    })
+    }) || segments.windows(2).any(|pair| pair[0].begin == pair[1].begin && pair[0].first() != pair[1].first())
 }
 
 fn disagree(what: String) -> Result<(), TestCaseError> {

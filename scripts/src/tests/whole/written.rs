@@ -205,7 +205,8 @@ impl Cue {
     /// The keyframes of a movement in beats as those of two, which meet at one of them. Without a fixed start each of the two
     /// would be laid on the clock by itself.
     fn halves(&self) -> Option<[Range<usize>; 2]> {
-        let keyframes = self.beats.as_ref().filter(|_| matches!(self.when, When::At(_) | When::Bar(_)))?;
+        let several = self.beats.as_ref().filter(|keyframes| keyframes.len() > 1);
+        let keyframes = several.filter(|_| matches!(self.when, When::At(_) | When::Bar(_)))?;
         let middle = keyframes.len() / 2;
         let is_fixed = !keyframes[keyframes.len() - 1].0.differs();
         is_fixed.then_some([0..middle + 1, middle..keyframes.len()])
