@@ -185,6 +185,7 @@ impl<'a> Resumption<'a> {
             greeting: fleet::greeting(&self.fleet),
             patience: self.how.patience,
             session: Some(self.found.opened.drives_as()),
+            fixed: self.found.opened.fixed,
             zone: ZONE,
             ..MissionOptions::default()
         };

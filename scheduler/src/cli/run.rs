@@ -28,7 +28,7 @@ use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::certificate;
 use crate::fleet::{self, Drivers, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
-use crate::mission::{Greeting, Join, Mission, MissionOptions};
+use crate::mission::{FixedStart, FixedStarts, Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::local::ZONE;
 use crate::report::{HostWakeUp, Outcome, Report, report_text};
@@ -80,12 +80,16 @@ pub(super) struct RunArgs {
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
+    /// By how much an act may start later than `--at`, or than the time for which it waits, if it could not start otherwise: 10s,
+    /// for example. Without this option, the act fails before anything moves.
+    #[arg(long, value_parser = parse_span, value_name = "TIME", default_value = "0s", hide_default_value = true)]
+    start_within: Span,
     /// Time from sending the scripts to the start, for example 1500ms or 3s. By default it is computed.
     #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
     /// First move all robots to their first positions, in this time, for example 5s. Without it, a start at which a device
     /// would have to jump is refused.
-    #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["at", "seize", "require_certificate"])]
+    #[arg(long, value_parser = approach::parse, value_name = "TIME", conflicts_with_all = ["seize", "require_certificate"])]
     approach: Option<Span>,
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
@@ -197,6 +201,8 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         metrics: args.metrics,
         traces: args.traces.clone(),
         at: args.at,
+        start_within: args.start_within,
+        starts_with: None,
         lead: args.lead,
         join: match args.join {
             JoinArg::Refuse => Join::Refuse,
@@ -225,6 +231,8 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         metrics: MetricsArgs::default(),
         traces: TracesArgs::default(),
         at: None,
+        start_within: Span::ZERO,
+        starts_with: None,
         lead: None,
         join: Join::Refuse,
         seize: false,
@@ -288,6 +296,9 @@ struct Work<'a> {
     metrics: MetricsArgs,
     traces: TracesArgs,
     at: Option<StartAt>,
+    start_within: Span,
+    /// The act that starts at that time. `None`: the first one.
+    starts_with: Option<usize>,
     lead: Option<Span>,
     join: Join,
     seize: bool,
@@ -381,7 +392,8 @@ impl Work<'_> {
         let key = SessionKey::random().map_err(|error| failed(error.to_string()))?;
         let driven_as =
             Session::with_key(session.clone(), &key).map_err(|error| failed(error.to_string()))?;
-        let options = self.options(fleet, (clock, server_uncertainty), driven_as, first_act)?;
+        let fixed = self.fixed(clock.now(), first_act)?;
+        let options = self.options(fleet, server_uncertainty, driven_as, (first_act, fixed));
         check_waits(&choreography, &options, clock.now())
             .map_err(|why| failed(format!("{}: {why}", self.scenario.scenario.display())))?;
         let mut keep = self.keep(fleet, clock)?;
@@ -393,7 +405,8 @@ impl Work<'_> {
         let (lane, mut operator) = lane?;
         let mut control = None;
         if let Some(state) = state.filter(|_| self.journal) {
-            let opened = self.opened((session, key), &choreography, (fleet, fleet_path), clock, &robots);
+            let opened =
+                self.opened((session, key), &choreography, (fleet, fleet_path), (clock, fixed), &robots);
             let folder = state.join(opened.session.as_str());
             let desk = identity::desk(&opened.keys);
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
@@ -427,17 +440,17 @@ impl Work<'_> {
     fn options(
         &self,
         fleet: &Fleet,
-        (clock, server_uncertainty): (ServerClock, Span),
+        server_uncertainty: Span,
         session: Session,
-        first_act: usize,
-    ) -> Result<MissionOptions, Stopped> {
-        Ok(MissionOptions {
+        (first_act, fixed): (usize, FixedStarts),
+    ) -> MissionOptions {
+        MissionOptions {
             greeting: fleet::greeting(fleet),
             lead: self.lead,
             patience: self.how.patience,
             server_uncertainty,
             session: Some(session),
-            start_at: self.start(clock.now())?,
+            fixed,
             first_act,
             acts_max: None,
             join: self.join,
@@ -445,7 +458,13 @@ impl Work<'_> {
             verify_motion: self.verify_motion,
             preflight_only: self.preflight_only,
             zone: ZONE,
-        })
+        }
+    }
+
+    fn fixed(&self, now: Timestamp<Server>, first_act: usize) -> Result<FixedStarts, Stopped> {
+        let act = self.starts_with.unwrap_or(first_act);
+        let operator = self.start(now)?.map(|at| FixedStart { act, at });
+        Ok(FixedStarts { operator, within: self.start_within })
     }
 
     /// The instant of `--at`, in the time zone of this machine.
@@ -486,7 +505,7 @@ impl Work<'_> {
         (session, key): (SessionId, SessionKey),
         choreography: &Choreography,
         (fleet, fleet_path): (&Fleet, &Path),
-        clock: ServerClock,
+        (clock, fixed): (ServerClock, FixedStarts),
         robots: &[&FleetRobot],
     ) -> Opened {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
@@ -501,6 +520,7 @@ impl Work<'_> {
             project: self.scenario.project.folder(),
             asked: self.asked.clone(),
             plan_hash: Some(certificate::plan_hash(choreography, &self.asked)),
+            fixed,
             greeting: fleet::greeting(fleet),
             clock_offset: clock.offset(),
             keys: identity::keys(fleet),
@@ -589,9 +609,10 @@ fn check_waits(
     options: &MissionOptions,
     now: Timestamp<Server>,
 ) -> Result<(), String> {
-    let acts = choreography.acts.iter().skip(options.first_act);
-    let mut from = options.start_at.unwrap_or(now);
-    for act in acts.skip(usize::from(options.start_at.is_some())) {
+    let fixed = options.fixed.operator;
+    let acts = choreography.acts.iter().skip(fixed.map_or(options.first_act, |fixed| fixed.act));
+    let mut from = fixed.map_or(now, |fixed| fixed.at);
+    for act in acts.skip(usize::from(fixed.is_some())) {
         from = match &act.wait {
             Wait::TimeOfDay(time) => {
                 let next = options.zone.next(from, *time);

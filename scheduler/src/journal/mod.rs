@@ -19,7 +19,7 @@ use downbeat_scripts::{Approach, Attempt, RateLimits, Refusal};
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
-use crate::mission::{Greeting, Record};
+use crate::mission::{FixedStarts, Greeting, Record};
 use crate::session::{Session, SessionKey};
 pub use disk::{Disk, FileDisk, Name};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
@@ -59,6 +59,9 @@ pub struct Opened {
     /// SHA-256 over the plan, as in certificates; `None` in journals of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
+    /// Starts at fixed times; none in journals of earlier versions.
+    #[serde(default)]
+    pub fixed: FixedStarts,
     /// Whether robots are asked for their identity.
     pub greeting: Greeting,
     /// The server's time minus this machine's, as NTP said when the mission began.

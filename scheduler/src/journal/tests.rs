@@ -20,6 +20,7 @@ fn opened() -> Opened {
         project: None,
         asked: Asked { speed: Some(0.5), ..Asked::default() },
         plan_hash: Some(urrcp::Command::ReadSensor.content_hash()),
+        fixed: FixedStarts::default(),
         greeting: Greeting::Full,
         clock_offset: Span::from_millis(3),
         keys: OpenedKeys::default(),

@@ -23,6 +23,8 @@ const OVERDUE: Span = Span::from_millis(5);
 pub(super) struct Again {
     act: usize,
     attempts: u32,
+    /// The fixed start of the act.
+    start: Option<Timestamp<Server>>,
     /// Robots that would have failed if this machine were not suspected. They have failed if they do not confirm their stop.
     suspended: Vec<(usize, FailureKind)>,
     hold_up: Span,
@@ -31,7 +33,7 @@ pub(super) struct Again {
 impl Mission {
     /// Withdraws an act that this machine was too slow to start, and prepares it again if that is permitted.
     pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: u32, outcome: Outcome) {
-        match self.may_be_prepared_again(number) {
+        match self.may_be_prepared_again(now, number) {
             true => self.prepare_again(now, outcome, Vec::new()),
             false => self.abort(now, outcome, Rest::InPlace, None),
         }
@@ -49,7 +51,7 @@ impl Mission {
         // While the mission stops all robots, it no longer withdraws an act.
         let act = self.acts.iter().find(|act| act.number() == number);
         let act = act.filter(|_| self.phase == Phase::Performing);
-        let act = act.filter(|_| self.may_be_prepared_again(number));
+        let act = act.filter(|_| self.may_be_prepared_again(now, number));
         let overdue = act.filter(|act| !act.is_committed()).and_then(|act| Some(now - act.wakeup()?));
         if let Some(by) = overdue.filter(|by| *by > OVERDUE && failing.iter().all(|(_, kind)| is_lease(kind)))
         {
@@ -70,16 +72,19 @@ impl Mission {
         }
     }
 
-    /// Whether the act has attempts left, no fixed start and, while another act plays, only robots that drop it by themselves.
-    pub(super) fn may_be_prepared_again(&self, number: u32) -> bool {
+    /// Whether the act has attempts left, may start later than at a fixed time and, while another act plays, has only robots that
+    /// drop it by themselves.
+    pub(super) fn may_be_prepared_again(&self, now: Timestamp<Server>, number: u32) -> bool {
         let drops = |member: &Member| self.robots[member.robot].drops_undecided();
         let (act, drops) = match self.acts.as_slice() {
             [act] => (act, true),
             [_, act] => (act, !act.is_committed() && act.present().all(drops)),
             _ => return false,
         };
-        let again = act.attempts() < AGAIN_MAX && !act.has_fixed_start(&self.options);
-        act.number() == number && drops && again
+        let within = self.options.fixed.within;
+        let in_time = |start| within > Span::ZERO && now < start + within;
+        let may_be_late = act.fixed_start(&self.options).is_none_or(in_time);
+        act.number() == number && drops && act.attempts() < AGAIN_MAX && may_be_late
     }
 
     fn prepare_again(
@@ -108,7 +113,8 @@ impl Mission {
             _ => outcome.hold_up().unwrap_or_else(|| outcome.to_string()),
         };
         let reason = format!("{reason}; `{name}` is prepared again");
-        self.again = Some(Again { act: index, attempts: act.attempts() + 1, suspended, hold_up });
+        let (attempts, start) = (act.attempts() + 1, act.fixed_start(&self.options));
+        self.again = Some(Again { act: index, attempts, start, suspended, hold_up });
         self.abort_because(now, (outcome, reason), Rest::InPlace, Some(index));
     }
 
@@ -146,14 +152,14 @@ impl Mission {
 
     /// Discards the withdrawn attempt and lines the act up again. The condition of the act has been met.
     pub(super) fn line_up_again(&mut self, now: Timestamp<Server>) {
-        let Some(Again { act, attempts, .. }) = self.again.take() else { return };
+        let Some(Again { act, attempts, start, .. }) = self.again.take() else { return };
         while !self.acts.is_empty() {
             self.forget_act(now, 0);
         }
         self.outcome = None;
         self.because = None;
         self.acts_repeated += 1;
-        self.line_up_attempt(now, act, attempts);
+        self.line_up_attempt(now, act, attempts, start);
         self.goes_on(now);
     }
 }

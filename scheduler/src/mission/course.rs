@@ -198,14 +198,25 @@ impl Mission {
 
     /// One more act begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
-        self.line_up_attempt(now, index, 0);
+        let fixed = self.options.fixed.operator.filter(|fixed| fixed.act == index);
+        let start = fixed.filter(|_| !std::mem::replace(&mut self.start_was_fixed, true));
+        self.line_up_attempt(now, index, 0, start.map(|fixed| fixed.at));
     }
 
-    /// Like `line_up_act`, after this number of withdrawn attempts.
-    pub(super) fn line_up_attempt(&mut self, now: Timestamp<Server>, index: usize, attempts: u32) {
+    /// Like `line_up_act`, after this number of withdrawn attempts and with this fixed start.
+    pub(super) fn line_up_attempt(
+        &mut self,
+        now: Timestamp<Server>,
+        index: usize,
+        attempts: u32,
+        start: Option<Timestamp<Server>>,
+    ) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
         let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
+        if let Some(start) = start {
+            act.starts_at(start);
+        }
         if attempts > 0 {
             act.is_attempted_again(attempts);
         }

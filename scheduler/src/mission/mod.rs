@@ -62,7 +62,7 @@ pub use fates::{ActCourse, ActFate};
 pub use latency::{LatencyDiffers, OtherLatency};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use motion::{MotionReport, MotionSpread};
-pub use options::{Greeting, Join, MissionOptions, Participant};
+pub use options::{FixedStart, FixedStarts, Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;
 pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
@@ -129,6 +129,8 @@ pub struct Mission {
     then: Option<usize>,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
+    /// The act with the start that the operator fixes has been lined up.
+    start_was_fixed: bool,
     /// The delay of this machine that acts allow for, as for a slower link: at least twice the delay of the last withdrawn act.
     hold_up: Span,
     next_round: Option<Timestamp<Server>>,
@@ -225,6 +227,7 @@ impl Mission {
             detour: None,
             then: None,
             again: None,
+            start_was_fixed: false,
             hold_up: Span::ZERO,
             next_round: None,
             rounds_held_up: 0,

@@ -72,8 +72,8 @@ pub struct MissionOptions {
     pub server_uncertainty: Span,
     /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
     pub session: Option<Session>,
-    /// When the first act starts, instead of as soon as possible.
-    pub start_at: Option<Timestamp<Server>>,
+    /// The starts at fixed times.
+    pub fixed: FixedStarts,
     /// With which act to begin, by its index.
     pub first_act: usize,
     /// No further act begins once so many have, those included that waited in vain; the mission then comes to its end as
@@ -89,6 +89,26 @@ pub struct MissionOptions {
     pub preflight_only: bool,
     /// The time zone of the times of day for which acts wait.
     pub zone: Zone,
+}
+
+/// The starts at fixed times: by the operator, or by acts that wait for a time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FixedStarts {
+    /// `None`: the operator fixes no start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub operator: Option<FixedStart>,
+    /// By how much a start may be later than fixed if it would otherwise not take place.
+    #[serde(rename = "within_ms", default)]
+    pub within: Span,
+}
+
+/// The first start of an act, as the operator fixes it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FixedStart {
+    /// The index of the act.
+    pub act: usize,
+    /// When it starts.
+    pub at: Timestamp<Server>,
 }
 
 impl MissionOptions {
@@ -116,7 +136,7 @@ impl Default for MissionOptions {
             patience: Span::from_millis(5_000),
             server_uncertainty: Span::ZERO,
             session: None,
-            start_at: None,
+            fixed: FixedStarts::default(),
             first_act: 0,
             acts_max: None,
             join: Join::Refuse,

@@ -313,8 +313,10 @@ impl Mission {
         if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
             return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
         }
-        let asked = self.options.start_at.filter(|_| act.number() == 0);
-        match asked.filter(|start| *start < safe_start) {
+        // It begins when the act before it has ended, however early it was meant to.
+        let safe_start = act.target().map_or(safe_start, |target| safe_start.max(target));
+        let is_late = |start: &Timestamp<Server>| *start + self.options.fixed.within < safe_start;
+        match act.must_start_at().filter(is_late) {
             Some(start) => Err(Outcome::StartTooSoon { start, safe_start }),
             None => Ok(()),
         }

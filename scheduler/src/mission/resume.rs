@@ -88,10 +88,18 @@ impl Mission {
             let act = self.choreography.acts.iter().position(|act| act.called() == report.act);
             let members = report.robots.iter().filter_map(|robot| index_of.get(&robot.robot).copied());
             act.into_iter().for_each(|act| self.note_late_joiners(act, members.clone(), &index_of));
+            self.note_begun(act);
             self.list(report);
             listed += 1;
         }
         self.reports_omitted += (count as usize).saturating_sub(listed);
+        // One of the acts that are not listed may be the one with the fixed start.
+        self.start_was_fixed |= self.reports_omitted > 0;
+    }
+
+    /// The operator fixes the first start of an act only.
+    fn note_begun(&mut self, act: Option<usize>) {
+        self.start_was_fixed |= act.is_some() && self.options.fixed.operator.map(|fixed| fixed.act) == act;
     }
 
     fn indices(&self) -> HashMap<RobotId, usize> {
@@ -231,6 +239,7 @@ impl Mission {
         }
         let members = act.members().iter().map(|member| member.robot);
         self.note_late_joiners(promise.act, members, &self.indices());
+        self.note_begun(Some(promise.act));
         // This process does not know the round trips of the links, so its instants differ from those of the other one.
         if !act.is_committed() {
             act.decided().into_iter().for_each(|decided| self.tell(decided));

@@ -112,3 +112,52 @@ fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
     let home = stage.play(&["run", "home.yaml", "--act", "home", "--approach", "3s"]);
     assert_eq!(home.code, Some(0), "{home}");
 }
+
+/// `back` after an approach, to be started in so many seconds; with that instant.
+fn in_seconds(seconds: i64) -> ([String; 6], i64) {
+    let start = chrono::Utc::now() + chrono::TimeDelta::seconds(seconds);
+    let args = ["run", "back.yaml", "--approach", "3s", "--at", &start.to_rfc3339()].map(str::to_owned);
+    (args, start.timestamp_nanos_opt().unwrap())
+}
+
+#[track_caller]
+fn approached_and_started_at(stage: &Stage, before: &[usize], start: i64) {
+    let is_there = |robot: &stage::Robot| robot.log().last().is_some_and(|entry| entry.value == 40.0);
+    stage::quiet::await_that("the last value", || stage.robots.iter().all(is_there));
+    for (robot, before) in stage.robots.iter().zip(before) {
+        let moved = robot.log_since(*before);
+        let sets = |later: bool| moved.iter().filter(move |entry| (entry.due >= start) == later);
+        assert_eq!(sets(false).last().map(|entry| entry.value), Some(0.0), "{}: {moved:?}", robot.id);
+        assert_eq!(sets(true).next().map(|entry| entry.due), Some(start), "{}: {moved:?}", robot.id);
+    }
+}
+
+#[test]
+fn an_approach_is_played_at_once_and_the_show_starts_at_its_time() {
+    let stage = stage();
+    let before = left_at_80(&stage);
+    let (args, _) = in_seconds(2);
+    let early = stage.run(&args.each_ref().map(String::as_str));
+    assert_eq!(early.code, Some(2), "{early}");
+    assert!(early.told.contains("the approach takes 3 s"), "{early}");
+    for (robot, before) in stage.robots.iter().zip(&before) {
+        assert_eq!(robot.log().len(), *before, "{} moved", robot.id);
+    }
+    let (args, start) = in_seconds(15);
+    let played = stage.run(&args.each_ref().map(String::as_str));
+    assert_eq!(played.code, Some(0), "{played}");
+    approached_and_started_at(&stage, &before, start);
+}
+
+#[test]
+fn a_mission_that_was_killed_while_it_approached_starts_its_show_at_the_fixed_time() {
+    let stage = stage();
+    let before = left_at_80(&stage);
+    let (args, start) = in_seconds(20);
+    let mut running = stage.start(&args.each_ref().map(String::as_str));
+    stage::sleep_until(running.start() + 1_000_000_000);
+    running.process.kill();
+    let resumed = stage.run(&["resume"]);
+    assert_eq!(resumed.code, Some(0), "{resumed}");
+    approached_and_started_at(&stage, &before, start);
+}

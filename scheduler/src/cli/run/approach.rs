@@ -4,15 +4,16 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use downbeat_scripts::{Approach, Choreography, Fleet};
-use urrcp::{DeviceId, RobotId, Span};
+use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
-use super::{Place, Work, finish, parse_span};
+use super::{Place, StartAt, Work, finish, parse_span};
 use crate::cli::metrics::MetricsArgs;
 use crate::cli::traces::TracesArgs;
 use crate::cli::{Exit, choice, console};
 use crate::fleet;
 use crate::mission::{Check, Failure, FailureKind, Greeting, Verdict};
 use crate::report::Outcome;
+use crate::server_clock::ServerClock;
 
 /// How long an approach may take.
 pub(super) fn parse(text: &str) -> Result<Span, String> {
@@ -31,9 +32,40 @@ impl Work<'_> {
         fleet: &Fleet,
         fleet_path: &Path,
     ) -> Result<(Choreography, usize), Exit> {
+        let start = self.fix_start()?;
         let from = self.positions(choreography.clone(), first_act, fleet, fleet_path).await?;
         let approach = self.asked.approach.insert(Approach { over, from });
-        choice::approached(choreography, first_act, fleet, approach)
+        let acts = choreography.acts.len();
+        let (choreography, first) = choice::approached(choreography, first_act, fleet, approach)?;
+        if choreography.acts.len() > acts {
+            self.starts_with = Some(first_act + 1);
+            self.allow_for(over, start)?;
+        }
+        Ok((choreography, first))
+    }
+
+    /// Makes an instant of `--at`, before questions to the robots take time.
+    fn fix_start(&mut self) -> Result<Option<Timestamp<Server>>, Exit> {
+        let start = self.start(ServerClock::anchored(Span::ZERO).now()).map_err(|(message, exit)| {
+            console::error(&message);
+            exit
+        })?;
+        self.at = start.map(StartAt::Instant);
+        Ok(start)
+    }
+
+    /// Refuses a start before the approach can have ended.
+    fn allow_for(&self, over: Span, start: Option<Timestamp<Server>>) -> Result<(), Exit> {
+        let left = start.map(|start| start + self.start_within - ServerClock::anchored(Span::ZERO).now());
+        match left.filter(|left| *left <= over) {
+            Some(_) => {
+                console::error(&format!(
+                    "the approach takes {over}, longer than the time until --at; expected a later start, or a shorter approach"
+                ));
+                Err(Exit::Usage)
+            }
+            None => Ok(()),
+        }
     }
 
     /// Asks the robots for the positions of their devices. Nothing moves.
@@ -54,6 +86,7 @@ impl Work<'_> {
             metrics: MetricsArgs::default(),
             traces: TracesArgs::default(),
             verify_motion: false,
+            at: None,
             approach: None,
             record: None,
             journal: false,

@@ -131,6 +131,8 @@ pub(crate) struct Act {
     follow: Way,
     /// How often the act was withdrawn and prepared again.
     attempts: u32,
+    /// The start that must be kept: the operator's, or that of the attempts before.
+    fixed: Option<Timestamp<Server>>,
     since: Timestamp<Server>,
     /// The planned end of the act before it, if that still played when this one began to wait.
     before: Option<Timestamp<Server>>,
@@ -163,6 +165,7 @@ impl Act {
             stage: Stage::Waiting(waiting::Waiting::default()),
             follow: choreography.acts[index].next,
             attempts: 0,
+            fixed: None,
             since,
             before,
             alone_since: None,
@@ -214,7 +217,17 @@ impl Act {
     /// Sets the number of withdrawn attempts. The act no longer waits, because its condition has been met.
     pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
         self.attempts = attempts;
-        self.stage = Stage::Ready { target: None, look: None };
+        self.stage = Stage::Ready { target: self.fixed, look: None };
+    }
+
+    /// Fixes its start. A start that would be too late is refused.
+    pub(crate) const fn starts_at(&mut self, at: Timestamp<Server>) {
+        self.fixed = Some(at);
+    }
+
+    /// The start that must be kept.
+    pub(crate) const fn must_start_at(&self) -> Option<Timestamp<Server>> {
+        self.fixed
     }
 
     /// Lets the act lapse: it is not committed, and its robots drop it when its leases end.

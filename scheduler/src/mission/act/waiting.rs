@@ -67,7 +67,7 @@ impl Act {
 
     /// The instant that the operator or the scenario specifies, or an error if the clocks skip it.
     fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
-        if let Some(at) = options.start_at.filter(|_| self.number == 0) {
+        if let Some(at) = self.fixed {
             return Some(Ok(at));
         }
         match &self.written().wait {
@@ -77,9 +77,9 @@ impl Act {
         }
     }
 
-    /// Whether the operator or the scenario fixes its start.
-    pub(crate) fn has_fixed_start(&self, options: &MissionOptions) -> bool {
-        self.fixed_target(options).is_some()
+    /// The start that the operator or the scenario fixes.
+    pub(crate) fn fixed_start(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
+        self.fixed_target(options).map(instant_of)
     }
 
     pub(super) fn wait_wakeup(&self, waiting: &Waiting) -> Option<Timestamp<Server>> {

@@ -3,6 +3,7 @@
 use super::played::Played;
 use super::*;
 use crate::mission::bench::{ms, response};
+use crate::mission::{FixedStart, FixedStarts};
 
 const LATE: Outcome = Outcome::DecisionLate { by: Span::from_millis(30) };
 
@@ -89,10 +90,52 @@ fn what_an_act_waited_for_is_not_waited_for_again() {
 #[test]
 fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
     let mut mission = begins_at_once(Everything);
-    mission.options.start_at = Some(at(1_000));
+    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_000) });
     let mut played = Played::begun(mission);
     played.is_withdrawn();
     assert_eq!(played.run_to_the_end(), LATE);
+}
+
+/// The act starts at 2 s and is withdrawn shortly before.
+fn is_late_for_its_start(within: i64) -> Played {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(2_000) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(within) };
+    let mut played = Played::begun(mission);
+    played.run_until(at(1_995));
+    played.is_withdrawn();
+    played
+}
+
+#[test]
+fn an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
+    let mut played = is_late_for_its_start(10_000);
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let mut played = is_late_for_its_start(1);
+    let ended = played.run_to_the_end();
+    assert!(matches!(ended, Outcome::StartTooSoon { start, .. } if start == at(2_000)), "{ended:?}");
+}
+
+#[test]
+fn another_attempt_does_not_start_before_the_fixed_time() {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(5_000) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(1_000) };
+    let mut played = Played::begun(mission);
+    played.run_until(at(2_000));
+    played.is_withdrawn();
+    played.run_until(at(5_005));
+    assert_eq!(played.mission.acts[0].attempts(), 1);
+    assert_eq!(played.mission.acts[0].timing().map(|timing| timing.start), Some(at(5_000)));
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_start_that_is_too_soon_is_later_within_the_permitted_time() {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(1) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(5_000) };
+    assert_eq!(Played::begun(mission).run_to_the_end(), Outcome::Done);
 }
 
 /// Two acts; the first one plays, and the second one has been sent and follows it at once.

@@ -4,6 +4,7 @@ use downbeat_scripts::{Choreography, OnFailure};
 
 use super::played::Played;
 use super::*;
+use crate::mission::FixedStart;
 use crate::mission::bench::ms;
 
 pub(super) fn broken() -> FailureKind {
@@ -305,16 +306,19 @@ fn what_the_operator_asks_for_is_kept_or_refused() {
         Some(Outcome::LeadTooShort { .. })
     ));
 
-    assert_eq!(sent_with(None, |options| options.start_at = Some(safe_start)), None);
+    assert_eq!(
+        sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: safe_start })),
+        None
+    );
     let start = safe_start - Span::from_nanos(1);
-    let too_soon = sent_with(None, |options| options.start_at = Some(start));
+    let too_soon = sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: start }));
     assert_eq!(too_soon, Some(Outcome::StartTooSoon { start, safe_start }));
 }
 
 #[test]
 fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answers_and_leases() {
     let mut mission = begins_at_once(Everything);
-    mission.options.start_at = Some(at(1_500));
+    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_500) });
     let played = Played::begun(mission);
     let timing = played.mission.acts[0].timing().unwrap();
     assert_eq!((timing.start, timing.gap), (at(1_500), Some(Span::ZERO)));

@@ -90,6 +90,7 @@ impl Scheduler {
             project: None,
             asked: Asked::default(),
             plan_hash: None,
+            fixed: crate::mission::FixedStarts::default(),
             greeting: Greeting::Full,
             clock_offset: Span::ZERO,
             keys: OpenedKeys::default(),
