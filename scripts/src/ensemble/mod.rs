@@ -16,13 +16,13 @@ pub(crate) use along::POINTS_MAX;
 pub(crate) use dancer::{Axis, Dancer, axes, coarseness};
 
 use crate::fleet::Fleet;
-use crate::formation::Point;
+use crate::formation::{PLACES_MAX, Point};
 use crate::motion::{Function, Swept};
 use crate::scenario::{Action, Together, WrittenFormation, WrittenPath};
 use crate::transit::Blocked;
 
-/// Most robots of a group: an assignment takes time with the cube of their number.
-pub(crate) const GROUP_MAX: usize = 1_000;
+/// Most robots of a group: each may have a place of one formation.
+pub(crate) const GROUP_MAX: usize = PLACES_MAX;
 /// Places that differ less in height, in metres, have one height.
 const LEVEL: f64 = 1e-9;
 

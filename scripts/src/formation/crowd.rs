@@ -1,6 +1,6 @@
-//! The two places of a formation that are nearest to each other.
+//! Places that are near to each other.
 
-use super::Point;
+use super::{Point, middle_of};
 
 /// Two places, by their indices, and how far apart they are in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,14 +11,13 @@ pub(crate) struct Pair {
 
 /// The two places that are nearest to each other; none if there are fewer than two.
 pub(crate) fn nearest_pair(places: &[Point]) -> Option<Pair> {
-    let mut order: Vec<usize> = (0..places.len()).collect();
-    order.sort_by(|a, b| places[*a][0].total_cmp(&places[*b][0]));
+    let (axis, order) = along_longest_axis(places);
     let mut best: Option<Pair> = None;
     for (index, &a) in order.iter().enumerate() {
         for &b in &order[index + 1..] {
             let most = best.map_or(f64::INFINITY, |best| best.distance);
-            // All that follow in this order are further along x.
-            if places[b][0] - places[a][0] > most {
+            // All that follow in this order are further along the axis.
+            if places[b][axis] - places[a][axis] > most {
                 break;
             }
             let distance = distance(places[a], places[b]);
@@ -31,6 +30,26 @@ pub(crate) fn nearest_pair(places: &[Point]) -> Option<Pair> {
         }
     }
     best
+}
+
+/// Every two points that are nearer to each other than `reach` metres, by their indices.
+pub(crate) fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize, usize)> {
+    let (axis, order) = along_longest_axis(points);
+    (0..order.len()).flat_map(move |index| {
+        let a = order[index];
+        let near = order[index + 1..].iter().take_while(|b| points[**b][axis] - points[a][axis] < reach);
+        let near = near.filter(|b| distance(points[a], points[**b]) < reach);
+        near.map(|b| (a, *b)).collect::<Vec<_>>()
+    })
+}
+
+/// The axis along which points are spread the most, and their order along it.
+fn along_longest_axis(points: &[Point]) -> (usize, Vec<usize>) {
+    let (_, lengths) = middle_of(points);
+    let axis = (0..3).rev().max_by(|a, b| lengths[*a].total_cmp(&lengths[*b])).unwrap_or(0);
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|a, b| points[*a][axis].total_cmp(&points[*b][axis]));
+    (axis, order)
 }
 
 /// Metres between two points.

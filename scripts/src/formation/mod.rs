@@ -17,7 +17,7 @@ mod tests;
 
 use std::sync::Arc;
 
-pub(crate) use crowd::{distance as metres_between, nearest_pair};
+pub(crate) use crowd::{distance as metres_between, nearest_pair, pairs_within};
 pub(crate) use placing::{Placing, middle_of};
 pub(crate) use shapes::{Ball, Grid, Line, Ring, Vee};
 pub(crate) use spread::Triangle;

@@ -21,19 +21,27 @@ pub(crate) struct Approach {
 /// The closest approach of two ways if it is below `enough`, in metres. If it is not found, the ways are no closer than that but for
 /// [`SLACK`].
 pub(crate) fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
-    if apart(&a.bounds(), &b.bounds()) >= enough {
+    if !may_meet(a, b, enough) {
         return None;
     }
     match a.is_even_with(b) {
-        true => Some(together(a, b)).filter(|found| found.distance < enough),
+        true => Some(together(a, b)),
         false => searched(a, b, enough),
+    }
+}
+
+/// Whether [`closest`] can find an approach, at little expense; certain of straight ways with one time law.
+pub(crate) fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
+    match a.is_even_with(b) {
+        true => Line::between(a, b).nearest().0 < enough,
+        false => apart(&a.bounds(), &b.bounds()) < enough,
     }
 }
 
 /// Whether [`closest`] finds an approach; sooner than that if it does.
 pub(crate) fn meet(a: &Way, b: &Way, enough: f64) -> bool {
-    if a.is_even_with(b) || apart(&a.bounds(), &b.bounds()) >= enough {
-        return closest(a, b, enough).is_some();
+    if a.is_even_with(b) || !may_meet(a, b, enough) {
+        return may_meet(a, b, enough);
     }
     let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
     let early = (0..=8).any(|i| {
@@ -49,16 +57,35 @@ fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
     gap(0).hypot(gap(1)).hypot(gap(2))
 }
 
+/// The way of one body as it is seen from another.
+struct Line {
+    from: Point,
+    vector: Point,
+}
+
+impl Line {
+    fn between(a: &Way, b: &Way) -> Self {
+        let (va, vb) = (a.vector(), b.vector());
+        Self {
+            from: std::array::from_fn(|axis| b.from[axis] - a.from[axis]),
+            vector: std::array::from_fn(|axis| vb[axis] - va[axis]),
+        }
+    }
+
+    /// How close it comes, in metres, and at which share of it.
+    fn nearest(&self) -> (f64, f64) {
+        let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let square = dot(&self.vector, &self.vector);
+        let u = if square > 0.0 { (-dot(&self.from, &self.vector) / square).clamp(0.0, 1.0) } else { 0.0 };
+        let between: Point = std::array::from_fn(|axis| self.from[axis] + u * self.vector[axis]);
+        (dot(&between, &between).sqrt(), u)
+    }
+}
+
 /// Of straight ways with one time law: seen from one body, the other moves along a line.
 fn together(a: &Way, b: &Way) -> Approach {
-    let begin: Point = std::array::from_fn(|axis| b.from[axis] - a.from[axis]);
-    let (va, vb) = (a.vector(), b.vector());
-    let line: Point = std::array::from_fn(|axis| vb[axis] - va[axis]);
-    let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let square = dot(&line, &line);
-    let u = if square > 0.0 { (-dot(&begin, &line) / square).clamp(0.0, 1.0) } else { 0.0 };
-    let between: Point = std::array::from_fn(|axis| begin[axis] + u * line[axis]);
-    Approach { distance: dot(&between, &between).sqrt(), at: a.begin + a.length * Easing::smooth_time(u) }
+    let (distance, u) = Line::between(a, b).nearest();
+    Approach { distance, at: a.begin + a.length * Easing::smooth_time(u) }
 }
 
 /// Of any two ways, by halving their time where bounds of their speeds leave room for a closer approach.

@@ -1,12 +1,11 @@
 //! Which body takes which place: the least sum of ways, or the shortest longest way.
 //!
-//! The least sum is found by the Hungarian algorithm (Kuhn, Naval Research Logistics 2, 1955; Munkres, J. SIAM 5, 1957). The
-//! shortest longest way is found by augmenting paths whose longest edge is as short as possible (Burkard, Dell'Amico and
-//! Martello, Assignment Problems, 2009, section 6.2). Both take O(n^3) steps for n bodies.
+//! Each problem is one of rows and as many columns: starts that are left over take columns of their own, places that are left free
+//! take rows.
 
-use pathfinding::kuhn_munkres::kuhn_munkres_min;
-use pathfinding::matrix::Matrix;
-
+use super::auction::{COMPARED_MAX, Sold, sell};
+use super::bottleneck;
+use super::columns::{Columns, Cost, Row};
 use crate::formation::{Point, metres_between};
 
 /// What of the ways is made small.
@@ -19,13 +18,14 @@ pub(crate) enum Least {
     Longest,
 }
 
-/// Costs are whole numbers up to this: with 2^11 bodies, no sum overflows.
-const COST_MAX: f64 = (1i64 << 38) as f64;
-/// The cost of a way that is too long: more than all others together.
-const TOO_LONG: i64 = 1 << 50;
-
 /// The place of each start; none for a start that is left over if there are fewer places.
 pub(crate) type Assignment = Vec<Option<usize>>;
+
+/// An assignment, and the share of its sum that no other is below.
+pub(crate) struct Cheapest {
+    pub(crate) assignment: Assignment,
+    pub(crate) proven: f64,
+}
 
 /// Ways to the power `exponent`, the sum of which is made small; ways longer than `longest` metres are not taken.
 #[derive(Clone, Copy, Debug)]
@@ -34,125 +34,66 @@ pub(crate) struct Price {
     pub(crate) longest: f64,
 }
 
-/// The ways among which some are taken, in metres: each row gets one column, and there are no fewer columns than rows.
-pub(crate) struct Ways {
-    metres: Matrix<f64>,
-    /// The place of each column, or the start if rows are places.
-    kept: Vec<usize>,
+/// The ways among which some are taken.
+pub(crate) struct Ways<'a> {
+    /// The starts, and behind them those that take the places that are left free.
+    rows: Vec<Row>,
+    places: &'a [Point],
     starts: usize,
-    places: usize,
-    rows_are_places: bool,
+    /// No way is longer, in metres.
+    unit: f64,
 }
 
-impl Ways {
+impl<'a> Ways<'a> {
     /// Each start gets a place, and each place a start, as far as there are both. Starts that are left over go to their place in
     /// `spare`, in the order of `starts`.
-    pub(crate) fn between(starts: &[Point], places: &[Point], spare: &[Point]) -> Self {
-        let left_over: Vec<f64> =
-            starts.iter().zip(spare).map(|(start, spare)| metres_between(*start, *spare)).collect();
-        let square = starts.len() > places.len() && left_over.iter().any(|way| *way > 0.0);
-        let rows_are_places = starts.len() > places.len() && !square;
-        let (rows, columns) = if rows_are_places { (places, starts) } else { (starts, places) };
-        let kept = if square { (0..starts.len()).collect() } else { within_reach(rows, columns) };
-        let metres = Matrix::from_fn(rows.len(), kept.len(), |(row, column)| {
-            columns
-                .get(kept[column])
-                .map_or_else(|| left_over[row], |column| metres_between(rows[row], *column))
-        });
-        Self { metres, kept, starts: starts.len(), places: places.len(), rows_are_places }
+    pub(crate) fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
+        let row = |(start, spare): (&Point, &Point)| Row {
+            at: Some(*start),
+            left_over: if starts.len() > places.len() { metres_between(*start, *spare) } else { 0.0 },
+        };
+        let mut rows: Vec<Row> = starts.iter().zip(spare).map(row).collect();
+        let left_over = rows.iter().map(|row| row.left_over);
+        let unit = left_over.fold(diagonal(starts, places), f64::max);
+        rows.resize(starts.len().max(places.len()), Row { at: None, left_over: 0.0 });
+        Self { rows, places, starts: starts.len(), unit }
+    }
+
+    fn columns(&self) -> Columns {
+        Columns::new(self.places, self.rows.len() - self.places.len())
     }
 
     /// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
-    pub(crate) fn cheapest(&self, price: Price) -> Assignment {
-        if self.metres.rows == 0 {
-            return vec![None; self.starts];
+    pub(crate) fn cheapest(&self, price: Price) -> Cheapest {
+        self.cheapest_within(price, COMPARED_MAX)
+    }
+
+    /// The same, with another number of comparisons after which a large group may stop early.
+    pub(super) fn cheapest_within(&self, price: Price, compared_max: u64) -> Cheapest {
+        if self.rows.is_empty() {
+            return Cheapest { assignment: Vec::new(), proven: 1.0 };
         }
-        let within = self.metres.values().copied().filter(|way| *way <= price.longest);
-        let longest = within.fold(f64::MIN_POSITIVE, f64::max);
-        let costs = self.metres.clone().map(|way| cost(way, longest, price));
-        let (_, column_of) = kuhn_munkres_min(&costs);
-        let column_of = column_of.into_iter().map(|column| self.kept[column]);
-        match self.rows_are_places {
-            false => column_of.map(|place| Some(place).filter(|place| *place < self.places)).collect(),
-            true => {
-                let mut assignment = vec![None; self.starts];
-                column_of.enumerate().for_each(|(place, start)| assignment[start] = Some(place));
-                assignment
-            }
-        }
+        let cost = Cost::new(price, self.unit.min(price.longest));
+        let Sold { columns, proven } = sell(&self.rows, self.columns(), cost, compared_max);
+        let places = columns.into_iter().take(self.starts);
+        let assignment = places.map(|column| Some(column).filter(|place| *place < self.places.len()));
+        Cheapest { assignment: assignment.collect(), proven }
     }
 
     /// The least length, in metres, such that there is an assignment without a longer way.
     pub(crate) fn shortest_longest(&self) -> f64 {
-        let mut row_of: Vec<Option<usize>> = vec![None; self.metres.columns];
-        let mut bound = 0.0f64;
-        for first in 0..self.metres.rows {
-            bound = augment(&self.metres, &mut row_of, first, bound);
+        if self.rows.is_empty() {
+            return 0.0;
         }
-        bound
+        bottleneck::shortest_longest(&self.rows, self.columns(), self.unit)
     }
 }
 
-/// The columns that a row may be given: one of as many as there are rows, those nearest to it. A farther one is never better, for
-/// the other rows leave one of these free.
-fn within_reach(rows: &[Point], columns: &[Point]) -> Vec<usize> {
-    if rows.len() == columns.len() {
-        return (0..columns.len()).collect();
-    }
-    let mut kept = vec![false; columns.len()];
-    for row in rows {
-        let mut nearest: Vec<(f64, usize)> = columns
-            .iter()
-            .enumerate()
-            .map(|(column, place)| (metres_between(*row, *place), column))
-            .collect();
-        nearest.select_nth_unstable_by(rows.len() - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        nearest[..rows.len()].iter().for_each(|(_, column)| kept[*column] = true);
-    }
-    (0..columns.len()).filter(|column| kept[*column]).collect()
-}
-
-#[expect(clippy::cast_possible_truncation, reason = "at most COST_MAX, but for ways that are too long")]
-fn cost(way: f64, longest: f64, price: Price) -> i64 {
-    match way <= price.longest {
-        true => ((way / longest).powf(price.exponent) * COST_MAX).round() as i64,
-        false => TOO_LONG,
-    }
-}
-
-/// Gives one more row a column, along the path whose longest edge is shortest: Dijkstra's search with maxima for sums.
-fn augment(ways: &Matrix<f64>, row_of: &mut [Option<usize>], first: usize, bound: f64) -> f64 {
-    let mut reached = vec![f64::INFINITY; ways.columns];
-    let mut from: Vec<Option<usize>> = vec![None; ways.columns];
-    let mut done = vec![false; ways.columns];
-    // The row that is looked at, the longest edge to it, and the column through which it was reached.
-    let (mut row, mut longest, mut through) = (first, bound, None);
-    loop {
-        for column in (0..ways.columns).filter(|column| !done[*column]) {
-            let way = ways[(row, column)].max(longest);
-            if way < reached[column] {
-                (reached[column], from[column]) = (way, through);
-            }
-        }
-        let open = (0..ways.columns).filter(|column| !done[*column]);
-        let Some(next) = open.min_by(|a, b| reached[*a].total_cmp(&reached[*b])) else { return longest };
-        (done[next], longest) = (true, reached[next]);
-        match row_of[next] {
-            Some(taken) => (row, through) = (taken, Some(next)),
-            None => {
-                shift(row_of, &from, next, first);
-                return longest;
-            }
-        }
-    }
-}
-
-/// Moves each row of the path to the next column, from the free one backwards.
-fn shift(row_of: &mut [Option<usize>], from: &[Option<usize>], free: usize, first: usize) {
-    let mut column = free;
-    while let Some(before) = from[column] {
-        row_of[column] = row_of[before];
-        column = before;
-    }
-    row_of[column] = Some(first);
+/// The diagonal of the box around all points, in metres.
+fn diagonal(starts: &[Point], places: &[Point]) -> f64 {
+    let all = || starts.iter().chain(places);
+    let extreme = |pick: fn(f64, f64) -> f64| -> Point {
+        std::array::from_fn(|axis| all().map(|point| point[axis]).reduce(pick).unwrap_or(0.0))
+    };
+    metres_between(extreme(f64::min), extreme(f64::max))
 }

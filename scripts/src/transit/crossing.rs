@@ -1,15 +1,15 @@
 //! Ways for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
 
-use super::approach::{Approach, SLACK, closest, meet};
-use super::assignment::{Assignment, Least, Price, Ways};
+use super::approach::{Approach, SLACK, closest, may_meet, meet};
+use super::assignment::{Assignment, Cheapest, Least, Price, Ways};
 use super::way::{CURVATURE, SLOPE, Way};
 use crate::budget::Budget;
-use crate::formation::{Point, ROUNDING, metres_between};
+use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 
 /// Prices that are tried one after another, as powers of the ways. The least sum of squares keeps straight ways apart if
 /// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
 const EXPONENTS: [f64; 5] = [1.0, 1.05, 1.15, 1.4, 2.0];
-/// Of larger groups only the first and the last price are tried: an assignment takes time with the cube of their number.
+/// Of larger groups only the first and the last price are tried.
 const LARGE: usize = 300;
 /// How much longer than the least the sum of all ways may be.
 const TOTAL_MAX: f64 = 1.01;
@@ -21,7 +21,7 @@ const WAITS_MAX: u8 = 5;
 const LAYERS_MAX: u8 = 4;
 /// How often all ways that come too close are looked at.
 const ROUNDS_MAX: usize = 40;
-/// Most pairs that are looked at in the search for detours.
+/// Most pairs that the search for detours checks; larger groups check each pair once on average.
 const PAIRS_MAX: usize = 5_000_000;
 /// What rounding may take from a distance, in metres.
 const DUST: f64 = 1e-9;
@@ -156,7 +156,7 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
             }
             continue;
         }
-        let near = crossing.near(&ways);
+        let near = crossing.near(&ways, None);
         if near.is_empty() {
             return Ok(crossing.crossed(ways));
         }
@@ -207,10 +207,12 @@ impl Crossing<'_> {
         let [first, .., last] = EXPONENTS;
         let prices = if starts.len() > LARGE { vec![first, last] } else { EXPONENTS.to_vec() };
         let candidates = prices.into_iter().filter_map(move |exponent| {
-            let goals = goals(ways.cheapest(Price { exponent, longest }));
+            let Cheapest { assignment, proven } = ways.cheapest(Price { exponent, longest });
+            let goals = goals(assignment);
             let total: f64 =
                 starts.iter().zip(&goals).map(|(start, goal)| metres_between(*start, *goal)).sum();
-            let optimum = *optimum.get_or_insert(total);
+            // The price of the first is the way itself.
+            let optimum = *optimum.get_or_insert(total * proven);
             (self.least == Least::Longest || total <= optimum * TOTAL_MAX).then_some(goals)
         });
         Box::new(candidates)
@@ -245,7 +247,9 @@ impl Crossing<'_> {
     /// What is between the ends of two bodies beyond what they keep is shared by the errors of both.
     fn crossed(&self, ways: Vec<Way>) -> Crossed {
         let mut errors: Vec<f64> = self.bodies.iter().map(|body| body.error).collect();
-        for (a, b) in (0..ways.len()).flat_map(|a| (0..a).map(move |b| (a, b))) {
+        let (starts, ends): (Vec<Point>, Vec<Point>) = ways.iter().map(|way| (way.from, way.to)).unzip();
+        let reach = 2.0 * self.reach_max() + SLACK;
+        for (a, b) in pairs_within(&starts, reach).chain(pairs_within(&ends, reach)) {
             if let Required::AsAtEnds(distance) = self.required(&ways, a, b) {
                 let room = ((distance - self.least(a, b)) / 2.0).max(0.0);
                 errors[a] = errors[a].min(room);
@@ -255,19 +259,28 @@ impl Crossing<'_> {
         Crossed { ways, errors }
     }
 
-    fn near(&self, ways: &[Way]) -> Vec<Near> {
+    /// The farthest that a body and its error reach, in metres.
+    fn reach_max(&self) -> f64 {
+        self.bodies.iter().map(|body| body.keep + body.error).fold(0.0, f64::max)
+    }
+
+    /// The pairs that come too close, in their order; only those of bodies that have `changed` if that is given.
+    fn near(&self, ways: &[Way], changed: Option<&[bool]>) -> Vec<Near> {
         let mut order: Vec<usize> = (0..ways.len()).collect();
         let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
         order.sort_by(|a, b| bounds[*a][0][0].total_cmp(&bounds[*b][0][0]));
-        let reach = |body: &Body| body.keep + body.error;
-        let reach_max = self.bodies.iter().map(reach).fold(0.0, f64::max);
+        let reach_max = self.reach_max();
+        let is_due = |a: usize, b: usize| changed.is_none_or(|changed| changed[a] || changed[b]);
         let mut near = Vec::new();
         for (index, &a) in order.iter().enumerate() {
-            let reaches = bounds[a][1][0] + reach(&self.bodies[a]) + reach_max + SLACK;
+            let reaches = bounds[a][1][0] + self.bodies[a].keep + self.bodies[a].error + reach_max + SLACK;
             for &b in order[index + 1..].iter().take_while(|b| bounds[**b][0][0] <= reaches) {
                 let pair = [a.min(b), a.max(b)];
-                let found = closest(&ways[pair[0]], &ways[pair[1]], self.required(ways, a, b).metres());
-                near.extend(found.map(|approach| Near { pair, approach }));
+                if is_due(a, b) && may_meet(&ways[pair[0]], &ways[pair[1]], self.apart(a, b)) {
+                    let required = self.required(ways, a, b).metres();
+                    let found = closest(&ways[pair[0]], &ways[pair[1]], required);
+                    near.extend(found.map(|approach| Near { pair, approach }));
+                }
             }
         }
         near.sort_by_key(|near| near.pair);
@@ -277,16 +290,18 @@ impl Crossing<'_> {
     /// How many others come too close to a body, counted up to so many.
     fn conflicts(&self, ways: &[Way], body: usize, most: usize) -> usize {
         let others = (0..ways.len()).filter(|other| *other != body);
-        others
-            .filter(|other| meet(&ways[body], &ways[*other], self.required(ways, body, *other).metres()))
-            .take(most)
-            .count()
+        let too_close = |other: &usize| {
+            // What is required is never more than that.
+            may_meet(&ways[body], &ways[*other], self.apart(body, *other))
+                && meet(&ways[body], &ways[*other], self.required(ways, body, *other).metres())
+        };
+        others.filter(too_close).take(most).count()
     }
 
     /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest. Each that comes too
     /// close to others takes the way on which it does to the fewest (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
-        let mut room = Budget::new(PAIRS_MAX);
+        let mut room = Budget::new(PAIRS_MAX.max(ways.len().pow(2)));
         let mut fewest = (near.clone(), ways.to_vec());
         let ends_close =
             |near: &Near| matches!(self.required(ways, near.pair[0], near.pair[1]), Required::AtEnd { .. });
@@ -297,10 +312,15 @@ impl Crossing<'_> {
             near.iter().flat_map(|near| near.pair).for_each(|body| crowded[body] += 1);
             let mut bodies: Vec<usize> = (0..ways.len()).filter(|body| crowded[*body] > 0).collect();
             bodies.sort_by_key(|body| (std::cmp::Reverse(crowded[*body]), *body));
+            let mut changed = vec![false; ways.len()];
             for body in bodies {
+                let before = ways[body];
                 self.avoid(ways, body, round, &mut room);
+                changed[body] = ways[body] != before;
             }
-            near = self.near(ways);
+            near.retain(|near| near.pair.iter().all(|body| !changed[*body]));
+            near.extend(self.near(ways, Some(&changed)));
+            near.sort_by_key(|near| near.pair);
             if near.is_empty() {
                 return None;
             }

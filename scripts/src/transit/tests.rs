@@ -1,9 +1,11 @@
 //! Laws of groups on their way: assignments are permutations of least cost, and no two bodies come closer than stated.
 
+use pathfinding::kuhn_munkres::kuhn_munkres_min;
+use pathfinding::matrix::Matrix;
 use proptest::prelude::*;
 
 use super::approach::{SLACK, closest};
-use super::assignment::{Assignment, Price, Ways};
+use super::assignment::{Assignment, Cheapest, Price, Ways};
 use super::crossing::Crossed;
 use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
 use crate::formation::{Point, metres_between, nearest_pair};
@@ -13,7 +15,7 @@ const WAYS: Price = Price { exponent: 1.0, longest: f64::INFINITY };
 
 /// The assignment with the least sum of ways; who is left over stays.
 fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
-    Ways::between(starts, places, starts).cheapest(WAYS)
+    Ways::between(starts, places, starts).cheapest(WAYS).assignment
 }
 
 fn body(from: Point, keep: f64) -> Body {
@@ -191,6 +193,156 @@ fn bodies_go_from_a_close_grid_to_a_close_circle_with_the_shortest_longest_way()
     }
 }
 
+/// The least sum of ways by the Hungarian algorithm, in metres; whole numbers of nanometres are added.
+#[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "ways are short")]
+fn hungarian(starts: &[Point], places: &[Point], spare: &[Point]) -> f64 {
+    let left_over = starts.len().saturating_sub(places.len());
+    let ways = Matrix::from_fn(starts.len(), places.len() + left_over, |(start, place)| {
+        let goal = places.get(place).unwrap_or(&spare[start]);
+        (metres_between(starts[start], *goal) * 1e9).round() as i64
+    });
+    let (total, _) = kuhn_munkres_min(&ways);
+    total as f64 / 1e9
+}
+
+/// Compares an assignment with the least sum.
+#[track_caller]
+fn check_sum(starts: &[Point], places: &[Point], spare: &[Point]) {
+    let assignment = Ways::between(starts, places, spare).cheapest(WAYS).assignment;
+    let mut taken: Vec<usize> = assignment.iter().copied().flatten().collect();
+    taken.sort_unstable();
+    taken.dedup();
+    assert_eq!(taken.len(), starts.len().min(places.len()), "each place once, as many as possible");
+    let goal = |start: usize| assignment[start].map_or(spare[start], |place| places[place]);
+    let total: f64 = (0..starts.len()).map(|start| metres_between(starts[start], goal(start))).sum();
+    let least = hungarian(starts, places, spare);
+    assert!((total - least).abs() <= 1e-6 * (1.0 + least), "{total} {least}");
+}
+
+fn grid(count: usize, columns: usize, at: Point) -> Vec<Point> {
+    let place = |index: usize| [at[0] + (index % columns) as f64, at[1] + (index / columns) as f64, at[2]];
+    (0..count).map(place).collect()
+}
+
+#[test]
+fn the_sum_is_least_where_many_ways_are_equal() {
+    // Distances between places of two grids are few; of one that is only raised, every way along a line is equally good.
+    check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 10, [7.0, 3.0, 5.0]), &[[0.0; 3]; 400]);
+    check_sum(&grid(400, 20, [0.0; 3]), &grid(400, 20, [0.0, 0.0, 9.0]), &[[0.0; 3]; 400]);
+    check_sum(&grid(300, 300, [0.0; 3]), &grid(300, 300, [120.0, 0.0, 0.0]), &[[0.0; 3]; 300]);
+}
+
+#[test]
+fn the_sum_is_least_where_points_coincide() {
+    let same = [[3.0, 4.0, 0.0]; 200];
+    check_sum(&same, &same, &same);
+    check_sum(&same, &grid(200, 20, [0.0; 3]), &same);
+    check_sum(&same, &[[0.0; 3]; 90], &grid(200, 20, [0.0; 3]));
+    check_sum(&same[..90], &same, &same[..90]);
+    let halves = [grid(100, 10, [0.0; 3]), grid(100, 10, [0.0; 3])].concat();
+    check_sum(&halves, &grid(200, 20, [2.0, 1.0, 0.0]), &halves);
+}
+
+#[test]
+fn the_sum_is_least_with_many_more_places_or_bodies_on_equal_distances() {
+    let (few, many) = (grid(60, 10, [0.0, 0.0, 4.0]), grid(500, 25, [-3.0, 2.0, 0.0]));
+    check_sum(&few, &many, &few);
+    check_sum(&many, &few, &many);
+    check_sum(&many, &few, &grid(500, 20, [1.0, 1.0, 3.0]));
+}
+
+#[test]
+fn an_auction_that_stops_early_is_proven_close_to_the_least_sum() {
+    let turn = |index: usize| {
+        let angle = std::f64::consts::TAU * index as f64 / 1_500.0;
+        [477.0 * angle.cos(), 477.0 * angle.sin(), 60.0]
+    };
+    let (starts, places) = (grid(1_500, 40, [0.0; 3]), (0..1_500).map(turn).collect::<Vec<Point>>());
+    let all = Ways::between(&starts, &places, &starts);
+    let [whole, early] = [u64::MAX, 1_000_000].map(|compared| all.cheapest_within(WAYS, compared));
+    let total =
+        |found: &Cheapest| -> f64 { ways(&starts, &places, &order_of(&found.assignment)).iter().sum() };
+    let (whole, early) = ((total(&whole), whole.proven), (total(&early), early.proven));
+    assert!(whole.1 > 1.0 - 1e-6 && early.1 < 1.0 - 1e-6, "{whole:?} {early:?}");
+    assert!(early.0 <= 1.001 * whole.0 && early.0 * early.1 <= whole.0 + 1e-6, "{whole:?} {early:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn the_sums_of_larger_groups_are_those_of_the_hungarian_algorithm(
+        starts in points(1..300), places in points(1..300), homes in points(300), step in 0.01..4.0f64, go_home: bool,
+    ) {
+        // On a grid many ways are equal, and points coincide.
+        let gridded = |points: &[Point]| -> Vec<Point> {
+            points.iter().map(|point| point.map(|part| (part / step).round() * step)).collect()
+        };
+        for (starts, places) in [(starts.clone(), places.clone()), (gridded(&starts), gridded(&places))] {
+            let spare = if go_home { &homes[..starts.len()] } else { &starts[..] };
+            check_sum(&starts, &places, spare);
+        }
+    }
+
+    #[test]
+    fn the_shortest_longest_way_of_larger_groups_leaves_no_shorter_one(
+        starts in points(1..200), places in points(1..200), homes in points(200), step in 0.01..4.0f64,
+    ) {
+        let gridded = |points: &[Point]| -> Vec<Point> {
+            points.iter().map(|point| point.map(|part| (part / step).round() * step)).collect()
+        };
+        for (starts, places) in [(starts.clone(), places.clone()), (gridded(&starts), gridded(&places))] {
+            let spare = &homes[..starts.len()];
+            let between = Ways::between(&starts, &places, spare);
+            let shortest = between.shortest_longest();
+            prop_assert!(fits(&starts, &places, spare, shortest));
+            prop_assert!(shortest == 0.0 || !fits(&starts, &places, spare, shortest * (1.0 - 1e-9)), "{shortest}");
+            let bound = Price { exponent: 1.0, longest: shortest };
+            let bounded = between.cheapest(bound).assignment;
+            let goal = |start: usize| bounded[start].map_or(spare[start], |place| places[place]);
+            prop_assert!((0..starts.len()).all(|start| metres_between(starts[start], goal(start)) <= shortest));
+        }
+    }
+}
+
+/// Whether each start has a place within a length, or each place a start: by one augmenting path after another. With fewer places,
+/// other starts need their spare place within it.
+fn fits(starts: &[Point], places: &[Point], spare: &[Point], length: f64) -> bool {
+    let left_over = starts.len().saturating_sub(places.len());
+    let columns = places.len() + left_over;
+    let reaches = |start: usize, column: usize| {
+        metres_between(starts[start], *places.get(column).unwrap_or(&spare[start])) <= length
+    };
+    let mut owner: Vec<Option<usize>> = vec![None; columns];
+    (0..starts.len()).all(|start| {
+        let mut seen = vec![false; columns];
+        let mut from = vec![0; columns];
+        let mut reached = vec![start];
+        while let Some(row) = reached.pop() {
+            for column in (0..columns).filter(|column| reaches(row, *column)) {
+                if std::mem::replace(&mut seen[column], true) {
+                    continue;
+                }
+                from[column] = row;
+                let Some(next) = owner[column] else {
+                    let mut free = column;
+                    loop {
+                        let row = from[free];
+                        let before = owner.iter().position(|owner| *owner == Some(row));
+                        owner[free] = Some(row);
+                        match before {
+                            Some(before) if before != free => free = before,
+                            _ => return true,
+                        }
+                    }
+                };
+                reached.push(next);
+            }
+        }
+        false
+    })
+}
+
 proptest! {
     #[test]
     fn the_least_sum_and_the_shortest_longest_way_are_those_of_all_orders(all in (1usize..=7).prop_flat_map(|n| points(2 * n))) {
@@ -204,7 +356,7 @@ proptest! {
         let between = Ways::between(starts, places, starts);
         prop_assert!((between.shortest_longest() - shortest).abs() < 1e-9);
         let bound = Price { exponent: 1.0, longest: shortest * (1.0 + 1e-9) };
-        let bounded = order_of(&between.cheapest(bound));
+        let bounded = order_of(&between.cheapest(bound).assignment);
         prop_assert!(ways(starts, places, &bounded).into_iter().fold(0.0, f64::max) <= shortest + 1e-6);
     }
 
@@ -215,7 +367,7 @@ proptest! {
         let (starts, places) = if many { (starts, [places, more].concat()) } else { ([starts, more].concat(), places) };
         let spare = if go_home { &homes[..starts.len()] } else { &starts[..] };
         let between = Ways::between(&starts, &places, spare);
-        let assignment = between.cheapest(WAYS);
+        let assignment = between.cheapest(WAYS).assignment;
         prop_assert_eq!(assignment.len(), starts.len());
         let taken: Vec<Option<usize>> = assignment.iter().copied().filter(Option::is_some).collect();
         prop_assert_eq!(order_of(&taken).len(), starts.len().min(places.len()));

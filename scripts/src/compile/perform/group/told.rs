@@ -78,7 +78,7 @@ impl Performer<'_, '_> {
             Fault::ToldElsewhere => {}
             Fault::TooMany => {
                 let message = format!("a group of {}", counted(robots.len(), "robot"));
-                let hint = Some("cut it into several groups".to_owned());
+                let hint = Some("split them into several groups, with a cue for each".to_owned());
                 self.findings.add(Code::TooMuch, here, message, format!("at most {GROUP_MAX} robots"), hint);
             }
             Fault::Flat { dancer, why } => {
