@@ -7,8 +7,10 @@
 //! Processing 36, 1986), for errors measured along the value as in Hakimi and Schmeichel (CVGIP: Graphical Models and
 //! Image Processing 53, 1991).
 
+mod cones;
 mod hold;
 mod lattice;
+mod layers;
 mod linear;
 mod problem;
 mod search;
@@ -19,6 +21,7 @@ use urrcp::Limits;
 
 pub(crate) use hold::{Movement, Rates};
 use problem::Problem;
+use tube::Tubes;
 pub use unfit::Unfit;
 
 /// A curve by its samples.
@@ -42,6 +45,12 @@ impl Samples<'_> {
 
     fn gap(&self, sample: usize) -> f64 {
         self.gaps.get(sample).copied().unwrap_or(0.0)
+    }
+
+    /// The least and the largest value within the room of a sample.
+    fn gate(&self, sample: usize, room: f64) -> (f64, f64) {
+        let (value, room) = (self.values[sample], self.room_at(sample, room));
+        (value - room, value + room)
     }
 }
 
@@ -133,7 +142,7 @@ pub fn least_error(curve: &Samples, grid: &Grid, budget: usize, ends: Ends) -> R
 pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
     let room = (tolerance - curve.slack).min(4.0 * problem::EXTREME);
-    (room >= 0.0).then(|| tube::steps_at_least(curve, room + problem::dust(curve, Ends::default())))
+    (room >= 0.0).then(|| Tubes::of(curve).steps_at_least(room + problem::dust(curve, Ends::default())))
 }
 
 /// Steps that a device which moves linearly needs at least, wherever in time and at whichever values they lie: a proof that
@@ -144,7 +153,7 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
 pub fn steps_at_least(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
     let room = tolerance.min(4.0 * problem::EXTREME) + problem::dust(curve, Ends::default());
-    (room >= 0.0).then(|| if curve.times.len() == 1 { 1 } else { tube::groups(curve, room) + 1 })
+    (room >= 0.0).then(|| if curve.times.len() == 1 { 1 } else { Tubes::of(curve).groups(room) + 1 })
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ use super::{Grid, Unfit};
 
 /// Most candidates of a sample on either side of the nearest; both sides and the nearest fit the 64 bits of a set.
 const SIDE_MAX: f64 = 17.0;
+/// Most candidates of a sample.
+pub(super) const VALUES_MAX: usize = 35;
 /// Multiples up to here are told apart by a double.
 const INDEX_MAX: f64 = 9_007_199_254_740_992.0;
 
@@ -14,6 +16,8 @@ pub(super) struct Lattice {
     low: f64,
     high: f64,
     pub(super) granularity: f64,
+    /// Multiples in a unit.
+    density: f64,
 }
 
 impl Lattice {
@@ -23,7 +27,11 @@ impl Lattice {
         let high = (grid.max / granularity + DECIMAL_DUST).floor().min(INDEX_MAX);
         let usable = (1.0 / EXTREME..=EXTREME).contains(&granularity);
         let ordered = grid.min <= grid.max && low <= high;
-        if usable && ordered { Ok(Self { low, high, granularity }) } else { Err(Unfit::Grid) }
+        if usable && ordered {
+            Ok(Self { low, high, granularity, density: 1.0 / granularity })
+        } else {
+            Err(Unfit::Grid)
+        }
     }
 
     pub(super) fn nearest(&self, value: f64) -> f64 {
@@ -41,23 +49,49 @@ impl Lattice {
     }
 
     fn nearest_index(&self, value: f64) -> f64 {
-        (value / self.granularity).round().clamp(self.low, self.high)
+        round(value / self.granularity).clamp(self.low, self.high)
     }
 
     /// The values within the room around a sample: all, or the nearest and every so many-th on both sides of it.
     pub(super) fn near(&self, value: f64, room: f64) -> Candidates {
-        let low = ((value - room) / self.granularity).ceil().max(self.low);
-        let high = ((value + room) / self.granularity).floor().min(self.high);
+        let low = ceil((value - room) / self.granularity).max(self.low);
+        let high = floor((value + room) / self.granularity).min(self.high);
         if low > high {
             return Candidates::NONE;
         }
         let nearest = self.nearest_index(value).clamp(low, high);
-        let stride = ((nearest - low).max(high - nearest) / SIDE_MAX).ceil().max(1.0);
-        let below = ((nearest - low) / stride).floor();
-        let above = ((high - nearest) / stride).floor();
-        let (base, scale) = (nearest - below * stride, self.granularity);
-        Candidates { base, scale, stride, last: below + above, thinned: stride > 1.0 }
+        let (scale, farthest) = (self.granularity, (nearest - low).max(high - nearest));
+        if farthest <= SIDE_MAX {
+            return Candidates::new([low, 1.0, scale], high - low, self.density);
+        }
+        let stride = ceil(farthest / SIDE_MAX);
+        let below = floor((nearest - low) / stride);
+        let above = floor((high - nearest) / stride);
+        let base = nearest - below * stride;
+        Candidates::new([base, stride, scale], below + above, self.density / stride)
     }
+}
+
+/// Below this, numbers without a fraction fit an integer.
+const WHOLE_MAX: f64 = 9e15;
+
+/// On ordinary processors the functions of the library are calls, and take longer than all the rest.
+#[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "below WHOLE_MAX")]
+fn truncated(value: f64) -> Option<f64> {
+    (value.abs() < WHOLE_MAX).then(|| value as i64 as f64)
+}
+
+fn floor(value: f64) -> f64 {
+    truncated(value).map_or_else(|| value.floor(), |whole| if whole > value { whole - 1.0 } else { whole })
+}
+
+fn ceil(value: f64) -> f64 {
+    truncated(value).map_or_else(|| value.ceil(), |whole| if whole < value { whole + 1.0 } else { whole })
+}
+
+fn round(value: f64) -> f64 {
+    let away = |whole: f64| if (value - whole).abs() >= 0.5 { whole + value.signum() } else { whole };
+    truncated(value).map_or_else(|| value.round(), |whole| away(whole).copysign(value))
 }
 
 /// A bound such as 0.3 is meant to be a multiple of 0.1.
@@ -69,16 +103,28 @@ pub(super) struct Candidates {
     base: f64,
     scale: f64,
     stride: f64,
+    /// The first value.
+    origin: f64,
+    /// How many there are in a unit.
+    density: f64,
     /// Index of the last, -1 if there are none.
     last: f64,
-    pub(super) thinned: bool,
 }
 
 impl Candidates {
-    pub(super) const NONE: Self = Self { base: 0.0, scale: 1.0, stride: 1.0, last: -1.0, thinned: false };
+    pub(super) const NONE: Self =
+        Self { base: 0.0, scale: 1.0, stride: 1.0, origin: 0.0, density: 1.0, last: -1.0 };
+
+    fn new([base, stride, scale]: [f64; 3], last: f64, density: f64) -> Self {
+        Self { base, scale, stride, origin: base * scale, density, last }
+    }
 
     pub(super) fn only(value: f64) -> Self {
-        Self { base: value, last: 0.0, ..Self::NONE }
+        Self { base: value, origin: value, last: 0.0, ..Self::NONE }
+    }
+
+    pub(super) fn are_thinned(&self) -> bool {
+        self.stride > 1.0
     }
 
     pub(super) fn value(&self, index: u8) -> f64 {
@@ -86,20 +132,29 @@ impl Candidates {
     }
 
     /// The set of the indices of all values from `low` to `high`, bit by bit.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "indices below 64")]
     pub(super) fn between(&self, low: f64, high: f64) -> u64 {
-        let (origin, pitch) = (self.base * self.scale, self.stride * self.scale);
-        let (first, last) = (((low - origin) / pitch).max(0.0), ((high - origin) / pitch).min(self.last));
+        self.indices((low - self.origin) * self.density, (high - self.origin) * self.density)
+    }
+
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "indices below 64")]
+    fn indices(&self, first: f64, last: f64) -> u64 {
+        let (first, last) = (first.max(0.0), last.min(self.last));
         if first > last {
             return 0;
         }
-        // Rounded up and down; on ordinary processors a call for each would take longer than all the rest.
+        // Rounded up and down.
         let (down, last) = (first as u32, last as u32);
         let first = down + u32::from(f64::from(down) < first);
         if first <= last { (u64::MAX >> (63 - (last - first))) << first } else { 0 }
     }
 
+    /// The set of the indices of all values that are candidates within less room as well, where neither are thinned.
+    pub(super) fn common(&self, nearer: &Self) -> u64 {
+        let first = nearer.base - self.base;
+        self.indices(first, first + nearer.last)
+    }
+
     pub(super) fn all(&self) -> u64 {
-        self.between(f64::NEG_INFINITY, f64::INFINITY)
+        self.indices(0.0, self.last)
     }
 }

@@ -6,43 +6,59 @@
 //! first layer that reaches the last sample has the fewest steps.
 //!
 //! Exact and yet fast: `tube` tells for each sample how many pieces any way to the end still needs. A node that would
-//! exceed the number of pieces aimed at is left out; if the aim is missed it is raised.
+//! exceed the number of pieces aimed at is left out. What is left of the layers (`layers`) answers for all smaller rooms.
 
+use std::ops::Range;
+
+use super::Samples;
+use super::cones::{Cones, Sight};
 use super::lattice::Candidates;
+use super::layers::{Layers, Node, Stack};
 use super::problem::{Path, Problem};
-use super::tube::pieces_left;
+use super::tube::View;
 
 /// Curves of no more samples may have a step at each.
 const SAMPLES_MAX: usize = 4096;
 /// Samples of one straight piece of longer curves where a step may lie; of longer pieces every second, third and so on.
 const PIECE_SAMPLES_MAX: usize = 256;
+/// Candidates of a sample that are many.
+const FINE: u32 = 6;
 
 /// The fewest steps within the room, and how many any others need at least; `None` if there are none or more than `most`.
-pub(super) fn steps(problem: &Problem, room: f64, most: usize) -> Option<(Path, usize)> {
+///
+/// `known` are the layers of a larger room, or none. They are replaced by those of this one.
+pub(super) fn steps(
+    problem: &Problem,
+    room: f64,
+    most: usize,
+    known: &mut Option<Layers>,
+) -> Option<(Path, usize)> {
+    if let Some(layers) = known.as_ref().filter(|layers| layers.answer(room, most)) {
+        let within = layers.within(problem, room)?;
+        let path = within.path(problem);
+        let steps = path.len();
+        *known = Some(within);
+        return Some((path, steps));
+    }
     let samples = problem.curve.times.len();
-    let left = pieces_left(&problem.curve, room + problem.dust);
+    let left = problem.tubes.pieces_left(room + problem.dust);
     let pieces_min = *left.first()?;
     let pieces_max = u32::try_from(most.min(samples) - 1).unwrap_or(u32::MAX);
     let mut search = Search::new(problem, room, left);
     let sparse = samples > SAMPLES_MAX && search.make_sparse();
-    let path = match search.fewest(pieces_min, pieces_max) {
+    let layers = match search.fewest(pieces_min, pieces_max) {
         // Whether there are any steps at all must not depend on where they may lie.
         None if sparse && most >= samples => {
             Search::new(problem, room, search.left).fewest(pieces_min, pieces_max)
         }
-        path => path,
+        layers => layers,
     }?;
-    let thinned = sparse || search.candidates.iter().any(|candidates| candidates.thinned);
+    let path = layers.path(problem);
+    let thinned = sparse || layers.are_thinned();
     let at_least = if thinned { pieces_min as usize + 1 } else { path.len() };
+    // What is thinned for this room may have other values for a smaller one.
+    *known = Some(layers).filter(|_| !thinned);
     Some((path, at_least))
-}
-
-/// A step that the first ones reach.
-struct Node {
-    sample: usize,
-    candidate: u8,
-    /// Index of the step before.
-    from: usize,
 }
 
 struct Search<'a> {
@@ -51,27 +67,20 @@ struct Search<'a> {
     /// Pieces that the way from each sample to the end has at least.
     left: Vec<u32>,
     candidates: Vec<Candidates>,
+    gates: Vec<(f64, f64)>,
     /// Candidates not reached yet.
     open: Vec<u64>,
-    /// In the order in which they are reached, layer by layer.
-    nodes: Vec<Node>,
-    /// Whether a node was left out that more pieces would allow.
-    cut: bool,
+    /// Candidates of the next layer.
+    next: Vec<u64>,
 }
 
 impl<'a> Search<'a> {
     fn new(problem: &'a Problem<'a>, room: f64, left: Vec<u32>) -> Self {
-        let values = problem.curve.values;
-        let near = |(k, value): (usize, &f64)| problem.lattice.near(*value, problem.curve.room_at(k, room));
-        let mut candidates: Vec<_> = values.iter().enumerate().map(near).collect();
-        let last = values.len() - 1;
-        for (end, sample) in [(problem.ends.first, 0), (problem.ends.last, last)] {
-            if let Some(value) = end {
-                let close = (value - values[sample]).abs() <= problem.curve.room_at(sample, room);
-                candidates[sample] = if close { Candidates::only(value) } else { Candidates::NONE };
-            }
-        }
-        Self { problem, room, left, candidates, open: Vec::new(), nodes: Vec::new(), cut: false }
+        let samples = problem.curve.times.len();
+        let candidates = (0..samples).map(|sample| problem.candidates(sample, room)).collect();
+        let gates = (0..samples).map(|sample| problem.curve.gate(sample, room)).collect();
+        let (open, next) = (Vec::new(), vec![0; samples]);
+        Self { problem, room, left, candidates, gates, open, next }
     }
 
     /// Leaves out samples of long pieces as places of steps; whether it did.
@@ -89,97 +98,90 @@ impl<'a> Search<'a> {
         sparse
     }
 
-    /// The fewest steps, by aiming at ever more pieces.
-    fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Path> {
-        let mut beyond = 0;
-        loop {
-            let pieces = pieces_min.saturating_add(beyond).min(pieces_max);
-            let path = self.run(pieces);
-            if path.is_some() || pieces == pieces_max || !self.cut {
-                return path;
+    /// All ways with the fewest pieces: where as few as any way needs are enough, only those are looked for.
+    fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Layers> {
+        if pieces_min > pieces_max {
+            return None;
+        }
+        let is_fine = self.candidates.iter().any(|candidates| candidates.all().count_ones() > FINE);
+        // Of many values, the lowest and the highest tell nearly as much as all, and soon.
+        let viewed = is_fine.then(|| self.aimed(pieces_min, pieces_max, View::new(self.problem.dust)));
+        if let Some(viewed) = viewed {
+            let layers = viewed?;
+            let exact = Layers::new(self.problem, self.room, &self.candidates, &layers);
+            if exact.is_some() {
+                return exact;
             }
-            beyond = beyond * 2 + 1;
+        }
+        let layers = self.aimed(pieces_min, pieces_max, Cones::default())?;
+        Layers::new(self.problem, self.room, &self.candidates, &layers)
+    }
+
+    fn aimed(&mut self, pieces_min: u32, pieces_max: u32, mut sight: impl Sight) -> Option<Stack> {
+        match self.run(pieces_min, &mut sight) {
+            None if pieces_min < pieces_max => self.run(pieces_max, &mut sight),
+            layers => layers,
         }
     }
 
-    /// The fewest steps, if they have at most this many pieces.
-    fn run(&mut self, pieces: u32) -> Option<Path> {
+    /// The layers until the last sample is reached, if that takes at most this many pieces.
+    fn run(&mut self, pieces: u32, sight: &mut impl Sight) -> Option<Stack> {
         self.open.clear();
         self.open.extend(self.candidates.iter().map(Candidates::all));
-        self.nodes.clear();
-        self.cut = self.left[0] > pieces;
-        if !self.cut {
-            self.reach(0, self.open[0], 0);
+        self.next.fill(0);
+        let last = self.open.len() - 1;
+        let first = std::mem::take(&mut self.open[0]);
+        if first == 0 {
+            return None;
         }
-        let mut layer = 0..self.nodes.len();
+        let mut layers = Stack::default();
+        layers.begin();
+        layers.push(Node::new(0, first));
         for pieces_left in (0..pieces).rev() {
-            for index in layer.clone() {
-                self.spread(index, pieces_left);
-                if self.nodes.last().is_some_and(|node| self.left[node.sample] == 0) {
-                    return Some(self.path());
+            let (mut first, mut until) = (usize::MAX, 0);
+            for index in layers.of(layers.layers() - 1) {
+                let reached = self.spread(layers.node(index), pieces_left, sight);
+                (first, until) = (first.min(reached.start), until.max(reached.end));
+                if self.next[last] != 0 {
+                    layers.begin();
+                    layers.push(Node::new(last, self.candidates[last].all()));
+                    return Some(layers);
                 }
             }
-            layer = layer.end..self.nodes.len();
+            layers.begin();
+            for sample in first..until {
+                match std::mem::take(&mut self.next[sample]) {
+                    0 => {}
+                    candidates => layers.push(Node::new(sample, candidates)),
+                }
+            }
+            if first >= until {
+                return None;
+            }
         }
         None
     }
 
-    /// Reaches everything that is one piece away and has at most this many pieces left to go.
-    fn spread(&mut self, index: usize, pieces_left: u32) {
-        let Node { sample, candidate, .. } = self.nodes[index];
-        let (times, values) = (self.problem.curve.times, self.problem.curve.values);
-        let value = self.candidates[sample].value(candidate);
-        let (mut flattest, mut steepest) = (f64::NEG_INFINITY, f64::INFINITY);
-        for next in sample + 1..times.len() {
-            let duration = times[next] - times[sample];
-            let (low, high) = (value + flattest * duration, value + steepest * duration);
-            let close = self.left[next] <= pieces_left;
-            // It is enough to know one of those that are too far from the end.
-            if self.open[next] != 0 && (close || !self.cut) {
-                let fresh = self.candidates[next].between(low, high) & self.open[next];
-                match close {
-                    true => self.reach(next, fresh, index),
-                    false => self.cut |= fresh != 0,
+    /// Reaches everything that is one piece away and has at most this many pieces left to go. Returns where that is.
+    fn spread(&mut self, node: &mut Node, pieces_left: u32, sight: &mut impl Sight) -> Range<usize> {
+        let Samples { times, .. } = self.problem.curve;
+        let mut reached = usize::MAX..0;
+        sight.begin(&self.candidates[node.sample], node.candidates);
+        for next in node.sample + 1..times.len() {
+            let duration = times[next] - times[node.sample];
+            node.until = next;
+            if self.open[next] != 0 && self.left[next] <= pieces_left {
+                let fresh = sight.reached(&self.candidates[next], self.open[next], duration);
+                if fresh != 0 {
+                    self.open[next] &= !fresh;
+                    self.next[next] |= fresh;
+                    reached = reached.start.min(next)..next + 1;
                 }
             }
-            let room = self.problem.curve.room_at(next, self.room);
-            // Dividing takes longer than comparing, and most samples narrow one side at most.
-            let (bottom, top) = (values[next] - room, values[next] + room);
-            if bottom > low {
-                flattest = (bottom - value) / duration;
-            }
-            if top < high {
-                steepest = (top - value) / duration;
-            }
-            if flattest > steepest {
+            if !sight.narrow(duration, self.gates[next]) {
                 break;
             }
         }
-    }
-
-    fn reach(&mut self, sample: usize, mut fresh: u64, from: usize) {
-        self.open[sample] &= !fresh;
-        while fresh != 0 {
-            #[expect(clippy::cast_possible_truncation, reason = "below 64")]
-            let candidate = fresh.trailing_zeros() as u8;
-            self.nodes.push(Node { sample, candidate, from });
-            fresh &= fresh - 1;
-        }
-    }
-
-    /// The way to the node reached last.
-    fn path(&self) -> Path {
-        let mut path = Path::new();
-        let mut index = self.nodes.len() - 1;
-        loop {
-            let node = &self.nodes[index];
-            path.push((node.sample, self.candidates[node.sample].value(node.candidate)));
-            if node.sample == 0 {
-                break;
-            }
-            index = node.from;
-        }
-        path.reverse();
-        path
+        reached
     }
 }

@@ -1,6 +1,8 @@
 //! A curve, a grid and the ends, checked once; how far steps are from the curve.
 
-use super::lattice::Lattice;
+use super::lattice::{Candidates, Lattice};
+use super::layers::Layers;
+use super::tube::Tubes;
 use super::{Ends, Fit, Grid, Samples, Unfit, linear, search};
 
 /// Times and values up to here; slopes and their products then stay finite.
@@ -18,10 +20,15 @@ pub(super) struct Problem<'a> {
     pub(super) ends: Ends,
     /// Added to the room, so that a curve which touches its tolerance fits in spite of rounding.
     pub(super) dust: f64,
+    pub(super) tubes: Tubes<'a>,
+    /// The steps at the ends alone; nothing else has fewer.
+    shortest: Found,
+    /// What is known of the steps of a device that moves linearly within some room.
+    layers: Option<Layers>,
 }
 
 /// Steps with their distance from the samples.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Found {
     pub(super) path: Path,
     pub(super) at_least: usize,
@@ -39,49 +46,66 @@ impl<'a> Problem<'a> {
         if !usable || (differ && curve.times.len() == 1) {
             return Err(Unfit::Ends);
         }
-        let dust = dust(curve, ends);
-        Ok(Self { curve: *curve, lattice: Lattice::new(grid)?, ends, dust })
+        let (dust, tubes, shortest) = (dust(curve, ends), Tubes::of(curve), Found::default());
+        let (curve, lattice) = (*curve, Lattice::new(grid)?);
+        let mut problem = Self { curve, lattice, ends, dust, tubes, shortest, layers: None };
+        problem.shortest = problem.at_ends();
+        Ok(problem)
     }
 
-    pub(super) fn fewest(&self, tolerance: f64) -> Result<Fit, Unfit> {
+    pub(super) fn fewest(mut self, tolerance: f64) -> Result<Fit, Unfit> {
         let room = tolerance - self.curve.slack;
         let Some(found) = self.within(room, usize::MAX) else {
-            let closest = search::least(self, self.closest_start(), usize::MAX, search::Precision::Fine);
+            let start = self.closest_start();
+            let closest = search::least(&mut self, start, usize::MAX, search::Precision::Fine);
             let smallest = closest.off + self.curve.slack;
             return Err(Unfit::Tolerance { smallest, at: self.curve.times[closest.off_at] });
         };
         let (steps, at_least) = (found.path.len(), found.at_least);
-        let found = search::least(self, found, steps, search::Precision::Within(room / 100.0));
+        let found = search::least(&mut self, found, steps, search::Precision::Within(room / 100.0));
         Ok(self.fit(&Found { at_least, ..found }))
     }
 
-    pub(super) fn least_error(&self, budget: usize) -> Result<Fit, Unfit> {
-        let shortest = self.shortest();
-        let needed = shortest.path.len();
+    pub(super) fn least_error(mut self, budget: usize) -> Result<Fit, Unfit> {
+        let needed = self.shortest.path.len();
         if needed > budget {
             return Err(Unfit::Budget { needed });
         }
-        let start = if budget >= self.curve.times.len() { self.closest_start() } else { shortest };
-        Ok(self.fit(&search::least(self, start, budget, search::Precision::Fine)))
+        let is_ample = budget >= self.curve.times.len();
+        let start = if is_ample { self.closest_start() } else { self.shortest.clone() };
+        let found = search::least(&mut self, start, budget, search::Precision::Fine);
+        Ok(self.fit(&found))
     }
 
     /// The fewest steps within the room, if that takes no more than `most`.
-    pub(super) fn within(&self, room: f64, most: usize) -> Option<Found> {
-        let shortest = self.shortest();
-        let possible = room >= 0.0 && shortest.path.len() <= most;
+    pub(super) fn within(&mut self, room: f64, most: usize) -> Option<Found> {
+        let possible = room >= 0.0 && self.shortest.path.len() <= most;
         let room = possible.then_some(room + self.dust)?;
-        if shortest.off <= room {
-            return Some(shortest);
+        if self.shortest.off <= room {
+            return Some(self.shortest.clone());
         }
         if self.curve.times.len() == 1 {
             return None;
         }
-        let (path, at_least) = linear::steps(self, room, most)?;
+        let mut layers = self.layers.take();
+        let found = linear::steps(self, room, most, &mut layers);
+        self.layers = layers;
+        let (path, at_least) = found?;
         Some(self.measured(path, at_least))
     }
 
-    /// The steps at the ends alone; nothing else has fewer.
-    fn shortest(&self) -> Found {
+    /// The candidate values of a sample, of a device that moves linearly.
+    pub(super) fn candidates(&self, sample: usize, room: f64) -> Candidates {
+        let (value, room) = (self.curve.values[sample], self.curve.room_at(sample, room));
+        let is_last = sample + 1 == self.curve.values.len();
+        match if is_last { self.ends.last } else { self.ends.first.filter(|_| sample == 0) } {
+            None => self.lattice.near(value, room),
+            Some(end) if (end - value).abs() <= room => Candidates::only(end),
+            Some(_) => Candidates::NONE,
+        }
+    }
+
+    fn at_ends(&self) -> Found {
         let last = self.curve.times.len() - 1;
         let path = match last {
             0 => vec![(0, self.end(self.ends.first.or(self.ends.last), 0))],
@@ -93,15 +117,14 @@ impl<'a> Problem<'a> {
 
     /// Any steps from which to search for the closest: one at each sample.
     fn closest_start(&self) -> Found {
-        let shortest = self.shortest();
         let last = self.curve.times.len() - 1;
         if last == 0 {
-            return shortest;
+            return self.shortest.clone();
         }
         let mut path: Path =
             self.curve.values.iter().map(|value| self.lattice.nearest(*value)).enumerate().collect();
-        for end in shortest.path {
-            path[end.0] = end;
+        for end in &self.shortest.path {
+            path[end.0] = *end;
         }
         let at_least = 2;
         self.measured(path, at_least)
@@ -117,7 +140,7 @@ impl<'a> Problem<'a> {
         let off = |end: Option<f64>, sample: usize| {
             (self.end(end, sample) - self.curve.values[sample]).abs() + self.curve.gap(sample)
         };
-        if last == 0 { self.shortest().off } else { off(self.ends.first, 0).max(off(self.ends.last, last)) }
+        if last == 0 { self.shortest.off } else { off(self.ends.first, 0).max(off(self.ends.last, last)) }
     }
 
     fn measured(&self, path: Path, at_least: usize) -> Found {

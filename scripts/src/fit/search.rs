@@ -1,7 +1,6 @@
 //! The least error with a number of steps, by bisecting the room over the fewest steps within it.
 
 use super::problem::{Found, Problem};
-use super::tube;
 
 /// Halvings of the room; after these a double has no smaller half.
 const ROUNDS_MAX: u32 = 200;
@@ -16,7 +15,7 @@ pub(super) enum Precision {
 }
 
 /// The closest steps within the budget, no worse than those to start from.
-pub(super) fn least(problem: &Problem, start: Found, budget: usize, precision: Precision) -> Found {
+pub(super) fn least(problem: &mut Problem, start: Found, budget: usize, precision: Precision) -> Found {
     let mut too_little = problem.off_min().max(bound(problem, start.off, budget, precision));
     if let Some(found) = problem.within(too_little, budget) {
         return if found.off < start.off { found } else { start };
@@ -62,7 +61,7 @@ fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) ->
         if enough - too_little <= close.max(enough * 1e-7) {
             break;
         }
-        match tube::steps_at_least(&problem.curve, room + 2.0 * problem.dust) <= budget {
+        match problem.tubes.is_enough(room + 2.0 * problem.dust, budget) {
             true => enough = room,
             false => too_little = room,
         }

@@ -1,54 +1,180 @@
 //! Straight lines through a tube around the curve, on no grid and not connected: what no steps can beat.
 
+use std::cmp::Ordering;
+
 use super::Samples;
+use super::cones::Sight;
+use super::lattice::Candidates;
 
-/// Steps at samples that a polyline within the room needs at least.
-pub(super) fn steps_at_least(curve: &Samples, room: f64) -> usize {
-    pieces_left(curve, room).first().map_or(0, |pieces| *pieces as usize + 1)
+/// A curve with what is computed of it once for all rooms.
+pub(super) struct Tubes<'a> {
+    curve: Samples<'a>,
+    /// From each sample to the next.
+    slopes: Vec<f64>,
+    /// Of the samples before each one.
+    bends: Vec<Bend>,
 }
 
-/// For each sample, the fewest straight pieces from it to the last sample, each from a sample to a sample.
-///
-/// Longest pieces from the end backwards: a part of what one line can follow, one line can follow.
-pub(super) fn pieces_left(curve: &Samples, room: f64) -> Vec<u32> {
-    let mut left = vec![0; curve.times.len()];
-    let at = |i: usize| gap(curve, i, room);
-    let mut tube = Tube::default();
-    let mut pieces = 1;
-    for i in (0..curve.times.len()).rev() {
-        if !tube.add(at(i)) {
-            pieces += 1;
-            tube = Tube::default();
-            tube.add(at(i + 1));
-            tube.add(at(i));
+/// How a curve bends before a sample.
+#[derive(Clone, Copy)]
+struct Bend {
+    /// From here on to one side only.
+    since: usize,
+    /// To which: above 0 if slopes grow, below 0 if they decline.
+    side: f64,
+}
+
+impl<'a> Tubes<'a> {
+    pub(super) fn of(curve: &Samples<'a>) -> Self {
+        let Samples { times, values, .. } = *curve;
+        let slope = |i: usize| (values[i] - values[i - 1]) / (times[i] - times[i - 1]);
+        let slopes: Vec<f64> = (1..times.len()).map(slope).collect();
+        let (mut up, mut down) = (0, 0);
+        let bend = |sample: usize| {
+            if let Some(before) = sample.checked_sub(2) {
+                match slopes[before + 1] - slopes[before] {
+                    bend if bend > 0.0 => up = before + 1,
+                    bend if bend < 0.0 => down = before + 1,
+                    _ => {}
+                }
+            }
+            let side = match up.cmp(&down) {
+                Ordering::Greater => 1.0,
+                Ordering::Less => -1.0,
+                Ordering::Equal => 0.0,
+            };
+            Bend { since: up.min(down), side }
+        };
+        let bends = (0..times.len()).map(bend).collect();
+        Self { curve: *curve, slopes, bends }
+    }
+
+    /// Whether a polyline within the room needs no more than so many steps at samples.
+    pub(super) fn is_enough(&self, room: f64, steps: usize) -> bool {
+        let mut pieces = 0;
+        self.backwards(room, |_, count| {
+            pieces = count as usize;
+            pieces < steps
+        });
+        pieces < steps
+    }
+
+    /// Steps at samples that a polyline within the room needs at least.
+    pub(super) fn steps_at_least(&self, room: f64) -> usize {
+        self.pieces_left(room).first().map_or(0, |pieces| *pieces as usize + 1)
+    }
+
+    /// For each sample, the fewest straight pieces from it to the last sample, each from a sample to a sample.
+    pub(super) fn pieces_left(&self, room: f64) -> Vec<u32> {
+        let mut left = vec![0; self.curve.times.len()];
+        self.backwards(room, |sample, pieces| {
+            left[sample] = pieces;
+            true
+        });
+        left
+    }
+
+    /// Visits the samples from the last to the first with their pieces, as long as the visitor wants to.
+    ///
+    /// Longest pieces from the end backwards: a part of what one line can follow, one line can follow.
+    fn backwards(&self, room: f64, mut visit: impl FnMut(usize, u32) -> bool) {
+        let Some(last) = self.curve.times.len().checked_sub(1) else { return };
+        let mut piece = Piece::new(self, room, last);
+        let mut pieces = u32::from(last > 0);
+        let mut wanted = visit(last, 0);
+        for sample in (0..last).rev() {
+            if !wanted {
+                break;
+            }
+            if !piece.add(sample) {
+                pieces += 1;
+                piece.begin(sample + 1);
+                piece.add(sample);
+            }
+            wanted = visit(sample, pieces);
         }
-        left[i] = pieces;
     }
-    if let Some(last) = left.last_mut() {
-        *last = 0;
+
+    /// The fewest groups of samples that follow each other and each of which one line can pass.
+    pub(super) fn groups(&self, room: f64) -> usize {
+        // A step right at a jump needs to be close to one side of it only.
+        let mut samples = (0..self.curve.times.len()).rev().filter(|sample| self.curve.gap(*sample) == 0.0);
+        let Some(last) = samples.next() else { return 1 };
+        let mut piece = Piece::new(self, room, last);
+        let mut groups = 1;
+        for sample in samples {
+            if !piece.add(sample) {
+                groups += 1;
+                piece.begin(sample);
+            }
+        }
+        groups
     }
-    left
 }
 
-/// The fewest groups of samples that follow each other and each of which one line can pass.
-pub(super) fn groups(curve: &Samples, room: f64) -> usize {
-    let mut tube = Tube::default();
-    let mut groups = 1;
-    // A step right at a jump needs to be close to one side of it only.
-    for i in (0..curve.times.len()).rev().filter(|i| curve.gap(*i) == 0.0) {
-        if !tube.add(gap(curve, i, room)) {
-            groups += 1;
-            tube = Tube::default();
-            tube.add(gap(curve, i, room));
+/// Samples that one line passes, from the last one backwards.
+struct Piece<'a> {
+    tubes: &'a Tubes<'a>,
+    room: f64,
+    last: usize,
+    bend: Bend,
+    /// Of samples that bend to one side, the one that is farthest from the line between the first and the last.
+    farthest: usize,
+    /// Whether they bend to both sides, or jump: only then the tube is needed.
+    is_winding: bool,
+    tube: Tube,
+}
+
+impl<'a> Piece<'a> {
+    fn new(tubes: &'a Tubes<'a>, room: f64, last: usize) -> Self {
+        let (bend, tube) = (tubes.bends[last], Tube::default());
+        let mut piece = Self { tubes, room, last, bend, farthest: last, is_winding: false, tube };
+        piece.begin(last);
+        piece
+    }
+
+    fn begin(&mut self, last: usize) {
+        (self.last, self.farthest, self.bend) = (last, last, self.tubes.bends[last]);
+        self.is_winding = false;
+        if !self.tubes.curve.gaps.is_empty() {
+            self.wind(last);
         }
     }
-    groups
-}
 
-/// Where a line may pass a sample, by time backwards.
-fn gap(curve: &Samples, sample: usize, room: f64) -> (f64, f64, f64) {
-    let (value, room) = (curve.values[sample], curve.room_at(sample, room));
-    (-curve.times[sample], value - room, value + room)
+    /// Where a line may pass a sample, by time backwards.
+    fn gap(&self, sample: usize) -> (f64, f64, f64) {
+        let (low, high) = self.tubes.curve.gate(sample, self.room);
+        (-self.tubes.curve.times[sample], low, high)
+    }
+
+    fn wind(&mut self, first: usize) {
+        self.is_winding = true;
+        self.tube.clear();
+        for sample in (first..=self.last).rev() {
+            self.tube.add(self.gap(sample));
+        }
+    }
+
+    /// Adds the sample before the first; false if no line passes any more.
+    #[inline]
+    fn add(&mut self, first: usize) -> bool {
+        if first < self.bend.since || self.is_winding {
+            if !self.is_winding {
+                self.wind(first + 1);
+            }
+            return self.tube.add(self.gap(first));
+        }
+        let (times, values) = (self.tubes.curve.times, self.tubes.curve.values);
+        let slope = (values[self.last] - values[first]) / (times[self.last] - times[first]);
+        let mut farthest = self.farthest;
+        while farthest > first + 1 && (self.tubes.slopes[farthest - 1] - slope) * self.bend.side > 0.0 {
+            farthest -= 1;
+        }
+        self.farthest = farthest;
+        let chord = values[first] + slope * (times[farthest] - times[first]);
+        // The best line is halfway between the chord and the tangent parallel to it.
+        (chord - values[farthest]).abs() <= 2.0 * self.room
+    }
 }
 
 /// The lines that pass through a growing sequence of vertical gaps (O'Rourke 1981).
@@ -63,36 +189,95 @@ struct Tube {
     bottoms: Hull,
 }
 
+/// Through a corner and a point to the right of it.
 #[derive(Clone, Copy)]
 struct Line {
-    through: (f64, f64),
-    slope: f64,
+    corner: (f64, f64),
+    /// To the right and up, from the corner to the point.
+    run: f64,
+    rise: f64,
 }
 
 impl Line {
+    fn through(corner: (f64, f64), point: (f64, f64)) -> Self {
+        Self { corner, run: point.0 - corner.0, rise: point.1 - corner.1 }
+    }
+
+    /// How far a point lies above the line, as a multiple of `run`: quotients take longer.
+    fn below(&self, point: (f64, f64)) -> f64 {
+        (point.1 - self.corner.1) * self.run - self.rise * (point.0 - self.corner.0)
+    }
+
     fn at(&self, x: f64) -> f64 {
-        self.through.1 + self.slope * (x - self.through.0)
+        self.corner.1 + self.rise / self.run * (x - self.corner.0)
+    }
+
+    fn is_steeper_than(&self, other: &Self) -> bool {
+        self.rise * other.run > other.rise * self.run
     }
 }
 
 impl Tube {
+    /// Begins again, in the same memory.
+    fn clear(&mut self) {
+        (self.steepest, self.flattest) = (None, None);
+        self.tops.clear();
+        self.bottoms.clear();
+    }
+
     /// Adds the gap at `x` from `low` to `high`; false if no line passes any more.
     fn add(&mut self, (x, low, high): (f64, f64, f64)) -> bool {
         let (bottom, top) = ((x, low), (x, high));
-        let above = self.steepest.is_some_and(|line| low > line.at(x));
-        let below = self.flattest.is_some_and(|line| high < line.at(x));
+        let above = self.steepest.is_some_and(|line| line.below(bottom) > 0.0);
+        let below = self.flattest.is_some_and(|line| line.below(top) < 0.0);
         if above || below {
             return false;
         }
-        if self.steepest.is_none_or(|line| high < line.at(x)) {
-            self.steepest = self.bottoms.touch(top, |slope, best| slope < best);
+        if self.steepest.is_none_or(|line| line.below(top) < 0.0) {
+            self.steepest = self.bottoms.touch(top, |line, best| !line.is_steeper_than(best));
         }
-        if self.flattest.is_none_or(|line| low > line.at(x)) {
-            self.flattest = self.tops.touch(bottom, |slope, best| slope > best);
+        if self.flattest.is_none_or(|line| line.below(bottom) > 0.0) {
+            self.flattest = self.tops.touch(bottom, |line, best| !best.is_steeper_than(line));
         }
         self.tops.push(top, |turn| turn > 0.0);
         self.bottoms.push(bottom, |turn| turn < 0.0);
         true
+    }
+}
+
+/// What lines between the lowest and the highest of some values may reach: no less than those from the values themselves.
+pub(super) struct View {
+    tube: Tube,
+    /// What rounding may move a value by.
+    dust: f64,
+}
+
+impl View {
+    pub(super) fn new(dust: f64) -> Self {
+        Self { tube: Tube::default(), dust }
+    }
+}
+
+impl Sight for View {
+    fn begin(&mut self, of: &Candidates, set: u64) {
+        let [lowest, highest] = [set.trailing_zeros(), 63 - set.leading_zeros()];
+        #[expect(clippy::cast_possible_truncation, reason = "below 64")]
+        let [low, high] = [lowest, highest].map(|candidate| of.value(candidate as u8));
+        self.tube.clear();
+        self.tube.add((0.0, low - self.dust, high + self.dust));
+    }
+
+    fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
+        match (self.tube.flattest, self.tube.steepest) {
+            (Some(flattest), Some(steepest)) => {
+                wanted & of.between(flattest.at(duration), steepest.at(duration))
+            }
+            _ => wanted,
+        }
+    }
+
+    fn narrow(&mut self, duration: f64, (low, high): (f64, f64)) -> bool {
+        self.tube.add((duration, low - self.dust, high + self.dust))
     }
 }
 
@@ -104,18 +289,24 @@ struct Hull {
 }
 
 impl Hull {
-    /// The line through the point and the corner whose slope is best; along the hull slopes get better, then worse.
-    fn touch(&mut self, point: (f64, f64), better: impl Fn(f64, f64) -> bool) -> Option<Line> {
-        let slope_to = |corner: &(f64, f64)| (point.1 - corner.1) / (point.0 - corner.0);
-        let mut best = slope_to(self.corners.get(self.touched)?);
-        while let Some(slope) = self.corners.get(self.touched + 1).map(slope_to) {
-            if better(best, slope) {
+    fn clear(&mut self) {
+        self.corners.clear();
+        self.touched = 0;
+    }
+
+    /// The best line through a corner and the point; along the hull they get no worse, then worse.
+    fn touch(&mut self, point: (f64, f64), no_worse: impl Fn(&Line, &Line) -> bool) -> Option<Line> {
+        let (first, later) = self.corners.get(self.touched..)?.split_first()?;
+        let mut best = Line::through(*first, point);
+        for corner in later {
+            let line = Line::through(*corner, point);
+            if !no_worse(&line, &best) {
                 break;
             }
-            best = slope;
+            best = line;
             self.touched += 1;
         }
-        Some(Line { through: self.corners[self.touched], slope: best })
+        Some(best)
     }
 
     /// Adds a corner on the right and drops those that it covers.

@@ -89,6 +89,9 @@ impl Swept {
     /// Its value and its first two derivatives by u.
     fn jet(&self, u: f64) -> [f64; 3] {
         let [a, b, c] = self.line;
+        if self.radius == [0.0; 2] && self.carried.is_none() {
+            return [a + (b + c * u) * u, b + 2.0 * c * u, 2.0 * c];
+        }
         let [angle, rate, change] = self.angle(u);
         let (sine, cosine) = angle.sin_cos();
         let (radius, growth) = (self.radius[0] + self.radius[1] * u, self.radius[1]);

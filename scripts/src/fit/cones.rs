@@ -1,0 +1,189 @@
+//! The slopes of lines from several values of one sample that stay within the room of all samples passed.
+//!
+//! What the lines from one value reach at a later time is an interval, and the lower the value, the higher the interval: lines have to
+//! pass between the same values before. So the lowest and the highest value from which lines are left bound what is reached, and
+//! those between are looked at only where that does not decide.
+
+use super::lattice::{Candidates, VALUES_MAX};
+
+/// Lines from some values of a sample.
+pub(super) trait Sight {
+    /// Begins at these values of a sample, of which there are some.
+    fn begin(&mut self, of: &Candidates, set: u64);
+
+    /// The candidates of a later sample, out of those wanted, that any lines reach.
+    fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64;
+
+    /// Keeps to what passes a later sample between two values; whether anything does.
+    fn narrow(&mut self, duration: f64, gate: (f64, f64)) -> bool;
+}
+
+/// Lines from the values of one sample.
+pub(super) struct Cones {
+    /// The lowest value first. Those before `first` and from `end` on have no lines left.
+    all: [Lines; VALUES_MAX],
+    first: usize,
+    end: usize,
+    /// The first and the last that are left, up to date.
+    lowest: Lines,
+    highest: Lines,
+    passed: Vec<Gate>,
+}
+
+/// Between two values of a later sample.
+#[derive(Clone, Copy)]
+struct Gate {
+    low: f64,
+    high: f64,
+    /// One over the time until there: dividing takes longer than multiplying, and there may be many values.
+    inverse: f64,
+}
+
+/// All lines from one value, as far as they are known.
+#[derive(Clone, Copy, Default)]
+struct Lines {
+    candidate: u8,
+    value: f64,
+    flattest: f64,
+    steepest: f64,
+    /// How many samples they have passed.
+    passed: usize,
+}
+
+impl Lines {
+    /// Keeps to what passes the gate.
+    fn narrow(&mut self, gate: &Gate) {
+        let (bottom, top) = ((gate.low - self.value) * gate.inverse, (gate.high - self.value) * gate.inverse);
+        self.flattest = if bottom > self.flattest { bottom } else { self.flattest };
+        self.steepest = if top < self.steepest { top } else { self.steepest };
+    }
+
+    /// Keeps to what passes all gates; whether anything does.
+    fn pass(&mut self, gates: &[Gate]) -> bool {
+        gates[self.passed..].iter().for_each(|gate| self.narrow(gate));
+        self.passed = gates.len();
+        self.are_left()
+    }
+
+    fn are_left(&self) -> bool {
+        self.flattest <= self.steepest
+    }
+
+    fn lowest(&self, duration: f64) -> f64 {
+        self.value + self.flattest * duration
+    }
+
+    fn highest(&self, duration: f64) -> f64 {
+        self.value + self.steepest * duration
+    }
+
+    fn reached(&self, of: &Candidates, duration: f64) -> u64 {
+        match self.are_left() {
+            true => of.between(self.lowest(duration), self.highest(duration)),
+            false => 0,
+        }
+    }
+}
+
+impl Default for Cones {
+    fn default() -> Self {
+        let none = Lines::default();
+        let all = [none; VALUES_MAX];
+        Self { all, first: 0, end: 0, lowest: none, highest: none, passed: Vec::new() }
+    }
+}
+
+impl Sight for Cones {
+    fn begin(&mut self, of: &Candidates, mut set: u64) {
+        self.passed.clear();
+        (self.first, self.end) = (0, 0);
+        while set != 0 {
+            #[expect(clippy::cast_possible_truncation, reason = "below 64")]
+            let candidate = set.trailing_zeros() as u8;
+            let (flattest, steepest) = (f64::NEG_INFINITY, f64::INFINITY);
+            self.all[self.end] =
+                Lines { candidate, value: of.value(candidate), flattest, steepest, passed: 0 };
+            self.end += 1;
+            set &= set - 1;
+        }
+        (self.lowest, self.highest) = (self.all[0], self.all[self.end - 1]);
+    }
+
+    fn reached(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
+        let wanted = wanted & self.reached_at_most(of, duration);
+        if wanted == 0 || self.end - self.first == 1 {
+            return wanted;
+        }
+        let both = self.lowest.reached(of, duration) | self.highest.reached(of, duration);
+        let mut reached = wanted & both;
+        for lines in self.all[self.first + 1..self.end - 1].iter_mut().rev() {
+            if reached == wanted {
+                break;
+            }
+            lines.pass(&self.passed);
+            reached |= wanted & lines.reached(of, duration);
+        }
+        reached
+    }
+
+    #[inline]
+    fn narrow(&mut self, duration: f64, (low, high): (f64, f64)) -> bool {
+        let gate = Gate { low, high, inverse: 1.0 / duration };
+        self.passed.push(gate);
+        self.lowest.narrow(&gate);
+        self.highest.narrow(&gate);
+        (self.lowest.are_left() && self.highest.are_left()) || self.drop_ended()
+    }
+}
+
+impl Cones {
+    /// Whether anything is left.
+    fn drop_ended(&mut self) -> bool {
+        if self.first >= self.end {
+            return false;
+        }
+        // The array has older states of these two.
+        if !self.lowest.are_left() {
+            self.first += 1;
+        }
+        if !self.highest.are_left() {
+            self.end -= 1;
+        }
+        while self.first < self.end && !self.all[self.first].pass(&self.passed) {
+            self.first += 1;
+        }
+        while self.first < self.end && !self.all[self.end - 1].pass(&self.passed) {
+            self.end -= 1;
+        }
+        if self.first >= self.end {
+            return false;
+        }
+        (self.lowest, self.highest) = (self.all[self.first], self.all[self.end - 1]);
+        true
+    }
+
+    /// All candidates between the lowest and the highest that is reached.
+    fn reached_at_most(&self, of: &Candidates, duration: f64) -> u64 {
+        of.between(self.highest.lowest(duration), self.lowest.highest(duration))
+    }
+
+    /// Ends the lines from each value that reach one of these candidates of a later sample; returns these values.
+    pub(super) fn take(&mut self, of: &Candidates, wanted: u64, duration: f64) -> u64 {
+        let mut taken = 0;
+        if wanted & self.reached_at_most(of, duration) == 0 {
+            return taken;
+        }
+        for lines in &mut self.all[self.first..self.end] {
+            lines.pass(&self.passed);
+            if lines.reached(of, duration) & wanted != 0 {
+                taken |= 1 << lines.candidate;
+                (lines.flattest, lines.steepest) = (f64::INFINITY, f64::NEG_INFINITY);
+            }
+        }
+        (self.lowest, self.highest) = (self.all[self.first], self.all[self.end - 1]);
+        if !self.lowest.are_left() || !self.highest.are_left() {
+            self.drop_ended();
+        }
+        taken
+    }
+}

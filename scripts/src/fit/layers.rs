@@ -1,0 +1,224 @@
+//! All ways with the fewest pieces, as layers of steps: those of the n-th layer are n pieces from the beginning.
+//!
+//! With less room, ways to a step and from it to the end can only take more pieces. So of the ways with as many pieces, each step stays
+//! in its layer or drops out, and a search within less room looks at what is left.
+
+use std::ops::Range;
+use std::rc::Rc;
+
+use super::cones::{Cones, Sight as _};
+use super::lattice::Candidates;
+use super::problem::{Path, Problem};
+
+/// Candidates of one sample.
+#[derive(Clone, Copy)]
+pub(super) struct Node {
+    pub(super) sample: usize,
+    pub(super) candidates: u64,
+    /// No line from here passes beyond this sample.
+    pub(super) until: usize,
+}
+
+impl Node {
+    pub(super) const fn new(sample: usize, candidates: u64) -> Self {
+        Self { sample, candidates, until: usize::MAX }
+    }
+}
+
+/// Layers one after another, each in the order of samples.
+#[derive(Default)]
+pub(super) struct Stack {
+    nodes: Vec<Node>,
+    /// Where each layer begins.
+    begins: Vec<usize>,
+}
+
+impl Stack {
+    /// Begins a layer; what is pushed belongs to it.
+    pub(super) fn begin(&mut self) {
+        self.begins.push(self.nodes.len());
+    }
+
+    pub(super) fn push(&mut self, node: Node) {
+        self.nodes.push(node);
+    }
+
+    pub(super) fn layers(&self) -> usize {
+        self.begins.len()
+    }
+
+    /// Where the nodes of a layer are.
+    pub(super) fn of(&self, layer: usize) -> Range<usize> {
+        self.begins[layer]..self.begins.get(layer + 1).copied().unwrap_or(self.nodes.len())
+    }
+
+    pub(super) fn node(&mut self, index: usize) -> &mut Node {
+        &mut self.nodes[index]
+    }
+}
+
+pub(super) struct Layers {
+    room: f64,
+    candidates: Rc<[Candidates]>,
+    /// From the last sample to the first. From each of these steps, one piece leads to a step of the layer before.
+    backwards: Stack,
+}
+
+impl Layers {
+    /// What leads to the end of some layers from the first sample to the last; `None` if nothing does.
+    pub(super) fn new(
+        problem: &Problem,
+        room: f64,
+        candidates: &[Candidates],
+        forwards: &Stack,
+    ) -> Option<Self> {
+        let last = forwards.layers() - 1;
+        let layer = |number: usize| &forwards.nodes[forwards.of(last - number)];
+        Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
+    }
+
+    /// What is left of them with less room; `None` if no way is.
+    pub(super) fn within(&self, problem: &Problem, room: f64) -> Option<Self> {
+        let near = |node: &Node| {
+            let near = problem.candidates(node.sample, room);
+            let candidates = node.candidates & self.candidates[node.sample].common(&near);
+            (candidates != 0).then_some(Node { candidates, ..*node })
+        };
+        let layer = |number: usize| &self.backwards.nodes[self.backwards.of(number)];
+        let last = self.backwards.layers() - 1;
+        Self::leading(problem, room, self.candidates.clone(), (last, layer), near)
+    }
+
+    fn leading<'s>(
+        problem: &Problem,
+        room: f64,
+        candidates: Rc<[Candidates]>,
+        (last, layer): (usize, impl Fn(usize) -> &'s [Node]),
+        near: impl Fn(&Node) -> Option<Node>,
+    ) -> Option<Self> {
+        let mut walk = Walk::new(problem, &candidates, room);
+        let mut backwards = Stack::default();
+        backwards.begin();
+        backwards.nodes.extend(layer(0).iter().filter_map(&near));
+        for number in 1..=last {
+            let mut later = backwards.of(number - 1);
+            backwards.begin();
+            for node in layer(number) {
+                let passed =
+                    backwards.nodes[later.clone()].iter().take_while(|later| later.sample <= node.sample);
+                later.start += passed.count();
+                if later.is_empty() {
+                    break;
+                }
+                if backwards.nodes[later.start].sample <= node.until {
+                    let leading =
+                        near(node).and_then(|node| walk.leading(node, &backwards.nodes[later.clone()]));
+                    backwards.nodes.extend(leading);
+                }
+            }
+            if backwards.of(number).is_empty() {
+                return None;
+            }
+        }
+        Some(Self { room, candidates, backwards })
+    }
+
+    pub(super) fn are_thinned(&self) -> bool {
+        self.candidates.iter().any(Candidates::are_thinned)
+    }
+
+    /// Whether they tell the ways of this room with this many steps.
+    pub(super) fn answer(&self, room: f64, most: usize) -> bool {
+        room <= self.room && most == self.backwards.layers()
+    }
+
+    /// The way that takes the earliest step of each layer, and of several values the lowest.
+    pub(super) fn path(&self, problem: &Problem) -> Path {
+        let mut walk = Walk::new(problem, &self.candidates, self.room);
+        let mut path = Path::with_capacity(self.backwards.layers());
+        let mut step: Option<Node> = None;
+        for number in (0..self.backwards.layers()).rev() {
+            let layer = &self.backwards.nodes[self.backwards.of(number)];
+            step = match step {
+                None => layer.first().map(|node| Node { candidates: lowest(node.candidates), ..*node }),
+                Some(from) => walk.earliest(from, layer),
+            };
+            let Some(Node { sample, candidates, .. }) = step else { break };
+            #[expect(clippy::cast_possible_truncation, reason = "below 64")]
+            let candidate = candidates.trailing_zeros() as u8;
+            path.push((sample, self.candidates[sample].value(candidate)));
+        }
+        path
+    }
+}
+
+/// Lines from one step after another.
+struct Walk<'a> {
+    problem: &'a Problem<'a>,
+    candidates: &'a [Candidates],
+    room: f64,
+    cones: Cones,
+}
+
+impl<'a> Walk<'a> {
+    fn new(problem: &'a Problem<'a>, candidates: &'a [Candidates], room: f64) -> Self {
+        Self { problem, candidates, room, cones: Cones::default() }
+    }
+
+    /// Those candidates of a step from which a piece leads to a later one.
+    fn leading(&mut self, node: Node, later: &[Node]) -> Option<Node> {
+        self.cones.begin(&self.candidates[node.sample], node.candidates);
+        let (mut leading, mut passed) = (0, node.sample);
+        for next in later {
+            if !self.pass(node.sample, passed + 1..next.sample) {
+                break;
+            }
+            let duration = self.duration(node.sample, next.sample);
+            leading |= self.cones.take(&self.candidates[next.sample], next.candidates, duration);
+            if leading == node.candidates || !self.pass(node.sample, next.sample..next.sample + 1) {
+                break;
+            }
+            passed = next.sample;
+        }
+        (leading != 0).then_some(Node { candidates: leading, ..node })
+    }
+
+    /// The lowest candidate of the earliest later step that one candidate leads to; at the end the highest.
+    fn earliest(&mut self, from: Node, layer: &[Node]) -> Option<Node> {
+        self.cones.begin(&self.candidates[from.sample], from.candidates);
+        let mut passed = from.sample;
+        for next in &layer[layer.partition_point(|node| node.sample <= from.sample)..] {
+            if !self.pass(from.sample, passed + 1..next.sample) {
+                break;
+            }
+            let duration = self.duration(from.sample, next.sample);
+            let reached = self.cones.reached(&self.candidates[next.sample], next.candidates, duration);
+            if reached != 0 {
+                let is_last = next.sample + 1 == self.candidates.len();
+                let candidates = if is_last { 1 << (63 - reached.leading_zeros()) } else { lowest(reached) };
+                return Some(Node { candidates, ..*next });
+            }
+            if !self.pass(from.sample, next.sample..next.sample + 1) {
+                break;
+            }
+            passed = next.sample;
+        }
+        None
+    }
+
+    /// Whether any line from a sample passes some later ones.
+    fn pass(&mut self, from: usize, mut samples: Range<usize>) -> bool {
+        let (curve, room) = (&self.problem.curve, self.room);
+        samples.all(|sample| {
+            self.cones.narrow(curve.times[sample] - curve.times[from], curve.gate(sample, room))
+        })
+    }
+
+    fn duration(&self, from: usize, to: usize) -> f64 {
+        self.problem.curve.times[to] - self.problem.curve.times[from]
+    }
+}
+
+fn lowest(set: u64) -> u64 {
+    set & set.wrapping_neg()
+}
