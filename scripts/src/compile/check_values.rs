@@ -14,6 +14,8 @@ use crate::scenario::{Change, Changed, Track, Vectors};
 
 /// How many places of one way between two knots are looked at.
 const SAMPLES: u32 = 128;
+/// Parts of a granularity that are no difference where both values are printed alike.
+const DUST: f64 = 1e-3;
 
 /// The place of an item of a track's list; of the list where the item has none.
 pub(super) fn item_place(track: &Track, item: u32) -> Place {
@@ -54,14 +56,16 @@ pub(super) fn check(
     }
     // Repeated movements come from the same items again and again.
     let (mut seen, mut ways) = (HashSet::new(), HashSet::new());
+    let mut snapped = Snapped::default();
     for index in 0..curve.knots.len() {
         let knot = curve.knots[index];
-        let sound = limits.iter().all(|limits| limits.contains(knot.to) && limits.on_grid(knot.to));
+        let sound = limits.iter().all(|limits| is_settable(limits, knot.to));
         if !sound {
             let first = seen.insert((knot.item, knot.to.to_bits()));
             let beyond = |limits: &&&Limits| {
                 // What rounding to the grid takes back is none.
-                let may_round = snaps(on.cue) || !knot.shape.is_written();
+                let may_round =
+                    snaps(on.cue) || !knot.shape.is_written() || Moved::of(&knot, limits).is_dust();
                 let nearest = if may_round { limits.nearest(knot.to) } else { knot.to };
                 !limits.contains(knot.to) && !limits.contains(nearest)
             };
@@ -70,17 +74,19 @@ pub(super) fn check(
                     out_of_range(findings, on, control_type, (curve, &knot), broken);
                 }
             } else if let Some(broken) =
-                limits.iter().find(|limits| knot.shape.is_written() && !limits.on_grid(knot.to))
+                limits.iter().find(|limits| knot.shape.is_written() && !is_settable(limits, knot.to))
             {
-                match snaps(on.cue) {
-                    true => {
-                        if set.is_empty() {
-                            set.extend(curve.knots.iter().map(|knot| knot.to));
-                        }
-                        set[index] = snap(findings, on, control_type, &knot, broken, first);
+                let moved = Moved::of(&knot, broken);
+                if snaps(on.cue) || moved.is_dust() {
+                    if set.is_empty() {
+                        set.extend(curve.knots.iter().map(|knot| knot.to));
                     }
-                    false if first => off_grid(findings, on, control_type, &knot, broken),
-                    false => {}
+                    set[index] = moved.to;
+                    if first && !moved.is_dust() {
+                        snapped.add(findings, on, control_type, moved);
+                    }
+                } else if first {
+                    off_grid(findings, on, control_type, &knot, broken);
                 }
             }
         }
@@ -91,7 +97,12 @@ pub(super) fn check(
             reaches(findings, on, control_type, curve, index, &limits);
         }
     }
+    snapped.report(findings, on, control_type);
     set
+}
+
+fn is_settable(limits: &Limits, value: f64) -> bool {
+    limits.contains(value) && limits.on_grid(value)
 }
 
 fn out_of_range(
@@ -212,35 +223,86 @@ fn off_grid(
     on.add(findings, control_type, fault);
 }
 
-/// The nearest value on the grid, with a warning; an error where it is further off than max_error allows.
-fn snap(
-    findings: &mut Reader,
-    on: &OnDevice<'_>,
-    control_type: ControlType,
-    knot: &Knot,
-    limits: &Limits,
-    first: bool,
-) -> f64 {
-    let nearest = limits.nearest_settable(knot.to);
-    let error = (nearest - knot.to).abs();
-    let allowed = on.track.tolerance.or(limits.max_error).unwrap_or(limits.granularity).max(0.0);
-    if !first {
-        return nearest;
+/// A value with the nearest one on the grid.
+#[derive(Clone, Copy)]
+struct Moved {
+    item: u32,
+    from: f64,
+    to: f64,
+    granularity: f64,
+    /// The largest error that the device allows by itself.
+    allowed: f64,
+}
+
+impl Moved {
+    fn of(knot: &Knot, limits: &Limits) -> Self {
+        Self {
+            item: knot.item,
+            from: knot.to,
+            to: limits.nearest_settable(knot.to),
+            granularity: limits.granularity,
+            allowed: limits.max_error.unwrap_or(limits.granularity),
+        }
     }
-    let place = value_place(on.track, knot.item);
-    let (value, nearest_shown, error_shown) = (tidy(knot.to), tidy(nearest), tidy(error));
-    let said =
-        format!("{}{value} becomes {nearest_shown}, {error_shown} off, for ", named(on.track, knot.item));
-    let (code, expected, hint) = match error <= allowed {
-        true => (Code::Snapped, format!("a multiple of {}", limits.granularity), None),
-        false => (
-            Code::ToleranceTooTight,
-            format!("at most {allowed} off (max_error)"),
-            Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
-        ),
-    };
-    on.add(findings, control_type, Fault { code, place, size: error, said, expected, hint });
-    nearest
+
+    fn off(&self) -> f64 {
+        (self.to - self.from).abs()
+    }
+
+    /// Whether both are printed alike: doubles of a computation are seldom exactly the decimal numbers that they stand for.
+    fn is_dust(&self) -> bool {
+        tidy(self.from) == tidy(self.to) && self.off() <= DUST * self.granularity
+    }
+
+    fn fault(&self, on: &OnDevice<'_>, code: Code, others: &str) -> Fault {
+        // As many digits as tell both apart.
+        let digits = |value: f64| if tidy(self.from) == tidy(self.to) { value } else { tidy(value) };
+        let [from, to, off] = [self.from, self.to, self.off()].map(digits);
+        Fault {
+            code,
+            place: value_place(on.track, self.item),
+            size: self.off(),
+            said: format!("{}{from} becomes {to}, {off} off{others}, for ", named(on.track, self.item)),
+            expected: format!("a multiple of {}", self.granularity),
+            hint: None,
+        }
+    }
+}
+
+/// The values of a track that are moved to the grid.
+#[derive(Default)]
+struct Snapped {
+    furthest: Option<Moved>,
+    count: usize,
+}
+
+impl Snapped {
+    /// A value that is further off than max_error allows is an error by itself.
+    fn add(&mut self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) {
+        let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
+        if moved.off() > allowed {
+            let fault = Fault {
+                expected: format!("at most {allowed} off (max_error)"),
+                hint: Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
+                ..moved.fault(on, Code::ToleranceTooTight, "")
+            };
+            return on.add(findings, control_type, fault);
+        }
+        self.count += 1;
+        if self.furthest.is_none_or(|furthest| moved.off() > furthest.off()) {
+            self.furthest = Some(moved);
+        }
+    }
+
+    /// One warning, however many values there are.
+    fn report(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType) {
+        let Some(furthest) = self.furthest else { return };
+        let others = match self.count {
+            1 => String::new(),
+            count => format!(", the most of {count} values off the grid"),
+        };
+        on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
+    }
 }
 
 /// `keyframe 3: `, counted from 1, where the file has items.

@@ -371,3 +371,32 @@ fn every_jump_of_a_track_is_told_and_is_an_error_where_there_is_a_limit_of_speed
         [Code::TooFast]
     );
 }
+
+#[test]
+fn values_that_only_rounding_moves_off_the_grid_are_set_without_a_finding() {
+    let written = |dust: f64| {
+        let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.5 + dust);
+        let keyframes: Vec<_> = (0..100).map(keyframe).collect();
+        compiled(&format!("cues: [{{at: 0s, robots: bot, tracks: {{valve: [{}]}}}}]\n", keyframes.join(", ")))
+    };
+    let compiled = written(3e-11);
+    assert!(compiled.findings.is_empty(), "{:#?}", compiled.findings);
+    let act = compiled.choreography.unwrap().acts.remove(0);
+    assert!(values(&act, "valve").iter().all(|(_, value)| (value * 2.0).fract() == 0.0));
+    assert!(written(3e-3).findings.iter().any(|finding| finding.code == Code::OffGranularity));
+}
+
+#[test]
+fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
+    let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.51);
+    let keyframes: Vec<_> = (0..20).map(keyframe).collect();
+    let track = format!(
+        "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{valve: [{}]}}}}]\n",
+        keyframes.join(", ")
+    );
+    let found = compiled(&track).findings;
+    let [warning] = found.as_slice() else { panic!("{found:#?}") };
+    assert_eq!(warning.code, Code::Snapped);
+    let expected = "keyframe 20: 9.69 becomes 9.5, 0.19 off, the most of 19 values off the grid, for position of `valve` on `bot`";
+    assert_eq!(warning.message, expected);
+}
