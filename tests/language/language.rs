@@ -1,7 +1,11 @@
 //! What the words of the scenario language mean, in compiled numbers.
 
+use std::io::Read as _;
+use std::process::Stdio;
+
 use serde_json::Value;
 
+use stage::Process;
 use stage::session::{Session, root};
 
 /// A scenario for the robots of `tests/sessions/findings`.
@@ -399,4 +403,36 @@ fn a_plan_says_of_which_devices_no_speed_is_too_fast() {
         plan.says(0, &[]);
         assert!(!plan.out().contains("speeds are not checked"), "{}", plan.out());
     }
+}
+
+#[test]
+fn a_plan_of_many_steps_is_printed_while_it_is_made() {
+    const STEPS: usize = 200_000;
+    let session = Session::new();
+    let rows = (0..STEPS).map(|row| format!("{}.{:02},{}\n", row / 100, row % 100, (row * 37) % 90));
+    session.file("curve.csv", format!("t,elbow\n{}", rows.collect::<String>()));
+    let limits = "{min_value: 0, max_value: 100, granularity: 1}";
+    session.file("bot.yaml", format!("id: bot
+api_version: '1'
+devices: [{{id: elbow, name: elbow, available_control_types: {{position: {limits}, script: {{max_number_of_steps: 1000000}}}}}}]
+"));
+    session.file("fleet.yaml", "robots: {bot: {init: bot.yaml, address: sim}}\n");
+    let samples = "{file: curve.csv, time: t, value: elbow}";
+    session.file(
+        "test.yaml",
+        format!(
+            "scenario: test\ncues: [{{at: 0s, robots: bot, tracks: {{elbow: {{samples: {samples}}}}}}}]\n"
+        ),
+    );
+    let mut command = session.command(&["plan", "test.yaml", "--format", "json"]);
+    let mut plan = Process(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut out = plan.0.stdout.take().unwrap();
+    // While nobody reads on, the rest cannot be printed.
+    let mut printed = vec![0];
+    out.read_exact(&mut printed).unwrap();
+    let megabytes = plan.memory();
+    assert!(megabytes < 120, "{megabytes} MB");
+    out.read_to_end(&mut printed).unwrap();
+    let plan = Planned(serde_json::from_slice(&printed).unwrap());
+    assert!(plan.steps("bot", "elbow").len() > STEPS / 2);
 }

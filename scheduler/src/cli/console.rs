@@ -25,6 +25,9 @@ const IDLE_MAX: Duration = Duration::from_secs(3);
 
 /// The threads that write, once there are any.
 static OUTLETS: OnceLock<Outlets> = OnceLock::new();
+/// Bytes of a JSON document that are printed together.
+const DOCUMENT_PART: usize = 64 * 1_024;
+
 /// Something was printed to standard output.
 static PRINTED: AtomicBool = AtomicBool::new(false);
 /// What was printed as an error, as far as a document of it stays readable.
@@ -111,18 +114,22 @@ pub(super) fn end_display() {
 
 /// Prints to standard output: text of lines whose pieces from outside went through [`shown::shown`].
 pub(super) fn print(text: &str) {
+    let _failed = print_while_read(text);
+}
+
+/// The same for a part of an output of which the rest is not worth making if nobody reads it.
+fn print_while_read(text: &str) -> std::io::Result<()> {
     PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();
-    match OUTLETS.get() {
-        Some(outlets) => outlets.of(Stream::Stdout).keep(Stream::Stdout, text),
-        None => {
-            if let Err(error) = outlet::write_all(Stream::Stdout, text.as_bytes())
-                && error.kind() != std::io::ErrorKind::BrokenPipe
-            {
-                fail(error.to_string());
-            }
-        }
+    if let Some(outlets) = OUTLETS.get() {
+        outlets.of(Stream::Stdout).keep(Stream::Stdout, text);
+        return Ok(());
     }
+    outlet::write_all(Stream::Stdout, text.as_bytes()).inspect_err(|error| {
+        if error.kind() != std::io::ErrorKind::BrokenPipe {
+            fail(error.to_string());
+        }
+    })
 }
 
 /// Prints lines to standard error whose pieces from outside went through [`shown::shown`].
@@ -181,14 +188,49 @@ pub(super) fn warn(line: &str) {
     note_block(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 
-/// Prints one JSON document, indented.
+/// Prints one JSON document, indented. A long one is printed while it is made.
 pub(super) fn print_json(value: &impl Serialize) {
-    match serde_json::to_string_pretty(value) {
-        Ok(mut text) => {
-            text.push('\n');
-            print(&shown::json(&text));
-        }
+    let mut document = Document::default();
+    match serde_json::to_writer_pretty(&mut document, value) {
+        Ok(()) => document.end(),
+        // The reason is kept already.
+        Err(cause) if cause.is_io() => {}
         Err(cause) => error(&format!("cannot write JSON: {cause}")),
+    }
+}
+
+/// A JSON document that is being made. What of it is not printed yet ends within a line.
+#[derive(Default)]
+struct Document(Vec<u8>);
+
+impl Document {
+    fn end(mut self) {
+        self.0.push(b'\n');
+        let _failed = self.print(self.0.len());
+    }
+
+    /// Prints its first bytes, which end with a line.
+    fn print(&mut self, length: usize) -> std::io::Result<()> {
+        let lines: Vec<u8> = self.0.drain(..length).collect();
+        let lines = String::from_utf8(lines).map_err(std::io::Error::other)?;
+        print_while_read(&shown::json(&lines))
+    }
+}
+
+impl std::io::Write for Document {
+    fn write(&mut self, part: &[u8]) -> std::io::Result<usize> {
+        self.0.extend_from_slice(part);
+        // Lines of other threads stay out of the document of a mission.
+        if self.0.len() >= DOCUMENT_PART && OUTLETS.get().is_none() {
+            // Within a string a line end is written out, so this one lies between two values.
+            let length = self.0.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+            self.print(length)?;
+        }
+        Ok(part.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
     }
 }
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use downbeat_scripts::{
-    Act, BodyUse, Choreography, Closest, DeviceLatency, DeviceUse, OnDoubt, OnFailure, PlannedCue,
-    PlannedReading, Wait, Way,
+    Act, BodyUse, Choreography, Closest, DeviceLatency, DeviceScript, DeviceUse, OnDoubt, OnFailure, Plan,
+    PlannedCue, PlannedReading, RobotPlan, Wait, Way,
 };
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use urrcp::{Command, ControlRequest, DeviceId, Message, Millis, RobotId, Server, Span, Timestamp};
 
 use super::load;
@@ -91,7 +91,7 @@ struct PlannedAct<'a> {
     on_failure: OnFailure,
     on_doubt: OnDoubt,
     readings: &'a [PlannedReading],
-    robots: serde_json::Map<String, serde_json::Value>,
+    robots: Requests<'a>,
 }
 
 /// Times and budgets of an act.
@@ -136,7 +136,6 @@ fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'
         Way::End => Some("end".to_owned()),
         Way::Fail => None,
     };
-    let robots = act.plan.robots.iter();
     PlannedAct {
         figures: act_figures(act),
         wait: &act.wait,
@@ -146,15 +145,25 @@ fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'
         on_failure: act.on_failure.default,
         on_doubt: act.on_doubt,
         readings: &act.readings,
-        robots: robots
-            .map(|robot| (robot.robot.to_string(), serde_json::json!(requests(&act.plan, robot))))
-            .collect(),
+        robots: Requests(&act.plan),
     }
 }
 
-fn requests(plan: &downbeat_scripts::Plan, robot: &downbeat_scripts::RobotPlan) -> Vec<Message> {
+/// The requests of each robot. They are made robot by robot while they are written, because a plan may have millions of steps.
+struct Requests<'a>(&'a Plan);
+
+impl Serialize for Requests<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut robots: Vec<&RobotPlan> = self.0.robots.iter().collect();
+        robots.sort_by_key(|robot| robot.robot.as_str());
+        let of_robot = |robot: &RobotPlan| requests(self.0, robot);
+        serializer.collect_map(robots.into_iter().map(|robot| (robot.robot.as_str(), of_robot(robot))))
+    }
+}
+
+fn requests(plan: &Plan, robot: &RobotPlan) -> Vec<Message> {
     let unsent = Timestamp::<Server>::from_nanos(0);
-    let request = |script: &downbeat_scripts::DeviceScript| {
+    let request = |script: &DeviceScript| {
         let mut stop_condition = script.stop_condition;
         stop_condition.pending = stop_condition.pending.or(plan.stop_condition.pending);
         Message::ControlRequest(ControlRequest {
