@@ -1,21 +1,22 @@
 //! Fits ahead: curves that are followed by as few steps as possible take nearly all the time of a scenario that has many, and do
 //! not depend on each other. They are fitted on all processors; the act by act way through the cues then finds them done.
 
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use urrcp::Span;
 
-use super::cast::{Cast, Members};
+use super::cast::{Cast, Member, Members};
 use super::perform::Performer;
 use super::schedule::CueTime;
 use crate::budget::STEPS_MAX;
 use crate::fields::Reader;
 use crate::motion::Fits;
-use crate::scenario::{Cue, Motion};
+use crate::scenario::{Cue, Motion, Movement};
 
 /// Fewer ways to fit are done sooner than threads are started.
-const WAYS_MIN: usize = 500;
+pub(super) const WAYS_MIN: usize = 500;
 /// More may be more than is ever made of them.
 const WAYS_MAX: usize = 1_000_000;
 /// Most threads.
@@ -28,10 +29,15 @@ pub(super) struct Timed<'a> {
     pub(super) time: &'a CueTime,
 }
 
-/// Ways of a cue between two knots that have to be fitted.
-fn ways(cue: &Cue) -> usize {
-    let movements = std::iter::once(&cue.movement).chain(cue.overrides.iter().map(|(_, movement)| movement));
-    let movements = movements.chain(&cue.own);
+/// Robots of a cue that share a movement, with how many ways between two knots of it have to be fitted.
+struct Share<'a> {
+    timed: &'a Timed<'a>,
+    members: Cow<'a, Members>,
+    ways: usize,
+}
+
+/// Ways of movements between two knots that have to be fitted.
+fn ways<'m>(movements: impl Iterator<Item = &'m Movement>) -> usize {
     let fitted = movements.flat_map(|movement| &movement.tracks).filter_map(|track| match &track.motion {
         Motion::Curve(curve) => {
             let thinned = track.tolerance.is_some() || track.steps_max.is_some();
@@ -42,26 +48,54 @@ fn ways(cue: &Cue) -> usize {
     fitted.sum()
 }
 
+/// A cue is one share, unless robots have movements of their own: each of these is one.
+fn shares<'a>(timed: &'a Timed<'a>) -> Vec<Share<'a>> {
+    let Timed { cue, members, .. } = *timed;
+    if cue.own.is_empty() {
+        let movements = std::iter::once(&cue.movement).chain(cue.overrides.iter().map(|(_, own)| own));
+        return vec![Share { timed, members: Cow::Borrowed(members), ways: ways(movements) }];
+    }
+    let mut all = members.all.clone();
+    all.sort_by_key(|member| member.movement);
+    let share = |alike: &[Member]| Share {
+        timed,
+        members: Cow::Owned(Members { all: alike.to_vec(), ..Members::default() }),
+        ways: alike.first().map_or(0, |first| ways(std::iter::once(cue.movement_of(first)))),
+    };
+    all.chunk_by(|a, b| a.movement == b.movement).map(share).collect()
+}
+
 /// What the cues need, fitted by as many threads as there are processors; nothing where that would not pay.
 pub(super) fn fits(cues: &[Timed<'_>], cast: &Cast<'_>, horizon: Span) -> Fits {
-    let mut wanted: Vec<(usize, &Timed<'_>)> = cues.iter().map(|timed| (ways(timed.cue), timed)).collect();
-    wanted.retain(|(ways, _)| *ways > 0);
-    let all = wanted.iter().map(|(ways, _)| *ways).fold(0, usize::saturating_add);
-    let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX).min(wanted.len());
-    if threads < 2 || !(WAYS_MIN..=WAYS_MAX).contains(&all) {
+    let mut wanted: Vec<Share<'_>> = cues.iter().flat_map(shares).collect();
+    wanted.retain(|share| share.ways > 0);
+    let all = wanted.iter().map(|share| share.ways).fold(0, usize::saturating_add);
+    if !(WAYS_MIN..=WAYS_MAX).contains(&all) {
         return Fits::default();
     }
     // The longest first, so that none of them is left to the end.
-    wanted.sort_by_key(|(ways, _)| std::cmp::Reverse(*ways));
-    let (next, steps) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    wanted.sort_by_key(|share| std::cmp::Reverse(share.ways));
+    let steps = AtomicUsize::new(0);
+    together(&wanted, |share, fits| {
+        // What is found is found again, in order.
+        let mut findings = Reader::default();
+        let mut performer = Performer::new(&mut findings, cast, fits, horizon);
+        performer.cue(share.timed.cue, &share.members, share.timed.time);
+        steps.fetch_add(performer.steps_taken(), Ordering::Relaxed) <= STEPS_MAX
+    })
+}
+
+/// What all tasks need, each done by one of several threads, until one of them says that it is enough. Nothing with one processor.
+pub(super) fn together<T: Sync>(tasks: &[T], task: impl Fn(&T, &mut Fits) -> bool + Sync) -> Fits {
+    let threads = thread::available_parallelism().map_or(1, usize::from).min(THREADS_MAX).min(tasks.len());
+    if threads < 2 {
+        return Fits::default();
+    }
+    let next = AtomicUsize::new(0);
     let work = || {
         let mut fits = Fits::default();
-        while let Some((_, timed)) = wanted.get(next.fetch_add(1, Ordering::Relaxed)) {
-            // What is found is found again, in order.
-            let mut findings = Reader::default();
-            let mut performer = Performer::new(&mut findings, cast, &mut fits, horizon);
-            performer.cue(timed.cue, timed.members, timed.time);
-            if steps.fetch_add(performer.steps_taken(), Ordering::Relaxed) > STEPS_MAX {
+        while let Some(one) = tasks.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if !task(one, &mut fits) {
                 break;
             }
         }

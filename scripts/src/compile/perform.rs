@@ -291,7 +291,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         let curve = stretched(curve, stretch, on.track.starts);
         let curve = curve.as_ref();
         let limits = settable_limits(on.device, control_type);
-        let actuator = Actuator::new(on.device, control_type, limits.as_ref(), self.room(on.device));
+        let actuator =
+            Actuator::new(on.device, control_type, limits.as_ref(), room(on.device, self.steps.left()));
         let before = self.findings.errors();
         let set = check_values::check(self.findings, on, control_type, curve);
         let played = Played::new(curve, set);
@@ -372,11 +373,6 @@ impl<'c, 'a> Performer<'c, 'a> {
             tolerance = rounded_up(more.max(tolerance * 1.001));
         }
         tolerance
-    }
-
-    /// How many steps a movement may have here: some more than the device takes, so that the number can be told.
-    fn room(&self, device: &Device) -> usize {
-        capacity(device).max(TOLD_MAX).min(self.steps.left())
     }
 
     /// Whether there is room for a movement of so many steps, which take the memory of so many of one value.
@@ -575,6 +571,11 @@ pub(super) fn unknown_sensor(
         false => one_of(sensors),
     };
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
+}
+
+/// How many steps a movement may have if an act may have so many more: some more than the device takes, so that the number can be told.
+fn room(device: &Device, left: usize) -> usize {
+    capacity(device).max(TOLD_MAX).min(left)
 }
 
 /// A movement as its cue plays it.

@@ -5,14 +5,16 @@ use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Span};
 
-use super::{OnDevice, Performer};
+use super::{OnDevice, Performer, room};
+use crate::compile::ahead::{WAYS_MIN, together};
 use crate::compile::cast::{Members, Positions};
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
 use crate::ensemble::{self, Asked, Axis, Dancer, Moved};
 use crate::exact::Exact;
 use crate::finding::{Code, Pending};
-use crate::motion::{Between, Curve, Function, Knot, Shape, Stretch, Swept};
+use crate::fleet::settable_limits;
+use crate::motion::{Actuator, Between, Curve, Function, Knot, Played, Shape, Stretch, Swept};
 use crate::scenario::{Act, Action, Cue, Items, Motion, Together, Track};
 
 use fixes::Fixes;
@@ -125,9 +127,13 @@ impl<'a> Performer<'_, 'a> {
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
             Ok(ways) => {
                 let before = self.findings.found.len();
-                for (dancer, moved) in dancers.iter().zip(&ways) {
-                    self.dance(cue, group, time, dancer, moved);
-                }
+                let all: Vec<Dance<'_>> = dancers
+                    .iter()
+                    .zip(&ways)
+                    .flat_map(|(dancer, moved)| dances(cue, group, dancer, moved))
+                    .collect();
+                self.fit_ahead(&all);
+                all.into_iter().for_each(|dance| self.dance(cue, time, &dance));
                 let is_out = |found: &Pending| found.code == Code::OutOfRange;
                 if self.findings.found.iter().skip(before).any(is_out) {
                     let fix = Fixes::of(cue, group, &dancers, ground).within_limits(&ways);
@@ -199,34 +205,72 @@ impl<'a> Performer<'_, 'a> {
         Some(offset + scale * value)
     }
 
-    /// One robot's part in it: a movement of each of its devices that moves.
-    fn dance(&mut self, cue: &Cue, group: &Together, time: &CueTime, dancer: &Dancer<'_>, moved: &Moved) {
-        for (axis, swept) in dancer.axes.iter().zip(&moved.axes) {
-            let Axis::Moved { index, device, scale, offset } = *axis else { continue };
-            if swept.is_still() {
-                continue;
+    /// Many movements are fitted on all processors.
+    fn fit_ahead(&mut self, dances: &[Dance<'_>]) {
+        if dances.len() < WAYS_MIN {
+            return;
+        }
+        let left = self.steps.left();
+        let fits = together(dances, |dance, fits| {
+            let limits = settable_limits(dance.device, ControlType::Position);
+            let room = room(dance.device, left);
+            let actuator = Actuator::new(dance.device, ControlType::Position, limits.as_ref(), room);
+            if let Motion::Curve(curve) = &dance.track.motion {
+                let tolerance = dance.track.tolerance.unwrap_or_else(|| actuator.tolerance());
+                let thinned = dance.track.tolerance.is_some();
+                actuator.steps(&Played::new(curve, Vec::new()), tolerance, thinned, fits);
             }
-            // What begins late ends with the others, to the nanosecond.
-            let begin = Span::from_millis_f64(moved.begin * 1_000.0);
-            let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;
+            true
+        });
+        self.fits.extend(fits);
+    }
+
+    fn dance(&mut self, cue: &Cue, time: &CueTime, dance: &Dance<'_>) {
+        let Dance { robot, index, device, begin, length, track } = dance;
+        let robots = [*robot];
+        let on = OnDevice::new(cue, (track, device), &robots, self.cast);
+        let part = self.part(&on, Stretch { from: *length, to: *length });
+        let Some(part) = part.filter(|_| self.used(cue, 1)) else {
+            self.incomplete.insert(*robot);
+            return;
+        };
+        let segment = Segment {
+            begin: time.start + *begin,
+            cue: cue.name.as_str().into(),
+            stop_condition: cue.stop_condition,
+            part: Arc::new(part),
+        };
+        self.segments.entry((*robot, *index)).or_default().push(segment);
+    }
+}
+
+/// The movement of a device in a group.
+struct Dance<'a> {
+    robot: usize,
+    /// Of the device.
+    index: usize,
+    device: &'a Device,
+    /// Since the cue's start.
+    begin: Span,
+    length: Span,
+    track: Track,
+}
+
+/// One robot's part in a group: a movement of each of its devices that moves.
+fn dances<'a>(cue: &Cue, group: &Together, dancer: &Dancer<'a>, moved: &Moved) -> Vec<Dance<'a>> {
+    // What begins late ends with the others, to the nanosecond.
+    let begin = Span::from_millis_f64(moved.begin * 1_000.0);
+    let length = Span::from_millis_f64((moved.begin + moved.length) * 1_000.0) - begin;
+    let of_axis = |(axis, swept): (&Axis<'a>, &Swept)| {
+        let Axis::Moved { index, device, scale, offset } = *axis else { return None };
+        let moves = !swept.is_still();
+        moves.then(|| {
             let curve = curve(swept.in_units(scale, offset), length);
             let track = track(group, device, curve, axis.tolerance(cue.tolerance, moved.error_share));
-            let robots = [dancer.robot];
-            let on = OnDevice::new(cue, (&track, device), &robots, self.cast);
-            let part = self.part(&on, Stretch { from: length, to: length });
-            let Some(part) = part.filter(|_| self.used(cue, 1)) else {
-                self.incomplete.insert(dancer.robot);
-                continue;
-            };
-            let segment = Segment {
-                begin: time.start + begin,
-                cue: cue.name.as_str().into(),
-                stop_condition: cue.stop_condition,
-                part: Arc::new(part),
-            };
-            self.segments.entry((dancer.robot, index)).or_default().push(segment);
-        }
-    }
+            Dance { robot: dancer.robot, index, device, begin, length, track }
+        })
+    };
+    dancer.axes.iter().zip(&moved.axes).filter_map(of_axis).collect()
 }
 
 fn curve(swept: Swept, length: Span) -> Curve {
