@@ -13,7 +13,7 @@ use super::segment::{Excess, Segment, Steps};
 use crate::budget::Budget;
 use crate::duration::written;
 use crate::fields::Reader;
-use crate::finding::Code;
+use crate::finding::{Code, Place};
 use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
@@ -106,6 +106,42 @@ fn taken(
     sound
 }
 
+/// A cue that moves a device from a time on, although another cue, or the same one, moves it until later.
+pub(super) fn overlap(
+    device: &Device,
+    robot: urrcp::RobotId,
+    (cue, start): (&str, Span),
+    (before, end): (&str, Span),
+    place: Place,
+) -> SharedFault {
+    let later = end - start;
+    let message = [
+        format!("`{cue}` moves `{}` of ", device.id),
+        format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
+    ];
+    let (expected, hint) = match cue == before {
+        true => (
+            "one movement of a device at a time".to_owned(),
+            format!("leave out one of the two movements, or give one of them to a cue after `{cue}`"),
+        ),
+        false => (
+            format!("a start at {} or later", told(end)),
+            format!("start `{cue}` {} later, as with `after: {before}`", written(later)),
+        ),
+    };
+    SharedFault {
+        code: Code::Overlap,
+        cause: format!("{cue}\n{before}"),
+        size: later.as_millis_f64(),
+        device: device.id.to_string(),
+        robots: [robot].into(),
+        place,
+        message,
+        expected,
+        hint: Some(hint),
+    }
+}
+
 /// One device of one robot, with everything that it does in an act.
 struct Lane<'a> {
     scenario: &'a Scenario,
@@ -180,32 +216,15 @@ impl Lane<'_> {
     }
 
     fn overlap(&self, findings: &mut Reader, segment: &Segment, before: &Segment) {
-        let later = before.end() - segment.start();
-        let message = [
-            format!("`{}` moves `{}` of ", segment.cue, self.device.id),
-            format!(
-                " from {} on, but `{}` moves it until {}",
-                told(segment.start()),
-                before.cue,
-                told(before.end())
-            ),
-        ];
-        findings.add_shared(SharedFault {
-            code: Code::Overlap,
-            cause: format!("{}\n{}", segment.cue, before.cue),
-            size: later.as_millis_f64(),
-            device: self.device.id.to_string(),
-            robots: [self.robot.clone()].into(),
-            place: segment.part.place.clone(),
-            message,
-            expected: format!("a start at {} or later", told(before.end())),
-            hint: Some(format!(
-                "start `{}` {} later, as with `after: {}`",
-                segment.cue,
-                written(later),
-                before.cue
-            )),
-        });
+        let start = (&*segment.cue, segment.start());
+        let place = segment.part.place.clone();
+        findings.add_shared(overlap(
+            self.device,
+            self.robot.clone(),
+            start,
+            (&before.cue, before.end()),
+            place,
+        ));
     }
 
     /// Reports jumps from one cue of the act to the next.

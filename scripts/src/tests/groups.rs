@@ -735,3 +735,36 @@ acts:
         found.iter().filter(|found| found.code == Code::TooClose).map(|found| found.line).collect();
     assert_eq!(errors, [7], "{found:#?}");
 }
+
+#[test]
+fn a_group_begins_after_the_movements_of_its_robots_whether_it_moves_them_or_not() {
+    let found = |second: &str| {
+        let text = format!(
+            "scenario: s\ncues:
+  - {{cue: up, at: 0s, robots: all, shift: [0, 0, 2], over: 8s}}
+  - {{cue: next, at: 4s, robots: all, {second}, over: 8s}}\n"
+        );
+        compiled(3, &text).findings
+    };
+    for second in ["form: home", "shift: [0, 0, -1]"] {
+        let findings = found(second);
+        let [overlap] = findings.as_slice() else { panic!("{second}: {findings:#?}") };
+        assert_eq!(overlap.code, Code::Overlap, "{second}");
+        assert!(overlap.message.contains("`d0`, `d1`, `d2`"), "{second}: {}", overlap.message);
+        let hint = overlap.hint.as_deref().unwrap_or_default();
+        assert!(hint.contains("4s later"), "{second}: {hint}");
+    }
+    // What a group leaves alone may move.
+    assert_eq!(found("shift: [1, 0, 0]"), []);
+}
+
+#[test]
+fn two_movements_of_one_cue_are_not_told_to_follow_each_other() {
+    let text = "scenario: s\nformations: {f: {points: [[0, 0, 2]]}}
+cues:\n  - {cue: a, at: 0s, robots: d0, form: f, over: 8s, tracks: {z: [{at: 1s, to: 0}, {at: 5s, to: 3}]}}\n";
+    let findings = compiled(1, text).findings;
+    let overlaps: Vec<_> = findings.iter().filter(|finding| finding.code == Code::Overlap).collect();
+    let [overlap] = overlaps.as_slice() else { panic!("{findings:#?}") };
+    let hint = overlap.hint.as_deref().unwrap_or_default();
+    assert!(hint.starts_with("leave out one of the two movements"), "{hint}");
+}

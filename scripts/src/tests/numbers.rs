@@ -25,6 +25,9 @@ const DEVICES: &str = r#"{"id": "bot", "api_version": "1", "devices": [
   {"id": "crane", "name": "crane", "interpolation": "linear", "available_control_types": {
      "position": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_error": 0.5},
      "script": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_number_of_steps": 100000}}},
+  {"id": "fine", "name": "fine", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": -6, "max_value": 6, "granularity": 0.0001},
+     "script": {"min_value": -6, "max_value": 6, "granularity": 0.0001, "max_number_of_steps": 100000}}},
   {"id": "rgb", "name": "rgb", "available_control_types": {
      "custom_1": {"values": 3},
      "script": {"min_value": 0, "max_value": 255, "granularity": 1, "max_number_of_steps": 100000}}}]}"#;
@@ -373,17 +376,17 @@ fn every_jump_of_a_track_is_told_and_is_an_error_where_there_is_a_limit_of_speed
 }
 
 #[test]
-fn values_that_only_rounding_moves_off_the_grid_are_set_without_a_finding() {
+fn values_that_only_rounding_moves_off_the_grid_or_beyond_a_limit_are_set_without_a_finding() {
     let written = |dust: f64| {
-        let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.5 + dust);
+        let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k * k % 7) + dust);
         let keyframes: Vec<_> = (0..100).map(keyframe).collect();
-        compiled(&format!("cues: [{{at: 0s, robots: bot, tracks: {{valve: [{}]}}}}]\n", keyframes.join(", ")))
+        compiled(&format!("cues: [{{at: 0s, robots: bot, tracks: {{fine: [{}]}}}}]\n", keyframes.join(", ")))
     };
-    let compiled = written(3e-11);
+    let compiled = written(3e-10);
     assert!(compiled.findings.is_empty(), "{:#?}", compiled.findings);
     let act = compiled.choreography.unwrap().acts.remove(0);
-    assert!(values(&act, "valve").iter().all(|(_, value)| (value * 2.0).fract() == 0.0));
-    assert!(written(3e-3).findings.iter().any(|finding| finding.code == Code::OffGranularity));
+    assert!(values(&act, "fine").iter().all(|(_, value)| value.fract() == 0.0));
+    assert!(written(3e-5).findings.iter().any(|finding| finding.code == Code::OffGranularity));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use urrcp::{ControlType, Device, Span};
 use super::{OnDevice, Performer, room};
 use crate::compile::ahead::{WAYS_MIN, together};
 use crate::compile::cast::{Members, Positions};
+use crate::compile::join::overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
 use crate::ensemble::{self, Asked, Axis, Dancer, Moved};
@@ -122,10 +123,19 @@ impl<'a> Performer<'_, 'a> {
     fn group(&mut self, grouped: Grouped<'_>, ground: Ground<'_>) -> bool {
         let Some(dancers) = self.dancers(grouped, ground) else { return false };
         let Grouped { cue, group, time, .. } = grouped;
+        // A formation says where each coordinate goes, though it may not move.
+        let is_formed = matches!(group.action, Action::Form(_));
+        if is_formed && self.tell_moving(grouped, &dancers, |_, _| true) {
+            return false;
+        }
         let asked = Asked { together: group, tolerance: cue.tolerance };
         let rehearsed = cue.rehearsed.as_ref().and_then(|rehearsed| rehearsed.of(&dancers));
         match rehearsed.unwrap_or_else(|| ensemble::ways(asked, &dancers, ground.of_scenario)) {
             Ok(ways) => {
+                let moves = |dancer: usize, axis: usize| !ways[dancer].axes[axis].is_still();
+                if self.tell_moving(grouped, &dancers, moves) {
+                    return false;
+                }
                 let before = self.findings.found.len();
                 let all: Vec<Dance<'_>> = dancers
                     .iter()
@@ -185,6 +195,34 @@ impl<'a> Performer<'_, 'a> {
         }
         self.tell_excluded(cue, group, &without, &unknown);
         (without.is_empty() && unknown.is_empty()).then_some(dancers)
+    }
+
+    /// Reports coordinates that are still moving when the cue begins, out of those that count; whether there are any.
+    fn tell_moving(
+        &mut self,
+        grouped: Grouped<'_>,
+        dancers: &[Dancer<'_>],
+        counts: impl Fn(usize, usize) -> bool,
+    ) -> bool {
+        let Grouped { cue, group, time, .. } = grouped;
+        let mut is_moving = false;
+        for (number, dancer) in dancers.iter().enumerate() {
+            let begin = time.start + dancer.delay;
+            for (axis, coordinate) in dancer.axes.iter().enumerate() {
+                let Axis::Moved { index, device, .. } = *coordinate else { continue };
+                let segments = self.segments.get(&(dancer.robot, index)).into_iter().flatten();
+                let moving = segments.filter(|segment| segment.start() < begin && begin < segment.end());
+                let Some(last) = moving.max_by_key(|segment| segment.end()) else { continue };
+                if counts(number, axis) {
+                    let robot = self.cast.id(dancer.robot).clone();
+                    let (start, before) = ((cue.name.as_str(), begin), (&*last.cue, last.end()));
+                    let fault = overlap(device, robot, start, before, group.place.clone());
+                    self.findings.add_shared(fault);
+                    is_moving = true;
+                }
+            }
+        }
+        is_moving
     }
 
     /// Where a coordinate is at a time of the act: where the last movement before that has left it. In metres.
