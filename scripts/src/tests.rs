@@ -271,6 +271,7 @@ mod fixes;
 mod groups;
 mod held;
 mod hints;
+mod large_groups;
 mod names;
 mod numbers;
 mod once;

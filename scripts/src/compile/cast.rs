@@ -66,18 +66,7 @@ impl<'a> Cast<'a> {
     pub(super) fn new(fleet: &'a Fleet, roles: &'a HashMap<String, Vec<Name>>) -> Self {
         let index_of =
             fleet.robots.iter().enumerate().map(|(i, robot)| (composed(robot.id.as_str()), i)).collect();
-        let mut kinds: Vec<usize> = Vec::with_capacity(fleet.robots.len());
-        let mut firsts: Vec<&FleetRobot> = Vec::new();
-        for robot in &fleet.robots {
-            let alike =
-                |other: &&FleetRobot| other.limits == robot.limits && devices_of(other) == devices_of(robot);
-            let kind = firsts.iter().rposition(alike).unwrap_or_else(|| {
-                firsts.push(robot);
-                firsts.len() - 1
-            });
-            kinds.push(kind);
-        }
-        Self { fleet, roles, index_of, kinds, known: OnceLock::new() }
+        Self { fleet, roles, index_of, kinds: kinds(fleet), known: OnceLock::new() }
     }
 
     pub(super) fn kind(&self, robot: usize) -> usize {
@@ -400,4 +389,25 @@ impl<'a> Positions<'a> {
 pub(super) fn leading_to(acts: &[Option<Act>], index: usize) -> Vec<usize> {
     let leads = |act: &Option<Act>| act.as_ref().is_some_and(|act| act.next == Way::Act(index));
     acts.iter().enumerate().filter(|(_, act)| leads(act)).map(|(index, _)| index).collect()
+}
+
+/// The kind of each robot: robots of one kind have the same devices and limits.
+fn kinds(fleet: &Fleet) -> Vec<usize> {
+    let mut count = 0;
+    // Only robots with the same default values are compared: in a large fleet, each may have its own.
+    let mut firsts: HashMap<Vec<Option<u64>>, Vec<(&FleetRobot, usize)>> = HashMap::new();
+    let kind = |robot| {
+        let devices = devices_of(robot);
+        let defaults = devices.iter().map(|device| device.default_value.map(f64::to_bits)).collect();
+        let known = firsts.entry(defaults).or_default();
+        let alike =
+            |(other, _): &&(&FleetRobot, usize)| other.limits == robot.limits && devices_of(other) == devices;
+        if let Some((_, kind)) = known.iter().rfind(alike) {
+            return *kind;
+        }
+        known.push((robot, count));
+        count += 1;
+        count - 1
+    };
+    fleet.robots.iter().map(kind).collect()
 }

@@ -39,8 +39,15 @@ pub(super) fn swept(
         Moved { begin: dancer.delay_seconds(), length, axes, error_share: 1.0 }
     };
     let all: Vec<Moved> = dancers.iter().enumerate().map(moved).collect();
-    let times: Vec<Needed> =
-        all.iter().zip(dancers).map(|(moved, dancer)| Needed::of(moved, dancer, asked, ground)).collect();
+    let mut last: Option<Rates> = None;
+    let needed = |(moved, dancer): (&Moved, &Dancer<'_>)| {
+        let axes = Rates::axes_of(moved);
+        let rates = last.take().filter(|rates| rates.axes == axes).unwrap_or_else(|| Rates::of(axes));
+        let needed = Needed::of(&rates, dancer, asked, ground);
+        last = Some(rates);
+        needed
+    };
+    let times: Vec<Needed> = all.iter().zip(dancers).map(needed).collect();
     let slowest = (0..times.len()).max_by(|a, b| times[*a].shortest.total_cmp(&times[*b].shortest));
     match slowest {
         Some(dancer) if times[dancer].shortest > length * (1.0 + 1e-9) => {
@@ -48,6 +55,27 @@ pub(super) fn swept(
             Err(Fault::TooShort { dancer, seconds })
         }
         _ => Ok(all),
+    }
+}
+
+/// The largest speed and acceleration of a movement by its share of time: of robots side by side they are the same.
+struct Rates {
+    /// The coordinates, relative to where they begin.
+    axes: [Swept; 3],
+    body: (f64, f64),
+    own: [(f64, f64); 3],
+}
+
+impl Rates {
+    fn axes_of(moved: &Moved) -> [Swept; 3] {
+        let mut axes = moved.axes.clone();
+        axes.iter_mut().for_each(|swept| swept.line[0] = 0.0);
+        axes
+    }
+
+    fn of(axes: [Swept; 3]) -> Self {
+        let own = axes.each_ref().map(|swept| Swept::together(std::slice::from_ref(swept)));
+        Self { body: Swept::together(&axes), own, axes }
     }
 }
 
@@ -59,13 +87,11 @@ struct Needed {
 }
 
 impl Needed {
-    fn of(moved: &Moved, dancer: &Dancer<'_>, asked: Asked<'_>, ground: Ground<'_>) -> Self {
+    fn of(rates: &Rates, dancer: &Dancer<'_>, asked: Asked<'_>, ground: Ground<'_>) -> Self {
         let limits = dancer.limits(ground.fleet);
-        let (speed, acceleration) = Swept::together(&moved.axes);
-        let own = moved.axes.iter().zip(limits.axes);
-        let own = own
-            .map(|(swept, limits)| time(Swept::together(std::slice::from_ref(swept)), limits))
-            .fold(0.0, f64::max);
+        let (speed, acceleration) = rates.body;
+        let own = rates.own.iter().zip(limits.axes);
+        let own = own.map(|(rates, limits)| time(*rates, limits)).fold(0.0, f64::max);
         let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
         // The axes of a body have their steps at different times. Where its way bends, the mean speeds of two steps that overlap
         // are then higher together than the speed at any moment, by about so much.

@@ -18,7 +18,7 @@ const KEPT: usize = 16;
 /// In larger groups, an auction may stop before its last phase.
 const EXACT_MAX: usize = 1_000;
 /// Comparisons of rows with columns after which it does.
-pub(super) const COMPARED_MAX: u64 = 400_000_000;
+pub(super) const COMPARED_MAX: u64 = 50_000_000;
 /// How far above the least one the sum may be then, as a share of it.
 const EXCESS_MAX: f64 = 1e-3;
 /// By how much a row raises the price of the only column that it can take.

@@ -105,7 +105,7 @@ impl Matching<'_> {
 
     /// A column within a length of a row that is not removed, a free one if there is one.
     fn within(&mut self, row: usize, length: f64) -> Option<usize> {
-        let cost = Cost::new(Price { exponent: 1.0, longest: length }, self.unit);
+        let cost = Cost::new(Price { sixteenths: 0, longest: length }, self.unit);
         let mut found = [(0.0, 0)];
         self.columns.cheapest(&self.rows[row], cost, &mut found);
         let [(value, position)] = found;

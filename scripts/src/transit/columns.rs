@@ -6,9 +6,7 @@ use super::assignment::Price;
 use crate::formation::{Point, metres_between};
 
 /// Most columns of a leaf.
-const LEAF: usize = 8;
-/// Steps of a cost between 0 and 1: powers differ in their last bits from machine to machine.
-const STEPS: f64 = (1u64 << 40) as f64;
+const LEAF: usize = 16;
 
 /// What takes a column.
 #[derive(Clone, Copy, Debug)]
@@ -38,12 +36,20 @@ impl Cost {
             return f64::INFINITY;
         }
         let share = way * self.per_metre;
-        if self.price.exponent == 1.0 {
-            share
-        } else if self.price.exponent == 2.0 {
-            share * share
-        } else {
-            (share.powf(self.price.exponent) * STEPS).round() / STEPS
+        // Products and square roots are the same on every machine; powers are not.
+        match self.price.sixteenths {
+            0 => share,
+            16.. => share * share,
+            sixteenths => {
+                let (mut value, mut root) = (share, share);
+                for bit in [8, 4, 2, 1] {
+                    root = root.sqrt();
+                    if sixteenths & bit != 0 {
+                        value *= root;
+                    }
+                }
+                value
+            }
         }
     }
 }

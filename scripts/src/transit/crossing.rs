@@ -6,10 +6,12 @@ use super::way::{CURVATURE, SLOPE, Way};
 use crate::budget::Budget;
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
 
-/// Prices that are tried one after another, as powers of the ways. The least sum of squares keeps straight ways apart if
+/// Prices that are tried one after another, as powers of the ways: sixteenths by which the exponents are above 1. The least sum of squares keeps straight ways apart if
 /// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
-const EXPONENTS: [f64; 5] = [1.0, 1.05, 1.15, 1.4, 2.0];
-/// Of larger groups only the first and the last price are tried.
+const SIXTEENTHS: [u8; 5] = [0, 1, 2, 6, 16];
+/// Fewer prices for larger groups, the most promising ones first.
+const SIXTEENTHS_OF_LARGE: [u8; 3] = [0, 16, 6];
+/// Groups with more bodies are large.
 const LARGE: usize = 300;
 /// How much longer than the least the sum of all ways may be.
 const TOTAL_MAX: f64 = 1.01;
@@ -21,8 +23,9 @@ const WAITS_MAX: u8 = 5;
 const LAYERS_MAX: u8 = 4;
 /// How often all ways that come too close are looked at.
 const ROUNDS_MAX: usize = 40;
-/// Most pairs that the search for detours checks; larger groups check each pair once on average.
+/// Most pairs that the search for detours checks, and in larger groups for each body.
 const PAIRS_MAX: usize = 5_000_000;
+const PAIRS_PER_BODY_MAX: usize = 2_000;
 /// What rounding may take from a distance, in metres.
 const DUST: f64 = 1e-9;
 
@@ -204,10 +207,9 @@ impl Crossing<'_> {
             goals.map(|(place, spare)| place.map_or(*spare, |place| places[place])).collect()
         };
         let mut optimum = None;
-        let [first, .., last] = EXPONENTS;
-        let prices = if starts.len() > LARGE { vec![first, last] } else { EXPONENTS.to_vec() };
-        let candidates = prices.into_iter().filter_map(move |exponent| {
-            let Cheapest { assignment, proven } = ways.cheapest(Price { exponent, longest });
+        let prices = if starts.len() > LARGE { &SIXTEENTHS_OF_LARGE[..] } else { &SIXTEENTHS[..] };
+        let candidates = prices.iter().filter_map(move |sixteenths| {
+            let Cheapest { assignment, proven } = ways.cheapest(Price { sixteenths: *sixteenths, longest });
             let goals = goals(assignment);
             let total: f64 =
                 starts.iter().zip(&goals).map(|(start, goal)| metres_between(*start, *goal)).sum();
@@ -301,7 +303,7 @@ impl Crossing<'_> {
     /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest. Each that comes too
     /// close to others takes the way on which it does to the fewest (Minton et al., Artificial Intelligence 58, 1992).
     fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
-        let mut room = Budget::new(PAIRS_MAX.max(ways.len().pow(2)));
+        let mut room = Budget::new(PAIRS_MAX.max(PAIRS_PER_BODY_MAX * ways.len()));
         let mut fewest = (near.clone(), ways.to_vec());
         let ends_close =
             |near: &Near| matches!(self.required(ways, near.pair[0], near.pair[1]), Required::AtEnd { .. });

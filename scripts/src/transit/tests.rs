@@ -11,7 +11,7 @@ use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
 use crate::formation::{Point, metres_between, nearest_pair};
 
 const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
-const WAYS: Price = Price { exponent: 1.0, longest: f64::INFINITY };
+const WAYS: Price = Price { sixteenths: 0, longest: f64::INFINITY };
 
 /// The assignment with the least sum of ways; who is left over stays.
 fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
@@ -297,7 +297,7 @@ proptest! {
             let shortest = between.shortest_longest();
             prop_assert!(fits(&starts, &places, spare, shortest));
             prop_assert!(shortest == 0.0 || !fits(&starts, &places, spare, shortest * (1.0 - 1e-9)), "{shortest}");
-            let bound = Price { exponent: 1.0, longest: shortest };
+            let bound = Price { sixteenths: 0, longest: shortest };
             let bounded = between.cheapest(bound).assignment;
             let goal = |start: usize| bounded[start].map_or(spare[start], |place| places[place]);
             prop_assert!((0..starts.len()).all(|start| metres_between(starts[start], goal(start)) <= shortest));
@@ -355,7 +355,7 @@ proptest! {
         prop_assert!((ways(starts, places, &found).iter().sum::<f64>() - least).abs() < 1e-6);
         let between = Ways::between(starts, places, starts);
         prop_assert!((between.shortest_longest() - shortest).abs() < 1e-9);
-        let bound = Price { exponent: 1.0, longest: shortest * (1.0 + 1e-9) };
+        let bound = Price { sixteenths: 0, longest: shortest * (1.0 + 1e-9) };
         let bounded = order_of(&between.cheapest(bound).assignment);
         prop_assert!(ways(starts, places, &bounded).into_iter().fold(0.0, f64::max) <= shortest + 1e-6);
     }
