@@ -117,7 +117,7 @@ pub(super) fn print(text: &str) {
     let _failed = print_while_read(text);
 }
 
-/// The same for a part of an output of which the rest is not worth making if nobody reads it.
+/// Prints a part of an output. If it fails, nobody reads on, and the caller need not make the rest.
 fn print_while_read(text: &str) -> std::io::Result<()> {
     PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();

@@ -573,7 +573,7 @@ pub(super) fn unknown_sensor(
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }
 
-/// How many steps a movement may have if an act may have so many more: some more than the device takes, so that the number can be told.
+/// The most steps of a movement, with `left` remaining for the act: some more than the device takes, so that findings can state the number.
 fn room(device: &Device, left: usize) -> usize {
     capacity(device).max(TOLD_MAX).min(left)
 }

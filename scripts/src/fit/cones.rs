@@ -1,8 +1,8 @@
 //! The slopes of lines from several values of one sample that stay within the room of all samples passed.
 //!
 //! What the lines from one value reach at a later time is an interval, and the lower the value, the higher the interval: lines have to
-//! pass between the same values before. So the lowest and the highest value from which lines are left bound what is reached, and
-//! those between are looked at only where that does not decide.
+//! pass between the same values before. So the lowest and the highest value with remaining lines bound what is reached, and the
+//! values between them count only where these two do not decide.
 
 use super::lattice::{Candidates, VALUES_MAX};
 

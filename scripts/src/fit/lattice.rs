@@ -78,7 +78,7 @@ const WHOLE_MAX: f64 = 9e15;
 /// On ordinary processors the functions of the library are calls, and take longer than all the rest.
 #[expect(clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "below WHOLE_MAX")]
 fn truncated(value: f64) -> Option<f64> {
-    (value.abs() < WHOLE_MAX).then(|| value as i64 as f64)
+    (value.abs() < WHOLE_MAX).then_some(value as i64 as f64)
 }
 
 fn floor(value: f64) -> f64 {

@@ -1,7 +1,7 @@
 //! All ways with the fewest pieces, as layers of steps: those of the n-th layer are n pieces from the beginning.
 //!
 //! With less room, ways to a step and from it to the end can only take more pieces. So of the ways with as many pieces, each step stays
-//! in its layer or drops out, and a search within less room looks at what is left.
+//! in its layer or drops out, and a search within less room examines only the remaining steps.
 
 use std::ops::Range;
 use std::rc::Rc;
@@ -77,7 +77,7 @@ impl Layers {
         Self::leading(problem, room, candidates.into(), (last, layer), |node| Some(*node))
     }
 
-    /// What is left of them with less room; `None` if no way is.
+    /// The remaining ones with less room; `None` if no way remains.
     pub(super) fn within(&self, problem: &Problem, room: f64) -> Option<Self> {
         let near = |node: &Node| {
             let near = problem.candidates(node.sample, room);

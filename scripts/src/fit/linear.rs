@@ -6,7 +6,7 @@
 //! first layer that reaches the last sample has the fewest steps.
 //!
 //! Exact and yet fast: `tube` tells for each sample how many pieces any way to the end still needs. A node that would
-//! exceed the number of pieces aimed at is left out. What is left of the layers (`layers`) answers for all smaller rooms.
+//! exceed the number of pieces aimed at is left out. The remaining layers (`layers`) answer for all smaller rooms.
 
 use std::ops::Range;
 
@@ -98,7 +98,7 @@ impl<'a> Search<'a> {
         sparse
     }
 
-    /// All ways with the fewest pieces: where as few as any way needs are enough, only those are looked for.
+    /// All ways with the fewest pieces. The first search is for the number that any way needs at least.
     fn fewest(&mut self, pieces_min: u32, pieces_max: u32) -> Option<Layers> {
         if pieces_min > pieces_max {
             return None;
@@ -165,7 +165,7 @@ impl<'a> Search<'a> {
     /// Reaches everything that is one piece away and has at most this many pieces left to go. Returns where that is.
     fn spread(&mut self, node: &mut Node, pieces_left: u32, sight: &mut impl Sight) -> Range<usize> {
         let Samples { times, .. } = self.problem.curve;
-        let mut reached = usize::MAX..0;
+        let (mut first, mut until) = (usize::MAX, 0);
         sight.begin(&self.candidates[node.sample], node.candidates);
         for next in node.sample + 1..times.len() {
             let duration = times[next] - times[node.sample];
@@ -175,13 +175,13 @@ impl<'a> Search<'a> {
                 if fresh != 0 {
                     self.open[next] &= !fresh;
                     self.next[next] |= fresh;
-                    reached = reached.start.min(next)..next + 1;
+                    (first, until) = (first.min(next), next + 1);
                 }
             }
             if !sight.narrow(duration, self.gates[next]) {
                 break;
             }
         }
-        reached
+        first..until
     }
 }

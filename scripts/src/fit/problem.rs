@@ -21,9 +21,9 @@ pub(super) struct Problem<'a> {
     /// Added to the room, so that a curve which touches its tolerance fits in spite of rounding.
     pub(super) dust: f64,
     pub(super) tubes: Tubes<'a>,
-    /// The steps at the ends alone; nothing else has fewer.
+    /// The steps at the ends alone: the fewest of all.
     shortest: Found,
-    /// What is known of the steps of a device that moves linearly within some room.
+    /// The layers of the last search, which answer for smaller rooms.
     layers: Option<Layers>,
 }
 

@@ -49,7 +49,7 @@ impl<'a> Tubes<'a> {
         Self { curve: *curve, slopes, bends }
     }
 
-    /// Whether a polyline within the room needs no more than so many steps at samples.
+    /// Whether a polyline within the room needs at most `steps` steps at samples.
     pub(super) fn is_enough(&self, room: f64, steps: usize) -> bool {
         let mut pieces = 0;
         self.backwards(room, |_, count| {
@@ -95,7 +95,7 @@ impl<'a> Tubes<'a> {
         }
     }
 
-    /// The fewest groups of samples that follow each other and each of which one line can pass.
+    /// The fewest groups of consecutive samples such that one line can pass each group.
     pub(super) fn groups(&self, room: f64) -> usize {
         // A step right at a jump needs to be close to one side of it only.
         let mut samples = (0..self.curve.times.len()).rev().filter(|sample| self.curve.gap(*sample) == 0.0);

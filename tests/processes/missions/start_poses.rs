@@ -113,7 +113,7 @@ fn at_the_end_of_a_show_devices_move_home_at_no_more_than_their_speed() {
     assert_eq!(home.code, Some(0), "{home}");
 }
 
-/// `back` after an approach, to be started in so many seconds; with that instant.
+/// The command that plays `back` after an approach and starts it in `seconds`, with the instant of that start.
 fn in_seconds(seconds: i64) -> ([String; 6], i64) {
     let start = chrono::Utc::now() + chrono::TimeDelta::seconds(seconds);
     let args = ["run", "back.yaml", "--approach", "3s", "--at", &start.to_rfc3339()].map(str::to_owned);
@@ -127,7 +127,7 @@ fn approached_and_started_at(stage: &Stage, before: &[usize], start: i64) {
     for (robot, before) in stage.robots.iter().zip(before) {
         let moved = robot.log_since(*before);
         let sets = |later: bool| moved.iter().filter(move |entry| (entry.due >= start) == later);
-        assert_eq!(sets(false).last().map(|entry| entry.value), Some(0.0), "{}: {moved:?}", robot.id);
+        assert_eq!(sets(false).next_back().map(|entry| entry.value), Some(0.0), "{}: {moved:?}", robot.id);
         assert_eq!(sets(true).next().map(|entry| entry.due), Some(start), "{}: {moved:?}", robot.id);
     }
 }
