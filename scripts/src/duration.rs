@@ -102,16 +102,22 @@ fn range(text: &str) -> Option<String> {
 /// `48 frames`, `00:00:02:12`: how long a frame is, only its maker knows.
 fn of_frames(text: &str) -> Option<String> {
     let is_number = |part: &&str| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit());
-    if text.split([':', ';']).filter(is_number).count() == 4 {
-        return Some(
-            "write seconds with decimals for the frames: of 25 a second, 12 frames are `480ms`".to_owned(),
-        );
+    if let [hours, minutes, seconds, frames] = text.split([':', ';']).collect::<Vec<_>>().as_slice()
+        && [hours, minutes, seconds, frames].into_iter().all(is_number)
+    {
+        let whole = parse_duration(&format!("{hours}h{minutes}m{seconds}s"))?;
+        let frames = frames.parse::<i64>().ok().filter(|frames| *frames < 1_000)?;
+        return Some(at_25_frames(&format!("{text} is"), whole + Span::from_millis(frames * 40)));
     }
     let digits = text.find(|c: char| !c.is_ascii_digit())?;
     let count: i64 = text[..digits].parse().ok()?;
     let word = text[digits..].trim();
     let millis = count.checked_mul(40).filter(|_| matches!(word, "f" | "fr" | "frame" | "frames"))?;
-    Some(format!("write a time: of 25 frames a second, {count} are `{}`", written(Span::from_millis(millis))))
+    Some(at_25_frames(&format!("{text} are"), Span::from_millis(millis)))
+}
+
+fn at_25_frames(text: &str, span: Span) -> String {
+    format!("write a time: at 25 frames per second, {text} `{}`", written(span))
 }
 
 /// `1/2 beat`: a part of a unit.
@@ -272,11 +278,9 @@ mod tests {
             ("1e3ms", "write `1s`"),
             ("2s to 4s", "a range is written `2s..4s`"),
             ("2s - 4s", "a range is written `2s..4s`"),
-            ("48 frames", "write a time: of 25 frames a second, 48 are `1.92s`"),
-            (
-                "00:00:02:12",
-                "write seconds with decimals for the frames: of 25 a second, 12 frames are `480ms`",
-            ),
+            ("48 frames", "write a time: at 25 frames per second, 48 frames are `1.92s`"),
+            ("00:00:02:12", "write a time: at 25 frames per second, 00:00:02:12 is `2.48s`"),
+            ("00:01:02;12", "write a time: at 25 frames per second, 00:01:02;12 is `62.48s`"),
             ("1/2 beat", "write `1 beat / 2`"),
             ("1/3 s", "write `1s / 3`"),
             ("after rise", "write `after: rise` instead of `at`"),

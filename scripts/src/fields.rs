@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 pub(crate) use crate::at::At;
@@ -13,7 +13,7 @@ use crate::expression::{self, Robots};
 use crate::finding::{
     Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
 };
-use crate::music::Music;
+use crate::music::{Music, Unmusical};
 use crate::node::{Node, shortened};
 use crate::scenario::{Group, Nesting, Unset, is_spread};
 use crate::scope::Scope;
@@ -43,6 +43,10 @@ pub(crate) struct Reader {
     pub(crate) origin: Beginning,
     /// The devices of the fleet.
     pub(crate) units: Units,
+    /// Whether there is a tempo that cannot be read, which is reported already.
+    pub(crate) tempo_is_wrong: bool,
+    /// The first time without a tempo in each file, by its finding, and all their places.
+    without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
     /// Values that a decimal comma cut in two, of which that is told already.
     cut: Vec<Place>,
     /// Comparisons of names that are left.
@@ -87,6 +91,8 @@ impl Default for Reader {
             nesting: Nesting::default(),
             origin: Beginning(Some(Exact::ZERO)),
             units: Units::default(),
+            tempo_is_wrong: false,
+            without_tempo: HashMap::new(),
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
@@ -110,13 +116,18 @@ impl Reader {
         {
             return;
         }
+        let message = message.into();
+        let is_without_tempo = code == Code::Music && hint.as_deref() == Some(Unmusical::WithoutTempo.hint());
+        if is_without_tempo && !self.is_first_without_tempo(&place, &message) {
+            return;
+        }
         let told = &mut self.told[usize::from(code.severity() == Severity::Warning)];
         if told.count == FINDINGS_MAX {
             told.more += 1;
             return;
         }
         (told.count, told.last) = (told.count + 1, self.found.len());
-        let (message, expected) = (message.into(), expected.into());
+        let expected = expected.into();
         self.found.push(Pending {
             code,
             place,
@@ -126,6 +137,32 @@ impl Reader {
             related: Vec::new(),
             affected: None,
         });
+    }
+
+    /// Whether a time is the first of its file without a tempo; others are counted in its finding.
+    fn is_first_without_tempo(&mut self, place: &Place, message: &str) -> bool {
+        if self.tempo_is_wrong {
+            return false;
+        }
+        let next = self.found.len();
+        let own = format!("{:?} {:?}", place.path, place.within);
+        let (index, first, places) = self
+            .without_tempo
+            .entry(place.file)
+            .or_insert_with(|| (next, message.to_owned(), HashSet::new()));
+        let known = self.found.get_mut(*index).filter(|known| known.code == Code::Music);
+        let is_new = places.insert(own);
+        let Some(known) = known else {
+            (*index, *first) = (next, message.to_owned());
+            return true;
+        };
+        if is_new {
+            known.message = match places.len() - 1 {
+                1 => format!("{first}; 1 other time needs one, too"),
+                others => format!("{first}; {others} other times need one, too"),
+            };
+        }
+        false
     }
 
     /// A fault of some robots, which joins the finding of others that have it for the same reason.
@@ -263,11 +300,16 @@ impl Reader {
         #[cfg(test)]
         crate::known::keys(at, &known);
         let mut values: [Option<At<'a>>; N] = [None; N];
-        let mut open = None;
+        let (mut open, mut skipped) = (None, 0);
         for (index, (key, node)) in entries.iter().enumerate() {
             let before = index.checked_sub(1).map(|before| &entries[before]);
+            if index < skipped {
+                continue;
+            }
             if let Some(number) = before.and_then(|before| cut_by_comma(before, key, node)) {
-                self.cut_by_comma(at, number, key);
+                let others: Vec<&str> = numbers_alone(&entries[index..]);
+                skipped = index + others.len();
+                self.cut_by_comma(at, number, &others);
                 continue;
             }
             if open.is_some() || before.is_some_and(|before| cut_in_brackets(before, node).is_some()) {
@@ -333,12 +375,19 @@ impl Reader {
     }
 
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
-    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), rest: &str) {
+    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
+        let Some(rest) = others.first() else { return };
         let place = at.entry(rest, 0, &Node::Null).key_place();
         let message =
             format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
-        let hint = Some(format!("write a decimal point: `{whole}.{}`", shortened(rest)));
-        self.add(Code::UnknownKey, place, message, "a decimal point", hint);
+        let (expected, hint) = match others {
+            [_] => ("a decimal point", format!("write a decimal point: `{whole}.{}`", shortened(rest))),
+            _ => (
+                "a list in brackets",
+                format!("write a list: `[{whole}, {}]`", shortened(&others.join(", "))),
+            ),
+        };
+        self.add(Code::UnknownKey, place, message, expected, Some(hint));
         self.cut.push(at.place().of_key(key));
     }
 
@@ -661,6 +710,13 @@ fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -
         }
         _ => None,
     }
+}
+
+/// The keys at the beginning that are numbers without a value: at least the first.
+fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
+    let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
+    let count = entries.iter().take_while(is_number).count().max(1);
+    entries.iter().take(count).map(|(key, _)| key.as_str()).collect()
 }
 
 /// How many brackets are open at the end of a text.

@@ -352,8 +352,17 @@ pub(crate) fn did_you_mean_this(name: &str) -> String {
 /// What is expected where a name is not known.
 pub(crate) fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
-        "none" => "a name that is defined, but none is".to_owned(),
+        "none" => "a name, but none is defined".to_owned(),
+        only if !only.contains("`, `") => only.to_owned(),
         names => format!("one of {names}"),
+    }
+}
+
+/// The same for a name under `moves:`, `zones:` and the like.
+pub(crate) fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clone) -> String {
+    match all.clone().next() {
+        None => format!("a {what} that is defined under `{what}s`"),
+        Some(_) => one_of(&mut all),
     }
 }
 

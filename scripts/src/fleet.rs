@@ -8,6 +8,7 @@ use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::address::{ADDRESS, Address, address_fault};
 use crate::composed::composed;
+use crate::duration::written;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, Part, Place, Severity};
 use crate::identify::{self, Document};
@@ -16,7 +17,7 @@ use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::project::{Project, folder_of};
-use crate::slips;
+use crate::slips::{self, Units};
 use crate::source::Source;
 use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
@@ -455,6 +456,7 @@ impl FleetReader<'_> {
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
         let mut limits = BTreeMap::new();
+        self.findings.units = Units::of_devices(&init.devices);
         if let Node::Map(entries) = at.node
             && !entries.is_empty()
             && entries.iter().all(|(key, _)| LIMIT_KEYS.contains(&key.as_str()) && init.device(key).is_none())
@@ -664,7 +666,13 @@ fn delay_range(findings: &mut Reader, at: &At<'_>) -> Option<(Span, Span)> {
     };
     let (least, largest) = (findings.duration(least)?, findings.duration(largest)?);
     if largest < least {
-        findings.add(Code::TimeOrder, at.place(), format!("{least} lies above {largest}"), expected, None);
+        findings.add(
+            Code::TimeOrder,
+            at.place(),
+            format!("{} is longer than {}", written(least), written(largest)),
+            expected,
+            None,
+        );
     }
     Some((least, largest.max(least)))
 }

@@ -118,7 +118,7 @@ impl Unmusical {
 
     pub(crate) const fn hint(self) -> &'static str {
         match self {
-            Self::WithoutTempo => "add `tempo: 120` (beats a minute) at the top of the scenario",
+            Self::WithoutTempo => "add `tempo: 120` (beats per minute) at the top of the scenario",
             Self::StartNotFixed => {
                 "the tempo changes: give the cue a fixed `at`, or write the length in seconds"
             }

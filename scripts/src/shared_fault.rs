@@ -1,5 +1,6 @@
 //! One cause, one finding: the robots that have a fault for the same reason.
 
+use std::borrow::Cow;
 use std::collections::HashSet;
 use std::sync::Arc;
 
@@ -18,7 +19,8 @@ pub(crate) struct SharedFault {
     pub(crate) device: String,
     pub(crate) robots: Arc<[RobotId]>,
     pub(crate) place: Place,
-    /// The message before the names of the robots, and after them.
+    /// The message before the names of the robots, and after them, which may begin with the verb for one robot and for several:
+    /// ` moves|move at 2 m/s`.
     pub(crate) message: [String; 2],
     pub(crate) expected: String,
     pub(crate) hint: Option<String>,
@@ -75,7 +77,8 @@ impl Affected {
     pub(crate) fn message(&self) -> String {
         let own = self.devices.iter().find(|(device, _)| *device == self.device);
         let [before, after] = &self.message;
-        let mut message = format!("{before}{}{after}", own.map_or_else(String::new, |(_, all)| named(all)));
+        let own = own.map_or(&[][..], |(_, all)| all);
+        let mut message = format!("{before}{}{}", named(own), agreeing(after, distinct(own).len()));
         let others = self.devices.iter().filter(|(device, _)| *device != self.device);
         let others: Vec<_> = others.map(|(device, all)| format!("`{device}` of {}", named(all))).collect();
         if !others.is_empty() {
@@ -86,13 +89,23 @@ impl Affected {
 }
 
 /// Each robot once.
-fn named(faults: &[Arc<[RobotId]>]) -> String {
+fn distinct(faults: &[Arc<[RobotId]>]) -> Vec<&str> {
     let mut seen = HashSet::new();
-    let robots: Vec<&str> = faults
-        .iter()
-        .flat_map(|robots| robots.iter())
-        .map(RobotId::as_str)
-        .filter(|id| seen.insert(*id))
-        .collect();
-    robots_named(robots.iter().copied())
+    let robots = faults.iter().flat_map(|robots| robots.iter()).map(RobotId::as_str);
+    robots.filter(|id| seen.insert(*id)).collect()
+}
+
+fn named(faults: &[Arc<[RobotId]>]) -> String {
+    match distinct(faults).as_slice() {
+        [] => String::new(),
+        robots => robots_named(robots.iter().copied()),
+    }
+}
+
+/// The verb of a text that begins with ` moves|move`, for this many robots.
+fn agreeing(text: &str, robots: usize) -> Cow<'_, str> {
+    let verbs = text.strip_prefix(' ').and_then(|text| text.split_once(' '));
+    let Some((verbs, rest)) = verbs else { return text.into() };
+    let Some((one, several)) = verbs.split_once('|') else { return text.into() };
+    format!(" {} {rest}", if robots == 1 { one } else { several }).into()
 }

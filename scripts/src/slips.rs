@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use urrcp::Device;
+
 use crate::composed::{composed, is_same};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
@@ -31,13 +33,22 @@ impl Units {
         Self(units)
     }
 
+    /// Those of one robot.
+    pub(crate) fn of_devices<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
+        let unit = |device: &Device| device.unit.as_ref().map(ToString::to_string);
+        Self(devices.into_iter().map(|device| (device.id.to_string(), unit(device))).collect())
+    }
+
     pub(crate) fn has_device(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
 
     /// The device that a place in a track is about, and its unit.
     fn at<'p>(&self, place: &'p Place) -> Option<(&'p str, Option<&str>)> {
-        let at = place.path.iter().rposition(|part| matches!(part, Part::Key(key, _) if key == "tracks"))?;
+        let at = place
+            .path
+            .iter()
+            .rposition(|part| matches!(part, Part::Key(key, _) if key == "tracks" || key == "limits"))?;
         let Part::Key(device, _) = place.path.get(at + 1)? else { return None };
         Some((device, self.0.get(device)?.as_deref()))
     }
@@ -311,7 +322,7 @@ fn in_a_map(expected: &str, value: f64) -> Option<String> {
 fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<String> {
     let wants = |word: &str| expected.contains(word);
     let is_number = wants("number")
-        || ["device's unit", "metres", "degrees", "hertz", "beats a minute", "factor"]
+        || ["device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
             .iter()
             .any(|word| wants(word));
     if !is_number {
@@ -327,7 +338,10 @@ fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<
     }
     let digits = with_point.trim_end_matches(|c: char| !c.is_ascii_digit()).trim();
     let (value, unit) = (parsed(digits)?, with_point[digits.len()..].trim());
-    if wants("hertz") || wants("beats a minute") || wants("whole number") {
+    let (unit, per) = unit.find('/').map_or((unit, ""), |slash| unit.split_at(slash));
+    let is_acceleration = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "acceleration");
+    let per = if is_acceleration && !per.is_empty() { "/s^2" } else { per };
+    if wants("hertz") || wants("beats per minute") || wants("whole number") {
         return Some(format!("write the number alone: `{digits}`"));
     }
     if wants("metres") {
@@ -342,21 +356,31 @@ fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<
     }
     let Some((device, own)) = reader.units.at(place) else {
         return wants("unit")
-            .then(|| format!("write the number alone, in the unit of the device, without `{unit}`"));
+            .then(|| format!("write the number alone, in the unit of the device, without `{unit}{per}`"));
     };
     let Some(own) = own else {
         return Some(format!("write the number alone: the description of `{device}` names no unit"));
     };
     if own == unit {
-        return Some(format!("`{device}` takes numbers in {own}: write `{digits}`"));
+        return Some(format!("`{device}` takes numbers in {own}{per}: write `{digits}`"));
     }
     let scales =
         [&LENGTHS[..], &ANGLES[..]].into_iter().find(|scales| scales.iter().any(|(known, _)| *known == own));
     let hint = scales.and_then(|scales| converted(value, unit, own, scales));
     Some(hint.map_or_else(
-        || format!("`{device}` takes numbers in {own}: write the number alone, in this unit"),
-        |hint| format!("`{device}` takes numbers in {own}: {hint}"),
+        || format!("`{device}` takes numbers in {own}{per}: write the number alone, in this unit"),
+        |hint| format!("`{device}` takes numbers in {own}{per}: {hint}"),
     ))
+}
+
+/// `90deg/s`: a number with a unit for a time, which is no quotient.
+pub(crate) fn is_rate(text: &str) -> bool {
+    let number =
+        text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || matches!(c, '.' | '-')).trim();
+    let is_unit = |unit: &str| LENGTHS.iter().chain(&ANGLES).any(|(known, _)| *known == unit);
+    let is_time = |time: &str| matches!(time, "s" | "s2" | "s^2" | "s**2" | "s\u{b2}");
+    number.len() < text.trim().len()
+        && number.split_once('/').is_some_and(|(unit, time)| is_unit(unit) && is_time(time))
 }
 
 const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];

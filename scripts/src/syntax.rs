@@ -31,7 +31,7 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
 /// The second document is where the first `---` after anything else is.
 fn several_documents(source: &Source, finding: &mut Finding) {
     "the file has more than one document".clone_into(&mut finding.message);
-    finding.hint = Some("keep one document a file: remove the `---` between them".into());
+    finding.hint = Some("keep one document per file: remove the `---` between them".into());
     let says_nothing =
         |line: &str| line.trim().is_empty() || line.starts_with(['#', '%']) || line.starts_with("---");
     let mut lines = source.text.lines().enumerate().skip_while(|(_, line)| says_nothing(line));
@@ -158,6 +158,26 @@ fn byte_of(text: &str, line: usize, column: usize) -> usize {
     start + ahead.sum::<usize>()
 }
 
+/// The key of the line above, and its column from 1, if that has a value already and this line is indented deeper.
+fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
+    let indented = |line: &str| line.chars().take_while(|c| *c == ' ').count();
+    let line = line_of(text, number);
+    let above = (1..number).rev().map(|above| line_of(text, above)).find(|above| !above.trim().is_empty())?;
+    let entry = above.trim_start_matches([' ', '-']);
+    let column = above.len() - entry.len();
+    let (key, value) = entry.split_once(": ")?;
+    let is_plain = !value.trim().is_empty() && !value.trim_start().starts_with(['|', '>', '#', '&', '!']);
+    (is_plain && indented(line) > column).then_some((key, column + 1))
+}
+
+fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
+    let key = shortened(key);
+    finding.message = format!("this line is indented deeper than `{key}`, which has a value already");
+    finding.expected = format!("{} ahead of it", crate::counted(column - 1, "space"));
+    finding.hint = Some(format!("indent it as far as `{key}`"));
+    finding.column = line.len() - line.trim_start().len() + 1;
+}
+
 /// A colon within a value, or a map that begins on the line of its key.
 fn second_colon(finding: &mut Finding, line: &str) {
     "a second colon in one line".clone_into(&mut finding.message);
@@ -188,7 +208,10 @@ fn unknown_alias(finding: &mut Finding, line: &str) {
 fn explain(finding: &mut Finding, whole: &str, text: &str) {
     let line = line_of(text, finding.line);
     if whole.starts_with("mapping values are not allowed") {
-        return second_colon(finding, line);
+        return match deeper_than(text, finding.line) {
+            Some((key, column)) => too_deep(finding, line, key, column),
+            None => second_colon(finding, line),
+        };
     }
     if whole.starts_with("unknown anchor") || whole.contains("while scanning an alias") {
         return unknown_alias(finding, line);

@@ -15,7 +15,7 @@ use crate::fields::Reader;
 use crate::finding::{Code, Place, did_you_mean_this, names};
 use crate::node::shortened;
 use crate::plan::{FailurePolicy, Wait, Way};
-use crate::scenario::{Act, Name};
+use crate::scenario::{Act, Name, SensorRange};
 
 /// What leads to an act and from it.
 pub(super) struct Ways {
@@ -66,9 +66,10 @@ fn way(
     let on_timeout =
         act.wait.otherwise.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(Way::Fail);
     let mut wait = act.wait.wait.clone();
-    if let Wait::Sensor { robot, sensor, .. } = &mut wait
+    if let Wait::Sensor { robot, sensor, range } = &mut wait
         && let Some((known, device)) = check_sensor(findings, cast, act, robot, sensor)
     {
+        check_range(findings, act, device, range);
         // As they call themselves.
         (*robot, *sensor) = (cast.id(known).to_string(), device.id.to_string());
     }
@@ -158,6 +159,22 @@ fn check_sensor<'c>(
     Some((*robot, found?))
 }
 
+/// Whether any reading of the sensor is one for which the act waits.
+fn check_range(findings: &mut Reader, act: &Act, device: &Device, range: &SensorRange) {
+    let Some(sensor) = device.available_control_types.sensor() else { return };
+    let (least, most) = (sensor.min_value, sensor.max_value);
+    let (key, waits, is_possible) = match *range {
+        SensorRange::Above(bound) => ("above", bound.to_string(), most > bound),
+        SensorRange::Below(bound) => ("below", bound.to_string(), least < bound),
+        SensorRange::Within(from, to) => ("within", format!("{from} to {to}"), from <= most && to >= least),
+    };
+    if !is_possible {
+        let message = format!("`{}` never reads {key} {waits}", device.id);
+        let expected = format!("readings out of {least} to {most}");
+        findings.add(Code::OutOfRange, act.wait.place.of_key(key), message, expected, None);
+    }
+}
+
 fn check_graph(findings: &mut Reader, acts: &[Act], ways: &[Ways]) {
     let mut graph: DiGraph<(), ()> = DiGraph::new();
     let nodes: Vec<NodeIndex> = acts.iter().map(|_| graph.add_node(())).collect();
@@ -239,10 +256,9 @@ fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
     let name = shortened(&last.name);
     let message = match circle {
         [_] => format!("the act `{name}` follows itself, and no way leads from it to the end"),
-        _ => format!(
-            "the acts {} follow each other in a circle, and no way leads from it to the end",
-            named(acts, circle.iter().copied())
-        ),
+        _ => {
+            format!("the acts {} form a cycle that never reaches `end`", named(acts, circle.iter().copied()))
+        }
     };
     let place = last.next.as_ref().map_or_else(|| last.place.clone(), |next| Place::clone(&next.place));
     let hint = Some(format!("write `next: end` for `{name}`"));

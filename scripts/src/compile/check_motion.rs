@@ -62,7 +62,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             );
             let longer = if code == Code::TooFast { found / limit } else { (found / limit).sqrt() };
             let hint = format!(
-                "give it {} instead of {}, or less way",
+                "give it {} instead of {}, or a shorter way",
                 duration::seconds(seconds * longer),
                 duration::written(knot.at - last.at)
             );

@@ -180,7 +180,8 @@ fn rates(
     (robot, body): (usize, &Body),
     peaks: [Option<Peak>; 2],
 ) -> BodyUse {
-    let limits = [(body.speed, "moves at", "m/s"), (body.acceleration, "accelerates by", "m/s²")];
+    let limits =
+        [(body.speed, "moves|move at", "m/s"), (body.acceleration, "accelerates|accelerate by", "m/s²")];
     for (peak, (limit, moves, unit)) in peaks.into_iter().zip(limits) {
         let (Some(Peak { from, to, rate }), Some(limit)) = (peak, limit) else { continue };
         if rate <= limit * DUST {
@@ -198,7 +199,7 @@ fn rates(
             place,
             message: [String::new(), said],
             expected,
-            hint: Some("give the movement more time, or less way".to_owned()),
+            hint: Some("give the movement more time, or a shorter way".to_owned()),
         });
     }
     let [speed, acceleration] = peaks.map(|peak| peak.map_or(0.0, |peak| peak.rate));

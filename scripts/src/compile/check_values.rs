@@ -123,9 +123,14 @@ fn out_of_range(
             Fault { code: Code::OutOfRange, place: changed.place.clone(), size, said, expected, hint };
         return on.add(findings, control_type, fault);
     }
-    let hint = match on.track.given(knot.item).and_then(parameter) {
-        Some(parameter) => {
+    let given = on.track.given_as(knot.item);
+    let hint = match given.and_then(|given| Some((parameter(&given.place)?, given.is_alone))) {
+        Some((parameter, true)) if on.track.changed.is_none() => {
             format!("`{parameter}` makes it {value}: the nearest that it can take is {nearest}")
+        }
+        Some((parameter, _)) => {
+            let most = if value > limits.max_value { "at most" } else { "at least" };
+            format!("`{parameter}` makes it {value}: give a value that makes it {most} {nearest}")
         }
         None => in_radians(on, knot.to, limits)
             .unwrap_or_else(|| format!("the nearest value that it can take is {nearest}")),
@@ -169,14 +174,14 @@ fn room_for(curve: &Curve, changed: &Changed, on: &OnDevice<'_>, limits: &Limits
                 if most.is_finite() { most } else { f64::INFINITY }
             };
             let factor = rounded_down(values().map(most).fold(f64::INFINITY, f64::min));
-            (changed.factor > 0.0 && factor > 0.0).then(|| format!("a factor of {factor} is enough"))
+            (changed.factor > 0.0 && factor > 0.0).then(|| format!("a factor of at most {factor} fits"))
         }
         Change::Mirror => {
             let (least, most) =
                 (values().fold(f64::INFINITY, f64::min), values().fold(-f64::INFINITY, f64::max));
             let middle = tidy(f64::midpoint(least, most));
             Some(format!(
-                "mirrored about its middle it fits: `{{about: {middle}, devices: [{}]}}`",
+                "it fits if mirrored about its middle: `{{about: {middle}, devices: [{}]}}`",
                 on.track.device
             ))
         }

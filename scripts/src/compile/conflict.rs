@@ -120,7 +120,7 @@ fn circle(
     let message = match cues.as_slice() {
         [only] => format!("the cue {} waits for itself", teller.name(*only)),
         several => format!(
-            "the cues {} wait for each other in a circle",
+            "the cues {} form a cycle",
             names(several.iter().map(|cue| teller.act.cues[*cue].name.as_str()))
         ),
     };
@@ -152,7 +152,7 @@ impl Teller<'_> {
         }
     }
 
-    /// `spin` starts, the end of `raise`.
+    /// `` `spin` starts ``, `` `raise` ends ``.
     fn anchor(&self, anchor: &Anchor, cue: usize) -> String {
         match anchor {
             Anchor::Origin => "the act starts".to_owned(),
@@ -203,7 +203,7 @@ impl Teller<'_> {
         match (relation.min == relation.max, bound, together) {
             (true, _, true) => format!("{to} when {from}"),
             (true, _, false) => format!("{to} {span} after {from}"),
-            (false, Bound::Min, true) => format!("{to} not before {from}"),
+            (false, Bound::Min, true) => format!("{} before {from}", negated(&to)),
             (false, Bound::Min, false) => format!("{to} {span} or more after {from}"),
             (false, Bound::Max, _) => format!("{to} at most {span} after {from}"),
         }
@@ -347,4 +347,10 @@ pub(super) fn told(span: Span) -> String {
         _ => 1,
     };
     if span.as_nanos() % unit == 0 { span.to_string() } else { written(span) }
+}
+
+/// `` `spin` does not start `` for `` `spin` starts ``.
+fn negated(anchor: &str) -> String {
+    let (who, verb) = anchor.rsplit_once(' ').unwrap_or(("", anchor));
+    format!("{who} does not {}", verb.trim_end_matches('s'))
 }

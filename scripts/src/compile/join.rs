@@ -425,7 +425,10 @@ impl Lane<'_> {
         let longest = self.segments.iter().max_by_key(|segment| segment.part.steps.len());
         let less = match longest.map(|segment| (segment.part.excess, &segment.cue)) {
             Some((Excess::Turns, cue)) => format!("`{cue}` repeats it: repeat it less often"),
-            Some((Excess::Curve, _)) => format!("save {}", counted(over, "step")),
+            Some((Excess::Eases, _)) => "use `ease: linear`".to_owned(),
+            Some((Excess::Curve, _)) => {
+                format!("use {over} fewer {}", if over == 1 { "step" } else { "steps" })
+            }
             _ => format!("take out {}", counted(over, "keyframe")),
         };
         let hint = format!("{less}, allow a larger error with `tolerance`, or cut the scenario into acts");

@@ -194,7 +194,6 @@ impl<'c, 'a> Performer<'c, 'a> {
             let robots: Vec<usize> = members.map(|member| member.robot).collect();
             self.incomplete.extend(&robots);
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
-            let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
             let after = track.device.rsplit(['/', '.']).next().unwrap_or_default();
             let hint = match known().any(|known| known == after) {
                 true => Some(format!(
@@ -204,7 +203,18 @@ impl<'c, 'a> Performer<'c, 'a> {
                 false => self.findings.did_you_mean(&track.device, known()),
             };
             let expected = one_of(known());
-            self.findings.add(Code::UnknownDevice, track.place.clone(), message, expected, hint);
+            // A move may have the track, which several cues play.
+            self.findings.add_shared(SharedFault {
+                code: Code::UnknownDevice,
+                cause: format!("{:?} {expected}", track.place),
+                size: 0.0,
+                device: String::new(),
+                robots: robots.iter().map(|robot| self.cast.id(*robot).clone()).collect(),
+                place: track.place.clone(),
+                message: [String::new(), format!(" has|have no device `{}`", shortened(&track.device))],
+                expected,
+                hint,
+            });
         }
     }
 

@@ -10,7 +10,7 @@ use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::duration::parse_duration;
 use crate::fields::Reader;
-use crate::finding::{Code, names, one_of};
+use crate::finding::{Code, names, one_defined, one_of};
 use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::{PlannedCue, Repetition};
@@ -301,7 +301,7 @@ impl<'a> Timetable<'a> {
                     let hint = findings
                         .did_you_mean(&zone.text, known())
                         .or(Some("list it under `zones` at the top of the scenario".to_owned()));
-                    let expected = one_of(known());
+                    let expected = one_defined("zone", known());
                     findings.add(Code::UnknownZone, zone.place.clone(), message, expected, hint);
                     continue;
                 };

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use urrcp::{ControlType, Setpoint, Span, StopCondition};
 
 use crate::finding::Place;
-use crate::motion::Value;
-use crate::scenario::{Items, Track, Vectors};
+use crate::motion::{Easing, Shape, Value};
+use crate::scenario::{Items, Motion, Track, Vectors};
 
 /// A stretch of one device's time that a cue has taken.
 #[derive(Clone, Debug)]
@@ -54,6 +54,8 @@ pub(super) enum Excess {
     Keyframes,
     /// It is repeated.
     Turns,
+    /// The ways between keyframes, which are bent.
+    Eases,
     /// A curve that is followed closely.
     Curve,
 }
@@ -62,10 +64,16 @@ impl Excess {
     pub(super) fn of(track: &Track) -> Self {
         match track.items {
             _ if track.turns > 1 => Self::Turns,
+            Items::Keyframes if is_bent(&track.motion) => Self::Eases,
             Items::Keyframes => Self::Keyframes,
             _ => Self::Curve,
         }
     }
+}
+
+fn is_bent(motion: &Motion) -> bool {
+    let Motion::Curve(curve) = motion else { return false };
+    curve.knots.iter().any(|knot| matches!(knot.shape, Shape::Eased(Easing::Smooth | Easing::Cubic)))
 }
 
 /// Values at times from the cue's start.

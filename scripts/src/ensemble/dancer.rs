@@ -60,7 +60,7 @@ impl<'a> Axis<'a> {
     }
 
     /// How far its steps may be off, in metres.
-    pub(super) fn error(&self, tolerance: Option<f64>) -> f64 {
+    pub(crate) fn error(&self, tolerance: Option<f64>) -> f64 {
         let Self::Moved { scale, .. } = self else { return 0.0 };
         let own = |limits: &Limits| limits.max_error.unwrap_or(0.0).max(limits.granularity);
         scale.abs() * tolerance.unwrap_or_else(|| self.most(own))

@@ -1,7 +1,7 @@
 //! A group that turns, grows, shifts and is carried as one.
 
 use super::along::{Carrier, carrier};
-use super::{Asked, Dancer, Fault, Ground, LEVEL, Moved};
+use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
 use crate::scenario::Sweep;
@@ -95,7 +95,12 @@ impl Needed {
         let error = dancer.axes.iter().map(|axis| axis.error(asked.tolerance)).fold(0.0, f64::max);
         // The axes of a body have their steps at different times. Where its way bends, the mean speeds of two steps that overlap
         // are then higher together than the speed at any moment, by about so much.
-        let stepped = (speed + (error * acceleration / 2.0).sqrt(), acceleration);
+        // Steps also end on the grid. With half of it, the remaining error allows steps so short that their speed is off by `off`.
+        let grid =
+            |axis: &Axis<'_>| axis.grid().map_or(0.0, |[scale, _, granularity]| scale.abs() * granularity);
+        let moving = || dancer.axes.iter().zip(&rates.axes).filter(|(_, swept)| !swept.is_still());
+        let off = moving().map(|(axis, _)| grid(axis) * acceleration).sum::<f64>().sqrt() / 2.0;
+        let stepped = (speed + (error * acceleration / 2.0).sqrt() + off, acceleration);
         let [shortest, sure] =
             [(speed, acceleration), stepped].map(|whole| time(whole, limits.body).max(own));
         Self { shortest, sure }

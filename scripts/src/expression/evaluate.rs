@@ -188,7 +188,7 @@ fn scaled(amount: &Amount, unit: Unit, change: impl Fn(Num) -> Num) -> Amount {
 
 fn divisor(number: Num, span: Span) -> Result<Num, Fault> {
     if number.is_zero() {
-        return Err(Fault::new(span, "a division by zero", "something else than 0 behind the sign")
+        return Err(Fault::new(span, "a division by zero", "a divisor other than 0")
             .hint("keep it away with `if($a == 0, 0, 1 / $a)`"));
     }
     Ok(number)

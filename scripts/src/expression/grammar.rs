@@ -570,7 +570,7 @@ fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
 fn unreadable(text: &str, span: Span) -> Fault {
     let number: String = text.chars().take_while(|c| c.is_ascii_digit() || *c == '.').collect();
     let hint = match &text[number.len()..] {
-        "deg" => Some(format!("plain numbers are degrees: write `{number}`")),
+        "deg" => Some("write the number alone, in the unit that is expected here".to_owned()),
         factor @ ("pi" | "t") => Some(format!("to multiply, write `{number} * {factor}`")),
         _ => duration::hint(text),
     };

@@ -10,6 +10,7 @@ use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, Within, names};
 use crate::node::{Node, shortened};
+use crate::slips;
 
 /// Longest expression that a variable may become when others are put into it.
 const WRITTEN_MAX: usize = 2_000;
@@ -231,6 +232,10 @@ impl Reader {
 
     /// A plain number; an angle counts in radians.
     pub(crate) fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
+        if slips::is_rate(text) {
+            self.wrong_type(at, expected);
+            return None;
+        }
         let value = self.quantity(at, text)?;
         self.plain(at, text, value, expected, std::f64::consts::PI)
     }

@@ -34,7 +34,7 @@ impl FromStr for Decimal {
 
 /// How a table is written.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Dialect {
+pub(crate) struct Dialect {
     /// A space stands for any run of blanks.
     pub(super) separator: char,
     /// Lines before the table.
@@ -45,7 +45,7 @@ pub(super) struct Dialect {
 
 impl Dialect {
     /// As the user says, else as the text shows.
-    pub(super) fn of(source: &Source, skipped: usize, decimal: Option<Decimal>) -> Self {
+    pub(crate) fn of(source: &Source, skipped: usize, decimal: Option<Decimal>) -> Self {
         let (separator, skipped) = stated_separator(source, skipped)
             .unwrap_or_else(|| (separator_of(source.text.lines().skip(skipped)), skipped));
         let plain = Self { separator, skipped, decimal: None };

@@ -194,7 +194,7 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
     let tempi = crate::counted(read.tempi.len(), "tempo");
     sink.note(match song.timing {
         Timing::Beats(_) if read.tempi.is_empty() => {
-            format!("{name}: no tempo is stated: 120 beats a minute")
+            format!("{name}: no tempo is stated: 120 beats per minute")
         }
         Timing::Beats(_) => format!("{name}: times follow {tempi} of the file"),
         Timing::Frames(rate, _) => format!("{name}: times are frames, {rate:.2} a second"),

@@ -8,7 +8,7 @@ mod bitbots;
 mod bvh;
 mod columns;
 mod crazyswarm;
-mod dialect;
+pub(crate) mod dialect;
 mod fleet_part;
 mod fseq;
 mod grid;
@@ -28,7 +28,7 @@ mod remarks;
 mod sink;
 mod skybrush;
 mod standard_midi;
-mod table;
+pub(crate) mod table;
 mod text;
 mod timed_csv;
 mod tree;
@@ -509,6 +509,7 @@ fn finish(
     let Sink { mut findings, notes, .. } = sink;
     for finding in &mut findings {
         if finding.hint.is_none()
+            && identify::format_of(&finding.file) != Some(format)
             && matches!(finding.code, Code::Unreadable | Code::Syntax | Code::ImportTable)
         {
             finding.hint = Some(other_format(format, &finding.file));

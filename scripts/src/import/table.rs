@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use crate::finding::Code;
 use crate::node::shortened;
+use crate::render::counted;
 use crate::source::Source;
 
 use super::dialect::{self, Decimal, Dialect};
@@ -14,24 +15,24 @@ const CELLS_MAX: usize = 50_000;
 
 /// One line.
 #[derive(Clone, Debug)]
-pub(super) struct Row<'a> {
+pub(crate) struct Row<'a> {
     /// From 1.
-    pub(super) line: usize,
+    pub(crate) line: usize,
     pub(super) text: &'a str,
-    pub(super) cells: Vec<Cell<'a>>,
+    pub(crate) cells: Vec<Cell<'a>>,
     decimal: Option<Decimal>,
 }
 
 /// What stands between two separators, without quotes and space around it.
 #[derive(Clone, Debug)]
-pub(super) struct Cell<'a> {
-    pub(super) text: Cow<'a, str>,
+pub(crate) struct Cell<'a> {
+    pub(crate) text: Cow<'a, str>,
     start: usize,
     width: usize,
 }
 
 /// The lines of a table.
-pub(super) fn rows(source: &Source, dialect: Dialect) -> impl Iterator<Item = Row<'_>> {
+pub(crate) fn rows(source: &Source, dialect: Dialect) -> impl Iterator<Item = Row<'_>> {
     let lines = source.text.lines().enumerate().skip(dialect.skipped).filter(|(_, line)| is_row(line));
     let rows = lines.map(move |(index, text)| Row::of(index, text, dialect.separator));
     let with_decimal = move |row| Row { decimal: dialect.decimal, ..row };
@@ -162,7 +163,7 @@ impl Row<'_> {
         if found == columns {
             return true;
         }
-        let message = format!("line {} has {found} columns, not {columns}", self.line);
+        let message = format!("line {} has {}, not {columns}", self.line, counted(found, "column"));
         let hint = (found < columns).then_some("is the file complete?");
         let expected = format!("{columns} columns, as the header has");
         sink.found(source, self.spot(found.min(columns)), Code::ImportTable, message, expected, hint);
@@ -170,7 +171,7 @@ impl Row<'_> {
     }
 
     /// A cell with a decimal point, if it is a number; as it is otherwise.
-    pub(super) fn plain(&self, index: usize) -> Cow<'_, str> {
+    pub(crate) fn plain(&self, index: usize) -> Cow<'_, str> {
         let text = self.cells.get(index).map_or("", |cell| &cell.text);
         dialect::plain(text, self.decimal).unwrap_or(Cow::Borrowed(text))
     }

@@ -104,7 +104,15 @@ fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
 
 fn columns(table: &Table<'_>, input: &Input, sink: &mut Sink) -> Option<(TimeColumn, Vec<Mapped>)> {
     let Table { header, options, source, .. } = *table;
+    let found = sink.findings.len();
     let index = header.index(options.time_column.as_deref().unwrap_or("t"), source, sink);
+    if options.time_column.is_none()
+        && header.named
+        && header.text(0) == "time"
+        && let Some(finding) = sink.findings.get_mut(found)
+    {
+        finding.hint = Some("add `--time time`".to_owned());
+    }
     let unit = index.and_then(|index| time_unit(table, index, sink));
     let mut mapped: Vec<Mapped> = Vec::new();
     let mut complete = true;

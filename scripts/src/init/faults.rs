@@ -183,7 +183,7 @@ fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str
     let (place, hint) = match written {
         Some(key) => (
             Place { key: true, ..place.of_key(key) },
-            Some(format!("`{}` is no key of it: did you mean `{missing}`?", shortened(key))),
+            Some(format!("unknown key `{}`: did you mean `{missing}`?", shortened(key))),
         ),
         None => (Place { key: true, ..place.clone() }, None),
     };

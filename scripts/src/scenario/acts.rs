@@ -376,7 +376,10 @@ fn sensor_wait(
     let named = text.split_once('/').map(|(robot, sensor)| (robot.to_owned(), sensor.to_owned()));
     if named.is_none() {
         let message = format!("`{}` names no robot and sensor", shortened(&text));
-        let hint = Some(format!("write the robot and a slash before it: `ROBOT/{}`", shortened(&text)));
+        let hint = Some(match text.split_once('.') {
+            Some((robot, sensor)) => format!("write a slash: `{}/{}`", shortened(robot), shortened(sensor)),
+            None => format!("write the robot and a slash before it: `ROBOT/{}`", shortened(&text)),
+        });
         reader.add(Code::UnknownSensor, sensor.place(), message, expected, hint);
     }
     let range = sensor_range(reader, at, [above, below, within])?;
@@ -407,6 +410,12 @@ pub(crate) fn sensor_range(
                 return None;
             };
             let (least, largest) = (reader.number(least, "a number")?, reader.number(largest, "a number")?);
+            if least > largest {
+                let message = format!("{least} is larger than {largest}");
+                let hint = Some(format!("write `[{largest}, {least}]`"));
+                reader.add(Code::WrongType, at.place(), message, "the least reading first", hint);
+                return None;
+            }
             Some(SensorRange::Within(least, largest))
         }
         _ => {

@@ -5,8 +5,11 @@ use urrcp::Span;
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, one_of};
+use crate::import::dialect::Dialect;
+use crate::import::table::{self, Row};
 use crate::motion::{Between, Curve, Knot, Shape};
-use crate::node::{Node, shortened};
+use crate::node::{BYTE_ORDER_MARK, Node, shortened};
+use crate::source::Source;
 
 const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
@@ -38,34 +41,17 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
             return None;
         }
     };
+    let text = source.text.trim_start_matches(BYTE_ORDER_MARK).to_owned();
+    let source = Source { text, ..source };
+    let rows: Vec<Row<'_>> = table::rows(&source, Dialect::of(&source, 0, None)).collect();
     let mut table = Table { reader, file, name: &name, faults: 0 };
     let (time, value) = (time?, value?);
-    let mut rows = table.rows(&source.text);
-    if let Some(header) = commented_header(&source.text, rows.first()) {
-        rows.insert(0, header);
-    }
-    let header = rows.first().map(|(_, cells)| cells.clone()).unwrap_or_default();
+    let header: Vec<&str> =
+        rows.first().map_or_else(Vec::new, |row| row.cells.iter().map(|cell| cell.text.as_ref()).collect());
     let columns = (table.column(&time, &header), table.column(&value, &header));
     let (Some((time, named)), Some((value, also_named))) = columns else { return None };
     let body = &rows[usize::from(named || also_named).min(rows.len())..];
     table.curve(body, [time, value], [millis, scale], Shape::Sampled(between))
-}
-
-type Row<'t> = (usize, Vec<&'t str>);
-
-/// A header that is written as a comment, `# t,elbow`: the last one ahead of numbers, of as many columns.
-fn commented_header<'t>(text: &'t str, first: Option<&Row<'t>>) -> Option<Row<'t>> {
-    let (line, cells) = first.filter(|(_, cells)| cells.iter().all(|cell| cell.parse::<f64>().is_ok()))?;
-    let comment = |(index, line): (usize, &'t str)| {
-        let names = cut(line.trim().trim_start_matches('\u{feff}').strip_prefix('#')?);
-        let named = names.len() == cells.len() && names.iter().all(|name| name.parse::<f64>().is_err());
-        named.then_some((index + 1, names))
-    };
-    text.lines().enumerate().take(*line - 1).filter_map(comment).last()
-}
-
-fn cut(line: &str) -> Vec<&str> {
-    line.split(',').map(|cell| cell.trim().trim_matches('"')).collect()
 }
 
 struct Table<'r, 'a> {
@@ -76,14 +62,6 @@ struct Table<'r, 'a> {
 }
 
 impl Table<'_, '_> {
-    /// Lines with their numbers, cut at commas; empty lines and lines that begin with `#` are left out.
-    fn rows<'t>(&self, text: &'t str) -> Vec<Row<'t>> {
-        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-        let lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
-        let full = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-        full.map(|(number, line)| (number, cut(line))).collect()
-    }
-
     /// A column by its name in the header, or by its number from 1; and whether there is a header.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small whole number")]
     fn column(&mut self, at: &At<'_>, header: &[&str]) -> Option<(usize, bool)> {
@@ -122,10 +100,10 @@ impl Table<'_, '_> {
         shape: Shape,
     ) -> Option<Curve> {
         let mut knots: Vec<Knot> = Vec::with_capacity(rows.len());
-        for (index, (line, cells)) in rows.iter().enumerate() {
-            let number = |column: usize| {
-                cells.get(column).and_then(|cell| cell.parse::<f64>().ok()).filter(|value| value.is_finite())
-            };
+        for (index, row) in rows.iter().enumerate() {
+            let line = &row.line;
+            let number =
+                |column: usize| row.plain(column).parse::<f64>().ok().filter(|value| value.is_finite());
             let (Some(at), Some(to)) = (number(time), number(value)) else {
                 self.fault(*line, "no finite number in one of the two columns", "a number in both columns");
                 continue;

@@ -149,15 +149,15 @@ pub(super) fn read(
     }
     if keys.over.is_none() && duration.is_none() && !reader.is_miswritten(cue, "over") {
         let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
-        reader.add(Code::MissingKey, first.key_place(), "a way without its time", "a key `over`", hint);
+        reader.add(Code::MissingKey, first.key_place(), "`form` without `over`", "a key `over`", hint);
     }
     let length = keys.over.and_then(|at| positive_time(reader, &at));
     let action = match keys.form {
         Some(form) => {
             for other in sweeps.iter().flatten() {
-                let hint = Some("let a cue of its own follow with it".to_owned());
+                let hint = Some("write the other one as a cue of its own".to_owned());
                 let message = "a group forms and turns in one cue";
-                reader.add(Code::UnknownKey, other.key_place(), message, "either of both", hint);
+                reader.add(Code::UnknownKey, other.key_place(), message, "one of the two", hint);
             }
             read_form(reader, &form).map(Action::Form)
         }
@@ -243,7 +243,7 @@ fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
     if along.as_ref().is_some_and(|along| along.follow) {
         for other in others {
             let message = "robots that follow each other are no body that turns, grows or shifts";
-            let hint = Some("let a cue of its own follow with it".to_owned());
+            let hint = Some("write the other one as a cue of its own".to_owned());
             reader.add(Code::UnknownKey, other.key_place(), message, "`along` alone", hint);
         }
     }

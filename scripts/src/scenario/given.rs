@@ -30,12 +30,24 @@ impl Changed {
 }
 
 /// Items that depend on a parameter, and where that is given.
-pub(crate) type Givens = Vec<(u32, Arc<Place>)>;
+pub(crate) type Givens = Vec<(u32, Given)>;
+
+/// Where a parameter is given.
+#[derive(Clone, Debug)]
+pub(crate) struct Given {
+    pub(crate) place: Arc<Place>,
+    /// Whether it is the value, not a part of an expression.
+    pub(crate) is_alone: bool,
+}
 
 /// Where the first parameter on which a value depends is given.
-pub(super) fn given(reader: &Reader, at: &At<'_>) -> Option<Arc<Place>> {
+pub(super) fn given(reader: &Reader, at: &At<'_>) -> Option<Given> {
     let Node::Text(text) = at.node else { return None };
     let is_part = |c: char| c.is_alphanumeric() || c == '_';
     let names = text.split('$').skip(1).map(|rest| rest.split(|c| !is_part(c)).next().unwrap_or_default());
-    names.filter_map(|name| reader.scope.place(name)).next().cloned()
+    let place = names.filter_map(|name| reader.scope.place(name)).next().cloned()?;
+    Some(Given {
+        place,
+        is_alone: text.trim().strip_prefix('$').is_some_and(|name| name.chars().all(is_part)),
+    })
 }

@@ -18,7 +18,7 @@ use crate::ensemble::Ground;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, Use, one_of};
+use crate::finding::{Code, Finding, Place, Use, one_defined};
 use crate::fleet::Fleet;
 use crate::identify::not_to_include;
 use crate::locate::locate;
@@ -344,7 +344,7 @@ impl<'a> Library<'a> {
             let none = known().next().is_none().then(|| "define it under `moves`".to_owned());
             let hint = none.or_else(|| reader.did_you_mean(name, known()));
             let message = format!("no move `{}`", shortened(name));
-            reader.add(Code::UnknownMove, at.place(), message, one_of(known()), hint);
+            reader.add(Code::UnknownMove, at.place(), message, one_defined("move", known()), hint);
         }
         found.map(|(name, part)| Used { kind: "move", name, part, place: at.place() })
     }
@@ -357,7 +357,7 @@ impl<'a> Library<'a> {
             let known = || known.iter().map(String::as_str);
             let hint = reader.did_you_mean(name, known());
             let message = format!("no sequence `{}`", shortened(name));
-            reader.add(Code::UnknownSequence, at.place(), message, one_of(known()), hint);
+            reader.add(Code::UnknownSequence, at.place(), message, one_defined("sequence", known()), hint);
         }
         found.map(|(name, part)| Used { kind: "sequence", name, part, place: at.place() })
     }
@@ -441,7 +441,9 @@ pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Optio
             .map(|beats_a_minute| vec![Section { bar: 0, beats_a_minute, beats_a_bar }])
             .unwrap_or_default(),
     };
-    if !sections.is_empty() {
+    if sections.is_empty() {
+        reader.tempo_is_wrong = true;
+    } else {
         reader.music.tempo = Some(Arc::new(Tempo::new(&sections)));
     }
 }
@@ -485,7 +487,7 @@ fn whole_bar(reader: &mut Reader, at: &At<'_>) -> Option<u32> {
 }
 
 fn bpm(reader: &mut Reader, at: &At<'_>) -> Option<Fraction> {
-    let expected = "beats a minute, from 1 to 10000";
+    let expected = "beats per minute, from 1 to 10000";
     let value = reader.positive(at, expected)?;
     if (1.0..=10_000.0).contains(&value) {
         return Some(fraction(value));

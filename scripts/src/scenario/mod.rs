@@ -52,7 +52,7 @@ pub(crate) use canon::Canon;
 pub(crate) use cue::CUE_KEYS;
 pub(crate) use form::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 pub(crate) use formations::WrittenFormation;
-pub(crate) use given::{Change, Changed, Givens};
+pub(crate) use given::{Change, Changed, Given, Givens};
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
 pub(crate) use nesting::Nesting;
@@ -316,7 +316,11 @@ impl Track {
 
     /// Where the parameter on which an item depends is given.
     pub(crate) fn given(&self, item: u32) -> Option<&Place> {
-        self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given.as_ref())
+        self.given_as(item).map(|given| given.place.as_ref())
+    }
+
+    pub(crate) fn given_as(&self, item: u32) -> Option<&Given> {
+        self.given.iter().find(|(known, _)| *known == item).map(|(_, given)| given)
     }
 
     /// When it ends, before that is laid on the clock.

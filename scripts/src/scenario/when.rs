@@ -3,7 +3,7 @@
 use urrcp::Span;
 
 use super::canon::Late;
-use crate::duration;
+use crate::duration::{self, parse_duration, written};
 use crate::exact::{Beginning, Exact};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
@@ -179,12 +179,32 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
         None => (text, None),
     };
     let name = name.trim();
+    if let (Some((cue, sum)), Some((least, None))) = (gap_before(name), gap) {
+        let whole = sum + if sign == '-' { -least } else { least };
+        let (by, size) = if whole < Span::ZERO { ('-', -whole) } else { ('+', whole) };
+        let message = format!("`{}` has two times", shortened(text));
+        let hint = Some(format!("write `{} {by} {}`", shortened(cue), written(size)));
+        reader.add(Code::BadDuration, at.place(), message, "one time after the name of a cue", hint);
+        return None;
+    }
     let (end, name) = match (name.strip_prefix("start of "), name.strip_prefix("end of ")) {
         (Some(rest), _) => (Some(false), rest.trim()),
         (_, Some(rest)) => (Some(true), rest.trim()),
         _ => (None, name),
     };
     Some((Target { cue: name.to_owned(), end }, gap))
+}
+
+/// `a + 1s`: the cue and the time ahead of another time. A cue may be called `part - 1`.
+fn gap_before(text: &str) -> Option<(&str, Span)> {
+    let (name, gap) = text.rsplit_once(' ')?;
+    let (name, sign) = name.rsplit_once(' ')?;
+    let gap = parse_duration(gap)?;
+    match sign {
+        "+" => Some((name, gap)),
+        "-" => Some((name, -gap)),
+        _ => None,
+    }
 }
 
 fn looks_like_time(text: &str) -> bool {
@@ -236,7 +256,7 @@ fn in_order<T: PartialOrd>(
     if least <= largest {
         return Some((least, Some(largest)));
     }
-    let message = format!("{shown} lies above {largest_shown}");
+    let message = format!("{} is later than {}", written(shown), written(largest_shown));
     reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
     None
 }

@@ -164,7 +164,7 @@ fn a_group_is_told_what_it_can_do_about_its_limits_and_that_it_moves_as_one() {
         |cue: &str| compiled(2, &scenario(EIGHT, &format!("  - {{robots: [d0, d1], {cue}}}\n"))).findings;
     let beyond = found("shift: [70, 0, 0], over: 100s");
     let hints: Vec<&str> = beyond.iter().filter_map(|found| found.hint.as_deref()).collect();
-    assert_eq!(hints, ["`shift: [49.3, 0, 0]` is enough"], "{beyond:#?}");
+    assert_eq!(hints, ["at most `shift: [49.3, 0, 0]` fits"], "{beyond:#?}");
     let spread = found("turn: {from: 0, to: 90, across: group}, over: 10s");
     assert_eq!(spread.len(), 1, "{spread:#?}");
     assert!(spread[0].message.contains("spread over the robots"), "{spread:#?}");

@@ -1,6 +1,6 @@
 //! Figures in hints, put into the scenario: each has to be enough, and no larger than it need be.
 
-use super::groups::drone;
+use super::groups::{drone, drone_on};
 use crate::space::{Coordinate, Space};
 use crate::{Code, Compiled, Fleet, NoFiles, Severity, Source, compile};
 
@@ -62,7 +62,10 @@ fn edited(text: &str, (key, value): (&str, &str)) -> String {
 #[track_caller]
 fn fixed(fleet: &Fleet, text: &str, code: Code) -> String {
     let (found, hint) = fault(fleet, text);
-    assert!(found == code && hint.contains("is enough"), "{text}\n{found:?} {hint}");
+    assert!(
+        found == code && (hint.contains("is enough") || hint.contains("at most")),
+        "{text}\n{found:?} {hint}"
+    );
     let first = hint.split("; ").next().unwrap();
     let text = edits(first).into_iter().fold(text.to_owned(), |text, edit| edited(&text, edit));
     is_sound(fleet, &text);
@@ -167,7 +170,7 @@ fn each_relation_of_a_circle_can_be_left_out() {
     fleet.space.distance = None;
     let (code, hint) = fault(&fleet, &text(CIRCLE));
     let message = &compiled(&fleet, &text(CIRCLE)).findings[0].message;
-    assert!(message.contains("wait for each other in a circle"), "{message}");
+    assert!(message.contains("form a cycle"), "{message}");
     for (index, relation) in ["after: c", "after: a + 500ms", "after: b"].iter().enumerate() {
         assert!(code == Code::Conflict && hint.contains(&format!("`{relation}`")), "{hint}");
         let mut without = CIRCLE;
@@ -178,9 +181,9 @@ fn each_relation_of_a_circle_can_be_left_out() {
     let with = text(["at: 0s", "after: a, with: a", "at: 0s"]);
     assert!(!compiled(&fleet, &with).findings[0].message.contains("wait"));
     let both = text(["with: b", "after: a", "at: 0s"]);
-    assert!(compiled(&fleet, &both).findings[0].message.contains("wait for each other in a circle"));
+    assert!(compiled(&fleet, &both).findings[0].message.contains("form a cycle"));
     let late = text(["at: 1s", "after: a + 0s..1s", "before: b"]);
-    assert!(!compiled(&fleet, &late).findings.iter().any(|found| found.message.contains("circle")));
+    assert!(!compiled(&fleet, &late).findings.iter().any(|found| found.message.contains("cycle")));
 }
 
 #[test]
@@ -232,12 +235,12 @@ fn a_change_of_a_move_is_told_how_far_it_may_go() {
     };
     let fleet = super::fleet();
     let (code, hint) = fault(&fleet, &text("scale: 3"));
-    assert_eq!((code, hint.as_str()), (Code::OutOfRange, "a factor of 2.25 is enough"));
+    assert_eq!((code, hint.as_str()), (Code::OutOfRange, "a factor of at most 2.25 fits"));
     is_sound(&fleet, &text("scale: 2.25"));
     let (code, hint) = fault(&fleet, &text("mirror: true"));
     assert_eq!(
         (code, hint.as_str()),
-        (Code::OutOfRange, "mirrored about its middle it fits: `{about: 25, devices: [d]}`")
+        (Code::OutOfRange, "it fits if mirrored about its middle: `{about: 25, devices: [d]}`")
     );
     is_sound(&fleet, &text("mirror: {about: 25, devices: [d]}"));
 }
@@ -282,4 +285,55 @@ fn a_wave_is_moved_into_the_limits_as_far_as_the_hint_says() {
     let expected = "its values span 120, and the limits 90: make it 0.75 times as large";
     assert_eq!((code, told.as_str()), (Code::OutOfRange, expected));
     is_sound(&fleet, &large("0.75 * 60"));
+}
+
+/// Drones in a row above the ground, whose devices take hundredths and move at up to 3 m/s.
+fn coarse(count: usize) -> Fleet {
+    let robots = (0..count).map(|index| {
+        let mut robot = drone_on([0.01; 2], index, [index as f64, 0.0, 1.0]);
+        if let Some(body) = &mut robot.body {
+            body.speed = Some(3.0);
+        }
+        robot
+    });
+    let robots: Vec<_> = robots.collect();
+    let all = robots.iter().map(|robot| robot.id.clone()).collect();
+    let space = Space { distance: Some(0.4), ..Space::default() };
+    Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() }
+}
+
+#[test]
+fn the_time_that_a_turn_needs_is_enough_for_its_steps() {
+    for count in [5, 8, 12] {
+        for keys in ["turn: 90", "turn: 360", "grow: 1.2, turn: 180, shift: [0, 0, 1]", "grow: 3"] {
+            let text = format!("scenario: s\ncues: [{{robots: all, {keys}, over: 100ms}}]\n");
+            fixed(&coarse(count), &text, Code::BodyTooFast);
+        }
+    }
+}
+
+#[test]
+fn places_of_the_size_that_is_named_leave_room_for_steps() {
+    for count in [7, 12] {
+        for formation in [
+            "circle: {radius: 0.35}",
+            "circle: {spacing: 0.3}",
+            "line: {spacing: 0.3}, rotate: 30",
+            "grid: {spacing: 0.3}",
+        ] {
+            fixed(&coarse(count), &form(formation, "form: f, over: 30s"), Code::NoWayPast);
+        }
+    }
+}
+
+#[test]
+fn a_parameter_within_an_expression_is_not_told_the_value_of_the_whole() {
+    let text = "scenario: s
+moves: {m: {parameters: {to: 0}, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 2 * $to}]}}}
+cues:
+  - {robots: arm, move: m, parameters: {to: 80}}
+";
+    let (code, hint) = fault(&super::fleet(), text);
+    let expected = "`to` makes it 160: give a value that makes it at most 90";
+    assert_eq!((code, hint.as_str()), (Code::OutOfRange, expected));
 }

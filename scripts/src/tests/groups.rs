@@ -15,8 +15,9 @@ const ERROR: f64 = 0.002;
 const RADIUS: f64 = 0.1;
 const DISTANCE: f64 = 0.2;
 
-fn device(id: &str, home: f64) -> String {
-    let limits = format!(r#""min_value": -50, "max_value": 50, "granularity": 0.001, "max_error": {ERROR}"#);
+fn device(id: &str, home: f64, [granularity, error]: [f64; 2]) -> String {
+    let limits =
+        format!(r#""min_value": -50, "max_value": 50, "granularity": {granularity}, "max_error": {error}"#);
     format!(
         r#"{{"id": "{id}", "name": "{id}", "unit": "m", "interpolation": "linear", "default_value": {home}, "available_control_types": {{
   "position": {{{limits}}}, "script": {{{limits}, "max_number_of_steps": 2000}}}}}}"#
@@ -24,9 +25,14 @@ fn device(id: &str, home: f64) -> String {
 }
 
 /// A drone that begins at a place.
-pub(super) fn drone(index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
+pub(super) fn drone(index: usize, at: [f64; 3]) -> FleetRobot {
+    drone_on([0.001, ERROR], index, at)
+}
+
+/// The same, whose devices have this granularity and largest error.
+pub(super) fn drone_on(grid: [f64; 2], index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
     let id = format!("d{index}");
-    let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home)).join(", ");
+    let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home, grid)).join(", ");
     let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{devices}]}}"#);
     let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
     let mut robot = FleetRobot::new(init.id.clone(), Address::Simulated, Some(init));
@@ -329,7 +335,7 @@ fn places_that_are_too_close_for_some_of_the_bodies_are_told() {
     // 0.1 m, 0.5 m and 0.2 m between them.
     let (code, expected, hint) = cue("form: f");
     assert_eq!((code, expected.as_str()), (Code::NoWayPast, "at least 0.800 m; they end 0.500 m apart"));
-    assert_eq!(hint, "`spacing: 0.8` is enough");
+    assert_eq!(hint, "`spacing: 0.807` is enough");
 }
 
 #[test]
@@ -512,7 +518,7 @@ fn places_that_are_too_near_for_these_bodies_are_told_as_such() {
     assert_eq!(findings[1].message, "places 1 and 2 of `near` are 0.390 m apart");
     assert!(findings[1].expected.starts_with("at least 0.400 m from middle to middle"), "{findings:#?}");
     let hint = findings[1].hint.as_deref().unwrap();
-    assert_eq!(hint, "`scale: 1.03` is enough");
+    assert_eq!(hint, "`scale: 1.05` is enough");
     // Without bodies and distances, two robots still cannot be at one place.
     let ring = "ring: {circle: {radius: 0.01}, at: [0, 0, 1]}";
     let text = format!(

@@ -305,10 +305,14 @@ fn several_values_take_the_fewest_steps_within_a_tolerance() {
 const SWITCHED: &str = "t,v\n0,0\n1,0\n2,255\n3,255\n4,255\n5,0\n6,0\n";
 
 fn sampled(device: &str, keys: &str) -> Act {
+    sampled_from(SWITCHED, device, keys)
+}
+
+fn sampled_from(table: &'static str, device: &str, keys: &str) -> Act {
     let text = format!(
         "cues: [{{at: 0s, robots: bot, tracks: {{{device}: {{samples: {{file: c.csv, time: t, value: v{keys}}}}}}}}}]\n"
     );
-    act_with(&text, SWITCHED)
+    act_with(&text, table)
 }
 
 #[test]
@@ -320,6 +324,16 @@ fn samples_of_a_device_that_holds_are_steps_unless_they_are_said_to_be_linear() 
     assert_eq!(act.duration(), urrcp::Span::from_millis(6_000));
     assert_eq!(values(&sampled("lamp", ", ease: step"), "lamp"), steps);
     assert!(values(&sampled("lamp", ", ease: linear"), "lamp").len() > 100);
+}
+
+#[test]
+fn samples_are_read_as_spreadsheets_save_them() {
+    let expected = values(&sampled("lamp", ""), "lamp");
+    let semicolons = SWITCHED.replace(',', ";").replace("2;255", "2,0;255,0");
+    for table in [semicolons.clone(), format!("sep=;\n{semicolons}"), SWITCHED.replace(',', "\t")] {
+        let table = table.leak();
+        assert_eq!(values(&sampled_from(table, "lamp", ""), "lamp"), expected, "{table}");
+    }
 }
 
 #[test]

@@ -48,7 +48,7 @@ fn only_words_that_are_alike_are_suggested() {
     let of_a_name = did_you_mean("forms", ["cues", "formations", "for"]);
     assert_eq!(of_a_name.as_deref(), Some("did you mean `formations`?"));
     assert_eq!(did_you_mean("for", ["formations"]), None);
-    says("cues: [{robots: bot, move: x}]\n", &["a name that is defined, but none is"]);
+    says("cues: [{robots: bot, move: x}]\n", &["a move that is defined under `moves`"]);
     let of_the_protocol = "cues: [{robots: bot, tracks: {lamp: {control_type: speed, keyframes: []}}}]\n";
     says(of_the_protocol, &["unknown key `control_type`", "did you mean `control`?"]);
 }

@@ -49,10 +49,12 @@ impl<'f> Fixes<'f> {
         let changes = match fault {
             Fault::TooShort { seconds, .. } => vec![self.longer(&[seconds / self.seconds()])],
             Fault::Crowded { distance, required, .. } if *distance > 0.0 => {
-                vec![self.larger(required / distance)]
+                vec![self.larger((required + self.stepped()) / distance)]
             }
             Fault::Blocked(blocked) => match blocked.required {
-                Required::AtEnd { end, least } if end > 0.0 => vec![self.larger(least / end)],
+                Required::AtEnd { end, least } if end > 0.0 => {
+                    vec![self.larger((least + self.stepped()) / end)]
+                }
                 Required::AtEnd { .. } => return None,
                 _ => vec![self.longer(&LONGER), self.larger(1.05), self.by_way_of()],
             },
@@ -72,7 +74,7 @@ impl<'f> Fixes<'f> {
             Action::Form(Form { to: Target::Formation(_), .. }) => {
                 let middle = self.formation()?.0.placing.middle_on_stage();
                 let part = self.part_within(ways, |_, axis| middle[axis]).filter(|part| *part > 0.0)?;
-                self.resized(&SMALLER.map(|factor| part * factor), f64::floor)
+                self.smaller(part)
             }
             Action::Sweep(sweep) if sweep.turns == 0.0 && sweep.along.is_none() => {
                 let part =
@@ -81,14 +83,23 @@ impl<'f> Fixes<'f> {
                 match (sweep.grow == 1.0, sweep.shift == [0.0; 3]) {
                     (true, false) => {
                         let [x, y, z] = sweep.shift.map(|along| less(along * part));
-                        Some(format!("`shift: [{x}, {y}, {z}]` is enough"))
+                        Some(format!("at most `shift: [{x}, {y}, {z}]` fits"))
                     }
-                    (false, true) => Some(format!("`grow: {}` is enough", grown(sweep, part))),
+                    (false, true) => Some(format!("at most `grow: {}` fits", grown(sweep, part))),
                     _ => None,
                 }
             }
             _ => None,
         }
+    }
+
+    /// How much nearer to each other two bodies may be by their steps, in metres.
+    fn stepped(&self) -> f64 {
+        let error = |dancer: &Dancer<'_>| {
+            let axes = dancer.axes.iter().map(|axis| axis.error(self.cue.tolerance).powi(2));
+            axes.sum::<f64>().sqrt()
+        };
+        2.0 * self.dancers.iter().map(error).fold(0.0, f64::max)
     }
 
     fn seconds(&self) -> f64 {
@@ -121,17 +132,27 @@ impl<'f> Fixes<'f> {
 
     /// A size that is enough, at least `factor` times the written one; with more time, if it needs that.
     fn larger(&mut self, factor: f64) -> Option<String> {
-        self.resized(&LARGER.map(|more| factor * more), f64::ceil)
+        self.resized(&LARGER.map(|more| factor * more), f64::ceil, |edit| format!("{edit} is enough"))
     }
 
-    fn resized(&mut self, factors: &[f64], round: fn(f64) -> f64) -> Option<String> {
+    /// A size that is small enough, at most `part` of the written one.
+    fn smaller(&mut self, part: f64) -> Option<String> {
+        self.resized(&SMALLER.map(|factor| part * factor), f64::floor, |edit| format!("at most {edit} fits"))
+    }
+
+    fn resized(
+        &mut self,
+        factors: &[f64],
+        round: fn(f64) -> f64,
+        told: impl Fn(&str) -> String,
+    ) -> Option<String> {
         let (_, key, size) = self.formation()?;
         for factor in factors {
             let new = rounded(size * factor, round);
             if let Some(over) = self.tried(new / size) {
                 return Some(match over == self.group.over {
-                    true => format!("`{key}: {new}` is enough"),
-                    false => format!("`{key}: {new}` is enough with `over: {}`", written(over)),
+                    true => told(&format!("`{key}: {new}`")),
+                    false => format!("{} with `over: {}`", told(&format!("`{key}: {new}`")), written(over)),
                 });
             }
         }
