@@ -3,11 +3,9 @@
 use urrcp::{ErrorCode, Server, Span, Timestamp};
 
 use super::act::{Act, Member, Progressed};
-use super::course::may_have_moved;
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::Rest;
-use super::script::Script;
 use super::{Mission, Outcome, Phase};
 
 /// The maximum number of times that an act is prepared again.
@@ -139,15 +137,6 @@ impl Mission {
         }
         failed.into_iter().for_each(|(robot, kind)| self.note_failure(robot, kind));
         false
-    }
-
-    /// Whether a robot may have begun an act that was not committed. A robot that drops uncommitted scripts has not begun,
-    /// unless it reports that it has.
-    fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
-        let unaccounted = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
-        let drops = |member: &Member| self.robots[member.robot].drops_undecided();
-        let safe = !act.is_committed() && act.members().iter().filter(unaccounted).all(drops);
-        act.has_begun() || !safe && may_have_moved(now, act)
     }
 
     /// Discards the withdrawn attempt and lines the act up again. The condition of the act has been met.

@@ -119,7 +119,7 @@ impl Mission {
     /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
     fn line_up(&mut self, now: Timestamp<Server>) {
         let [last] = self.acts.as_slice() else { return };
-        if !last.is_committed() || !self.may_begin_another() {
+        if !(last.is_committed() || last.is_over()) || !self.may_begin_another() {
             return;
         }
         let way = self.detour.map_or(last.follow(), Way::Act);
@@ -369,11 +369,25 @@ impl Mission {
         self.moved_before || self.fates.iter().any(|act| act.moved)
     }
 
+    /// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is
+    /// unknown. A robot that reports nothing moves as well, as early as its clock permits.
+    pub(super) fn may_have_begun(&self, now: Timestamp<Server>, act: &Act) -> bool {
+        let is_due = act.timing().is_some_and(|timing| now >= timing.earliest_start());
+        act.has_begun() || is_due && self.may_begin_unheard(act)
+    }
+
+    /// Whether a script whose fate is unknown may begin. A robot that drops undecided scripts begins none before the commitment.
+    fn may_begin_unheard(&self, act: &Act) -> bool {
+        let unaccounted = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
+        let begins = |member: &Member| act.is_committed() || !self.robots[member.robot].drops_undecided();
+        act.members().iter().filter(unaccounted).any(begins)
+    }
+
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
         let deserted = act.present().next().is_none();
         // What a robot that was left out still has of it may move it, as long as it has not said otherwise.
-        let moved = may_have_moved(now, act) || deserted && act.is_unaccounted();
+        let moved = self.may_have_begun(now, act) || deserted && self.may_begin_unheard(act);
         // A stop does not end an act whose planned end has passed, even if no process watched that end.
         let ended = if performs { act.is_over() } else { self.has_ended_before_the_stop(act) };
         match (act.was_sent(), moved) {
@@ -467,11 +481,4 @@ impl Mission {
             }
         }
     }
-}
-
-/// Whether robots may have begun an act: they have reported it, or its earliest start has passed and the fate of a script is
-/// unknown. A robot that reports nothing moves as well, as early as its clock permits.
-pub(super) fn may_have_moved(now: Timestamp<Server>, act: &Act) -> bool {
-    let is_due = act.timing().is_some_and(|timing| now >= timing.earliest_start());
-    act.has_begun() || is_due && act.is_unaccounted()
 }

@@ -3,7 +3,6 @@
 use downbeat_scripts::{OnFailure, counted};
 use urrcp::{Server, Span, Timestamp};
 
-use super::course::may_have_moved;
 use super::failure_kind::{Failure, FailureKind};
 use super::failures::Noted;
 use super::record::Record;
@@ -287,7 +286,7 @@ impl Mission {
     }
 
     fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {
-        let moved = self.acts.iter().any(|act| may_have_moved(now, act)) || self.has_moved();
+        let moved = self.acts.iter().any(|act| self.may_have_begun(now, act)) || self.has_moved();
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
         let reason = self.reason_of(robots);

@@ -124,7 +124,7 @@ impl Act {
     /// A round of questions, the record of the commitment, or the commitment itself.
     pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if self.present().next().is_none() {
-            self.stage = Stage::Over;
+            self.stage = Stage::Deserted;
             return Vec::new();
         }
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {

@@ -59,6 +59,8 @@ enum Stage {
     Playing(playing::Playing),
     /// It will not be committed, and another act still plays. Its robots drop it; once that act has ended, it is withdrawn.
     Lapsing(Outcome),
+    /// No robot was left to play it before its commitment.
+    Deserted,
     /// All has ended.
     Over,
 }
@@ -309,7 +311,7 @@ impl Act {
     }
 
     pub(crate) const fn is_over(&self) -> bool {
-        matches!(self.stage, Stage::Over)
+        matches!(self.stage, Stage::Deserted | Stage::Over)
     }
 
     pub(crate) fn has_begun(&self) -> bool {
@@ -342,7 +344,7 @@ impl Act {
             Stage::Committed(_) => Progressed::Committed,
             Stage::Playing(_) => Progressed::Playing,
             Stage::Lapsing(_) => Progressed::Lapsing,
-            Stage::Over => Progressed::Over,
+            Stage::Deserted | Stage::Over => Progressed::Over,
         }
     }
 
@@ -413,7 +415,7 @@ impl Act {
             Stage::Committed(_) => self.begin_if_due(now, robots),
             Stage::Playing(_) => self.watch(now, robots),
             Stage::Lapsing(outcome) if self.is_alone() => vec![ActAction::Withdraw(outcome.clone())],
-            Stage::Lapsing(_) | Stage::Over => Vec::new(),
+            Stage::Lapsing(_) | Stage::Deserted | Stage::Over => Vec::new(),
         };
         if watched.is_empty() {
             return actions;
@@ -436,7 +438,7 @@ impl Act {
                 let due = self.reading_due().into_iter().chain(self.motion_due());
                 due.chain([playing.wakeup(self.since)]).min()
             }
-            Stage::Lapsing(_) | Stage::Over => None,
+            Stage::Lapsing(_) | Stage::Deserted | Stage::Over => None,
         }
     }
 

@@ -60,7 +60,7 @@ impl Act {
     /// All its robots have been left out: there is nothing to play.
     pub(super) fn leave_if_deserted(&mut self) -> Vec<ActAction> {
         if self.present().next().is_none() {
-            self.stage = Stage::Over;
+            self.stage = Stage::Deserted;
         }
         Vec::new()
     }
@@ -168,7 +168,7 @@ impl Act {
             return unanswered(self.number, timing, &self.members, robots);
         }
         if self.present().next().is_none() {
-            self.stage = Stage::Over;
+            self.stage = Stage::Deserted;
             return Vec::new();
         }
         // A decision that comes late would shorten what the leases need to run out before the start.

@@ -189,6 +189,19 @@ fn robots_that_drop_an_act_while_it_lapses_have_not_failed() {
 }
 
 #[test]
+fn an_act_that_no_robot_can_have_begun_is_withdrawn_even_if_a_robot_is_gone() {
+    for (drops_undecided, second) in [(true, ActFate::Withdrawn), (false, ActFate::Stopped)] {
+        let mut played = chained(drops_undecided);
+        played.mutes(0);
+        let reason = "closed".to_owned();
+        played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+        assert_eq!(played.run_to_the_end(), Outcome::Failed);
+        let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+        assert_eq!(fates, [ActFate::Stopped, second]);
+    }
+}
+
+#[test]
 fn a_stop_withdraws_an_act_that_lapses() {
     let mut played = lapses();
     played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });

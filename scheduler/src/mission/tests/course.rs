@@ -476,10 +476,17 @@ fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_a
 
 #[test]
 fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_played() {
-    for starts in [true, false] {
+    // One that drops undecided scripts cannot begin the act before its commitment.
+    for (starts, drops, first) in [
+        (true, true, ActFate::Stopped),
+        (true, false, ActFate::Stopped),
+        (false, true, ActFate::Withdrawn),
+        (false, false, ActFate::Stopped),
+    ] {
         let mut mission = one_after_the_other();
         let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
         choreography.acts[0].on_failure.default = OnFailure::Without;
+        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
         let mut played = Played::begun(mission);
         if starts {
             played.run_to_the_start();
@@ -487,24 +494,26 @@ fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_pl
         let now = played.now;
         played.mission.fail(now, 0, broken());
         assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "it had started: {starts}");
-        assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played], "it had started: {starts}");
+        assert_eq!(fates(&played), [first, ActFate::Played], "it had started: {starts}, drops: {drops}");
     }
 }
 
 #[test]
 fn an_act_may_have_moved_a_robot_that_has_not_spoken_as_early_as_its_clock_may_have_it() {
-    use crate::mission::course::may_have_moved;
-    let (_, act, _) = sent_act();
+    let (mut mission, act, _) = sent_act();
     let timing = act.timing().unwrap();
     let earliest = timing.earliest_start();
     assert!(earliest < timing.start && !act.is_committed());
-    let moved = [earliest - Span::from_nanos(1), earliest].map(|now| may_have_moved(now, &act));
-    assert_eq!(moved, [false, true]);
+    for drops in [false, true] {
+        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
+        let moved = [earliest - Span::from_nanos(1), earliest].map(|now| mission.may_have_begun(now, &act));
+        assert_eq!(moved, [false, !drops]);
+    }
 
     let mut played = Played::begun(begins_at_once(Tells::Nothing));
     played.run_to_the_start();
     let act = &played.mission.acts[0];
     let start = act.timing().unwrap().start;
     assert!(act.is_committed() && !act.has_begun());
-    assert_eq!([at(0), start].map(|now| may_have_moved(now, act)), [false, true]);
+    assert_eq!([at(0), start].map(|now| played.mission.may_have_begun(now, act)), [false, true]);
 }
