@@ -456,7 +456,7 @@ impl FleetReader<'_> {
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
         let mut limits = BTreeMap::new();
-        self.findings.units = Units::of_devices(&init.devices);
+        self.findings.units = Units::of(&init.devices);
         if let Node::Map(entries) = at.node
             && !entries.is_empty()
             && entries.iter().all(|(key, _)| LIMIT_KEYS.contains(&key.as_str()) && init.device(key).is_none())

@@ -8,7 +8,6 @@ use crate::composed::{composed, is_same};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Part, Place, did_you_mean_this};
-use crate::fleet::{Fleet, devices_of};
 use crate::node::{Node, shortened};
 use crate::scenario::CUE_KEYS;
 
@@ -17,9 +16,10 @@ use crate::scenario::CUE_KEYS;
 pub(crate) struct Units(HashMap<String, Option<String>>);
 
 impl Units {
-    pub(crate) fn of(fleet: &Fleet) -> Self {
+    /// A device of several robots has a unit if it is the same on all of them.
+    pub(crate) fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
         let mut units: HashMap<String, Option<String>> = HashMap::new();
-        for device in fleet.robots.iter().flat_map(devices_of) {
+        for device in devices {
             let unit = device.unit.as_ref().map(ToString::to_string);
             units
                 .entry(composed(device.id.as_str()).into_owned())
@@ -31,12 +31,6 @@ impl Units {
                 .or_insert(unit);
         }
         Self(units)
-    }
-
-    /// Those of one robot.
-    pub(crate) fn of_devices<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
-        let unit = |device: &Device| device.unit.as_ref().map(ToString::to_string);
-        Self(devices.into_iter().map(|device| (device.id.to_string(), unit(device))).collect())
     }
 
     pub(crate) fn has_device(&self, name: &str) -> bool {

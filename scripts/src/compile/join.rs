@@ -5,15 +5,14 @@ use std::collections::{BTreeMap, HashMap};
 use urrcp::{ControlType, Device, Interpolation, Millis, Setpoint, Span, Step, StopCondition};
 
 use super::cast::{Cast, Left, Rest};
-use super::conflict::told;
 use super::cut::{CORRECTED_EVERY, Cutting, REFILL, can_be_refilled, cuts, every};
 use super::jumps::{First, Moved, Mover, Position};
+use super::overlap;
 use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
 use crate::budget::Budget;
-use crate::duration::written;
 use crate::fields::Reader;
-use crate::finding::{Code, Place};
+use crate::finding::Code;
 use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
@@ -106,42 +105,6 @@ fn taken(
     sound
 }
 
-/// A cue that moves a device from a time on, although another cue, or the same one, moves it until later.
-pub(super) fn overlap(
-    device: &Device,
-    robot: urrcp::RobotId,
-    (cue, start): (&str, Span),
-    (before, end): (&str, Span),
-    place: Place,
-) -> SharedFault {
-    let later = end - start;
-    let message = [
-        format!("`{cue}` moves `{}` of ", device.id),
-        format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
-    ];
-    let (expected, hint) = match cue == before {
-        true => (
-            "one movement of a device at a time".to_owned(),
-            format!("leave out one of the two movements, or give one of them to a cue after `{cue}`"),
-        ),
-        false => (
-            format!("a start at {} or later", told(end)),
-            format!("start `{cue}` {} later, as with `after: {before}`", written(later)),
-        ),
-    };
-    SharedFault {
-        code: Code::Overlap,
-        cause: format!("{cue}\n{before}"),
-        size: later.as_millis_f64(),
-        device: device.id.to_string(),
-        robots: [robot].into(),
-        place,
-        message,
-        expected,
-        hint: Some(hint),
-    }
-}
-
 /// One device of one robot, with everything that it does in an act.
 struct Lane<'a> {
     scenario: &'a Scenario,
@@ -177,54 +140,12 @@ impl Lane<'_> {
     fn check_overlaps(&self, findings: &mut Reader) {
         let mut latest: Option<&Segment> = None;
         for segment in self.segments {
-            if let Some(before) = latest.filter(|before| segment.start() < before.end()) {
-                self.overlap(findings, segment, before);
-            } else if let Some(before) = latest.filter(|before| before.start() == segment.start()) {
-                self.same_instant(findings, segment, before);
+            if let Some(before) = latest {
+                let fault = overlap::of_segments(self.device, self.robot, segment, before);
+                fault.into_iter().for_each(|fault| findings.add_shared(fault));
             }
             latest = latest.filter(|before| before.end() > segment.end()).or(Some(segment));
         }
-    }
-
-    /// Reports two values for one device at one instant: the scenario does not state which of them applies.
-    fn same_instant(&self, findings: &mut Reader, segment: &Segment, before: &Segment) {
-        let (Some(value), Some(other)) = (segment.first_setpoint(), before.first_setpoint()) else { return };
-        if value == other {
-            return;
-        }
-        let message = [
-            format!("`{}` sets `{}` of ", segment.cue, self.device.id),
-            format!(
-                " to {} at {}, and `{}` sets it to {} at the same instant",
-                value.value,
-                told(segment.start()),
-                before.cue,
-                other.value
-            ),
-        ];
-        findings.add_shared(SharedFault {
-            code: Code::Overlap,
-            cause: format!("{}\n{}", segment.cue, before.cue),
-            size: 0.0,
-            device: self.device.id.to_string(),
-            robots: [self.robot.clone()].into(),
-            place: segment.part.place.clone(),
-            message,
-            expected: "one value at one instant".to_owned(),
-            hint: Some(format!("start `{}` later, or leave one of the values out", segment.cue)),
-        });
-    }
-
-    fn overlap(&self, findings: &mut Reader, segment: &Segment, before: &Segment) {
-        let start = (&*segment.cue, segment.start());
-        let place = segment.part.place.clone();
-        findings.add_shared(overlap(
-            self.device,
-            self.robot.clone(),
-            start,
-            (&before.cue, before.end()),
-            place,
-        ));
     }
 
     /// Reports jumps from one cue of the act to the next.

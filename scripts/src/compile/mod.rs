@@ -21,6 +21,7 @@ mod cut;
 mod join;
 mod jumps;
 mod outline;
+mod overlap;
 mod perform;
 mod schedule;
 mod segment;

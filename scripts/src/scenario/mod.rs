@@ -37,7 +37,7 @@ use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Part, Place};
-use crate::fleet::Fleet;
+use crate::fleet::{Fleet, devices_of};
 use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
@@ -404,7 +404,7 @@ pub(crate) fn read(
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
     reader.group = Group::of(fleet);
-    reader.units = Units::of(fleet);
+    reader.units = Units::of(fleet.robots.iter().flat_map(devices_of));
     let parts = [variables, moves, sequences, roles, formations, paths];
     let library = shared(reader, documents, files, fleet, (include, parts));
     library::music(reader, tempo, signature);

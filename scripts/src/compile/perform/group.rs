@@ -8,7 +8,7 @@ use urrcp::{ControlType, Device, Span};
 use super::{OnDevice, Performer, room};
 use crate::compile::ahead::{WAYS_MIN, together};
 use crate::compile::cast::{Members, Positions};
-use crate::compile::join::overlap;
+use crate::compile::overlap::overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
 use crate::ensemble::{self, Asked, Axis, Dancer, Moved};

@@ -1,0 +1,82 @@
+//! Two movements of a device at one time.
+
+use urrcp::{Device, RobotId, Span};
+
+use super::conflict::told;
+use super::segment::Segment;
+use crate::duration::written;
+use crate::finding::{Code, Place};
+use crate::shared_fault::SharedFault;
+
+/// The fault of a movement that begins before an earlier one has ended, or at the same instant with another value.
+pub(super) fn of_segments(
+    device: &Device,
+    robot: &RobotId,
+    segment: &Segment,
+    before: &Segment,
+) -> Option<SharedFault> {
+    let place = segment.part.place.clone();
+    if segment.start() < before.end() {
+        let (start, end) = ((&*segment.cue, segment.start()), (&*before.cue, before.end()));
+        return Some(overlap(device, robot.clone(), start, end, place));
+    }
+    if segment.start() > before.start() {
+        return None;
+    }
+    let (value, other) = (segment.first_setpoint()?, before.first_setpoint()?);
+    (value != other).then(|| {
+        let [value, other] = [value.value, other.value];
+        let (at, other_cue) = (told(segment.start()), &before.cue);
+        let message = [
+            format!("`{}` sets `{}` of ", segment.cue, device.id),
+            format!(" to {value} at {at}, and `{other_cue}` sets it to {other} at the same instant"),
+        ];
+        SharedFault {
+            code: Code::Overlap,
+            cause: format!("{}\n{}", segment.cue, before.cue),
+            size: 0.0,
+            device: device.id.to_string(),
+            robots: [robot.clone()].into(),
+            place,
+            message,
+            expected: "one value at one instant".to_owned(),
+            hint: Some(format!("start `{}` later, or leave one of the values out", segment.cue)),
+        }
+    })
+}
+
+/// A cue that moves a device from a time on, although another cue, or the same one, moves it until later.
+pub(super) fn overlap(
+    device: &Device,
+    robot: RobotId,
+    (cue, start): (&str, Span),
+    (before, end): (&str, Span),
+    place: Place,
+) -> SharedFault {
+    let later = end - start;
+    let message = [
+        format!("`{cue}` moves `{}` of ", device.id),
+        format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
+    ];
+    let (expected, hint) = match cue == before {
+        true => (
+            "one movement of a device at a time".to_owned(),
+            format!("leave out one of the two movements, or give one of them to a cue after `{cue}`"),
+        ),
+        false => (
+            format!("a start at {} or later", told(end)),
+            format!("start `{cue}` {} later, as with `after: {before}`", written(later)),
+        ),
+    };
+    SharedFault {
+        code: Code::Overlap,
+        cause: format!("{cue}\n{before}"),
+        size: later.as_millis_f64(),
+        device: device.id.to_string(),
+        robots: [robot].into(),
+        place,
+        message,
+        expected,
+        hint: Some(hint),
+    }
+}
