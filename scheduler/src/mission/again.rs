@@ -2,7 +2,7 @@
 
 use urrcp::{ErrorCode, Server, Span, Timestamp};
 
-use super::act::{Act, Member, Progressed};
+use super::act::{Member, Progressed};
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::Rest;
