@@ -1,14 +1,44 @@
 //! What a robot set, and when: the truth against which reports are held.
 
-use serde::Serialize;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Robot, Timestamp};
 
 use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
+/// How an entry of the log changes the value of a device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MotionKind {
+    /// The value changes at once.
+    Set,
+    /// The value begins to change linearly, and arrives when the step is due.
+    Ramp,
+    /// A position slows down and comes to rest, at the declared acceleration.
+    Slow,
+    /// A stop keeps the present value, or sets a speed or an acceleration to zero.
+    Rest,
+    /// The device goes to its default state.
+    Default,
+}
+
+impl fmt::Display for MotionKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Set => "set",
+            Self::Ramp => "ramp",
+            Self::Slow => "slow",
+            Self::Rest => "rest",
+            Self::Default => "default",
+        })
+    }
+}
+
 /// One value set.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct LogEntry {
     /// When, by the one true clock of the host, in nanoseconds since the Unix epoch.
@@ -19,8 +49,8 @@ pub struct LogEntry {
     pub due: Timestamp<Robot>,
     /// Which device.
     pub device: DeviceId,
-    /// `set`, `ramp`, `slow`, `rest` or `default`.
-    pub motion: &'static str,
+    /// How the value changes.
+    pub motion: MotionKind,
     /// position, speed, acceleration or custom_N.
     pub control_type: String,
     /// The value set, or where the ramp ends.
@@ -32,19 +62,25 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
+    /// Whether the value changed at once: by a step of a script, or by a direct request.
+    #[must_use]
+    pub const fn is_set(&self) -> bool {
+        matches!(self.motion, MotionKind::Set)
+    }
+
     /// Whether a step of a script was set, and not the way to the next one.
     #[cfg(feature = "host")]
-    pub(crate) fn is_a_step(&self) -> bool {
-        self.step.is_some() && self.motion == "set"
+    pub(crate) const fn is_a_step(&self) -> bool {
+        self.step.is_some() && self.is_set()
     }
 
     pub(crate) fn new(host_time: Timestamp<HostTime>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
         let (motion, control_type, value) = match set.motion {
-            Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
-            Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
-            Motion::Slow { control_type, to, .. } => ("slow", control_type, to),
-            Motion::Rest(setpoint) => ("rest", setpoint.control_type, setpoint.value),
-            Motion::Default(setpoint) => ("default", setpoint.control_type, setpoint.value),
+            Motion::Set(setpoint) => (MotionKind::Set, setpoint.control_type, setpoint.value),
+            Motion::Ramp { control_type, to, .. } => (MotionKind::Ramp, control_type, to),
+            Motion::Slow { control_type, to, .. } => (MotionKind::Slow, control_type, to),
+            Motion::Rest(setpoint) => (MotionKind::Rest, setpoint.control_type, setpoint.value),
+            Motion::Default(setpoint) => (MotionKind::Default, setpoint.control_type, setpoint.value),
         };
         Self {
             true_ns: host_time.as_nanos(),

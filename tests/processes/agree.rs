@@ -200,7 +200,10 @@ fn set_in_dry_run(played: &Played, robot: &str) -> BTreeMap<String, Vec<Set>> {
     by_device(log.iter().map(|entry| {
         let request = entry.request_id.as_deref().unwrap_or_default();
         let step = entry.step.map(u64::from);
-        (entry.device.to_string(), Set::new(entry.motion, request, step, entry.value, entry.true_ns))
+        (
+            entry.device.to_string(),
+            Set::new(&entry.motion.to_string(), request, step, entry.value, entry.true_ns),
+        )
     }))
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use downbeat_robot::set_log::MotionKind;
 use downbeat_robot::simulated::{Fault, SimulatedRobot};
 use downbeat_scripts::{Act, Between, Choreography, Fleet, Incident, OnFailure, RobotPlan, Trouble, World};
 use serde::{Deserialize, Serialize};
@@ -378,7 +379,8 @@ fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
             broken.push(format!("`{}` still moves after the mission and all leases have ended", row.robot));
         }
         if row.stop == StopState::Home {
-            let moving = watched.last.iter().find(|(_, motion)| matches!(**motion, "set" | "ramp"));
+            let moving =
+                watched.last.iter().find(|(_, motion)| matches!(motion, MotionKind::Set | MotionKind::Ramp));
             if let Some((device, _)) = moving {
                 broken.push(format!(
                     "`{}` confirmed its default state, and `{device}` is not in it",
@@ -526,7 +528,7 @@ mod tests {
             &Injected::None,
             |report, watched| {
                 report.robots[0].stop = StopState::Home;
-                watched[0].last.insert("shoulder".parse().unwrap(), "set");
+                watched[0].last.insert("shoulder".parse().unwrap(), MotionKind::Set);
             },
             "`a` confirmed its default state, and `shoulder` is not in it",
         );

@@ -75,7 +75,7 @@ fn six(change: impl Fn(usize, &mut Settings)) -> Vec<Settings> {
 }
 
 fn moved(logs: &[Vec<LogEntry>]) -> usize {
-    logs.iter().filter(|log| log.iter().any(|entry| entry.motion == "set")).count()
+    logs.iter().filter(|log| log.iter().any(|entry| entry.is_set())).count()
 }
 
 #[test]

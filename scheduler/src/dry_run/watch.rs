@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use downbeat_robot::set_log::LogEntry;
+use downbeat_robot::set_log::{LogEntry, MotionKind};
 use urrcp::{DeviceId, Server, Span, Timestamp};
 
 use super::operator::VirtualOperator;
@@ -18,8 +18,8 @@ use crate::report::Report;
 pub struct Watched {
     /// Scripts that it began, by the number of their act.
     pub begun: BTreeMap<u32, usize>,
-    /// How each device was moved last: `set`, `ramp`, `slow` or `default`.
-    pub last: BTreeMap<DeviceId, &'static str>,
+    /// How each device moved last.
+    pub last: BTreeMap<DeviceId, MotionKind>,
     /// It still had something to do when the longest lease and the longest act were over.
     pub still_moves: bool,
 }
@@ -46,7 +46,7 @@ impl Audience for Watcher {
         let watched = &mut self.0[robot];
         watched.last.insert(entry.device.clone(), entry.motion);
         let act = entry.request_id.as_deref().and_then(act_of);
-        if let (Some(act), Some(0), "set") = (act, entry.step, entry.motion) {
+        if let (Some(act), Some(0), MotionKind::Set) = (act, entry.step, entry.motion) {
             *watched.begun.entry(act).or_default() += 1;
         }
     }

@@ -147,7 +147,7 @@ pub(super) fn set(
     for (row, log) in played.report.robots.iter().zip(&played.logs) {
         let Some(robot) = places.robot(&row.robot) else { continue };
         let mut of_device: BTreeMap<(Option<u32>, &DeviceId), Points> = BTreeMap::new();
-        for entry in log.iter().filter(|entry| entry.motion == "set") {
+        for entry in log.iter().filter(|entry| entry.is_set()) {
             let act = entry.request_id.as_deref().and_then(act_of);
             let at = epoch.millis(Timestamp::from_nanos(entry.true_ns));
             of_device.entry((act, &entry.device)).or_default().push(at, entry.value);

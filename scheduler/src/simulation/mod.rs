@@ -7,6 +7,7 @@ mod check;
 mod draw;
 mod shrink;
 mod trace;
+pub mod trajectory;
 mod world;
 
 use downbeat_robot::set_log::LogEntry;

@@ -1,5 +1,6 @@
 //! The judge can find what is wrong: one faultless mission, told otherwise in one point after another.
 
+use downbeat_robot::set_log::{LogEntry, MotionKind};
 use serde_json::{Value, json};
 
 use super::draw::{Clock, Drawn, Fault, Tells};
@@ -41,6 +42,14 @@ fn struck(played: &mut Played, robot: Option<usize>, what: What) {
     played.struck.push(Struck { robot, what, from, until: i64::MAX });
 }
 
+/// A movement that nobody requested, after the end of the mission.
+fn moved(played: &mut Played, motion: MotionKind) {
+    let mut last = played.logs[0][0].last().unwrap().clone();
+    (last.motion, last.step, last.request_id) = (motion, None, None);
+    last.value += 1.0;
+    played.logs[0][0].push(last);
+}
+
 /// What is changed in what was said and done, and under which name it is found.
 type Doctored = (&'static str, fn(&mut Played));
 
@@ -54,13 +63,21 @@ const DOCTORED: &[Doctored] = &[
     ("(done)", |played| drop(played.sets[1].pop())),
     ("(more)", |played| drop(played.sets[1].remove(3))),
     ("(script)", |played| drop(played.sets[1].remove(3))),
-    ("(order)", |played| played.sets[0].swap(2, 3)),
+    ("(order)", |played| played.sets[0].swap(2, 4)),
     ("(twice)", |played| {
         let again = played.sets[0][5].clone();
         played.sets[0].insert(6, again);
     }),
     ("(foreign)", |played| played.sets[0][15].value = 89.0),
     ("(promise)", |played| played.sets[0][3].request = "another/1".to_owned()),
+    ("(movement)", |played| moved(played, MotionKind::Default)),
+    ("(movement)", |played| moved(played, MotionKind::Rest)),
+    ("(movement)", |played| moved(played, MotionKind::Slow)),
+    ("(movement)", |played| played.logs[1][0][7].value += 1.0),
+    ("(movement)", |played| {
+        let ramp = |entry: &&mut LogEntry| entry.motion == MotionKind::Ramp;
+        played.logs[1][0].iter_mut().find(ramp).unwrap().request_id = Some("another/1".to_owned());
+    }),
     ("(stranger)", |played| played.strangers = 1),
     ("(early)", |played| played.sets[0][0].at -= 30_000_000),
     ("(late)", |played| played.sets[0][0].at += 90_000_000),

@@ -6,6 +6,8 @@ use std::time::Duration;
 pub const STEPS: usize = 4;
 /// Values that one act has to itself.
 pub const VALUES: usize = 20;
+/// The device `arm` arrives at a value that is higher by this, half a step after `d` is set.
+pub const ARM: f64 = 0.5;
 /// Largest delay that a robot adds to each message, each way.
 pub const DELAY_MS: u64 = 20;
 
@@ -65,6 +67,7 @@ pub enum Strike {
     SchedulerKilled(Then),
     /// `downbeat stop`, and perhaps once more.
     Stop {
+        home: bool,
         again: Option<Duration>,
     },
     /// `downbeat resume` while the scheduler lives.
@@ -201,25 +204,46 @@ impl Drawn {
         900 + 300 * self.acts.len() + steps * self.every_ms
     }
 
-    /// Everything that a robot is to be set to, in order.
+    /// The values to which the devices of a robot are to be set, in order of time.
     pub fn values(&self) -> Vec<f64> {
-        let of_act = |(act, scripts): (usize, &usize)| (0..scripts * STEPS).map(move |step| value(act, step));
+        let of_step = |act, step| [value(act, step), value(act, step) + ARM];
+        let of_act =
+            |(act, scripts): (usize, &usize)| (0..scripts * STEPS).flat_map(move |step| of_step(act, step));
         self.acts.iter().enumerate().flat_map(of_act).collect()
     }
 
-    /// What a robot says of itself.
+    /// The initialization block of a robot: the device `d` holds its values, and `arm` moves linearly.
     pub fn init(&self, robot: usize) -> String {
-        let init = stage::one_device(self.queue, 90, STEPS);
+        let queue = self.queue;
+        let slows_down =
+            ["", "\n      acceleration: {min_value: -900, max_value: 900, granularity: 1}"][robot % 2];
+        let arm = format!(
+            "  - id: arm
+    name: arm
+    script_queue: {queue}
+    interpolation: linear
+    default_value: 0
+    available_control_types:
+      position: {{min_value: 0, max_value: 90, granularity: 0.5}}
+      script: {{min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: {STEPS}}}{slows_down}
+"
+        );
+        let init = stage::one_device(queue, 90, STEPS) + &arm;
         init.replace("reports: true", &format!("reports: {}", self.tells[robot].reports()))
     }
 
     pub fn scenario(&self) -> String {
         let Self { on_failure, on_doubt, every_ms, lease_ms, .. } = self;
         let act = |(act, scripts): (usize, &usize)| {
-            let keyframe = |step| format!("{{at: {}ms, to: {}}}", step * every_ms, value(act, step));
-            let track = (0..scripts * STEPS).map(keyframe).collect::<Vec<_>>().join(", ");
+            let track = |later: usize, higher: f64| {
+                let keyframe = |step| {
+                    format!("{{at: {}ms, to: {}}}", step * every_ms + later, value(act, step) + higher)
+                };
+                (0..scripts * STEPS).map(keyframe).collect::<Vec<_>>().join(", ")
+            };
+            let (d, arm) = (track(0, 0.0), track(every_ms / 2, ARM));
             format!(
-                "  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {{d: [{track}]}}}}\n"
+                "  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {{d: [{d}], arm: [{arm}]}}}}\n"
             )
         };
         let acts: String = self.acts.iter().enumerate().map(act).collect();
@@ -276,7 +300,7 @@ fn draw_scheduler(rng: &mut fastrand::Rng) -> Strike {
         5 => Strike::SchedulerKilled(Then::ResumeAndStop(soon(rng), millis(rng, 100..2_000))),
         6 => Strike::StopWhileFrozen(soon(rng), millis(rng, 500..3_500)),
         7 => Strike::ResumeTooSoon,
-        _ => Strike::Stop { again: rng.bool().then(|| soon(rng)) },
+        _ => Strike::Stop { home: rng.u8(0..3) == 0, again: rng.bool().then(|| soon(rng)) },
     }
 }
 

@@ -2,6 +2,10 @@
 
 use std::collections::{BTreeMap, HashSet};
 
+use downbeat::mission::PromisedScript;
+use downbeat::simulation::trajectory::{Promised, unexplained};
+use downbeat_robot::set_log::{LogEntry, MotionKind};
+use downbeat_scripts::DeviceScript;
 use serde_json::Value;
 
 use super::draw::{DELAY_MS, Fault, STEPS, VALUES, value};
@@ -50,6 +54,7 @@ pub fn judge(played: &Played) -> Verdict {
         judge.in_time(robot);
         judge.leases(robot);
         judge.confirmed(robot);
+        judge.movements(robot);
     }
     judge.operators_stop();
     for told in &played.told {
@@ -77,12 +82,16 @@ struct Promise {
     doubt: i64,
     /// Robots, and when each was left out.
     members: BTreeMap<usize, Option<i64>>,
-    /// The names of their requests.
-    scripts: HashSet<String>,
+    /// The scripts, by the names of their requests.
+    scripts: BTreeMap<String, PromisedScript>,
 }
 
 fn index(robot: &Value) -> usize {
-    robot.as_str().and_then(|id| id[1..].parse().ok()).unwrap()
+    robot.as_str().map(index_of).unwrap()
+}
+
+fn index_of(robot: &str) -> usize {
+    robot[1..].parse().unwrap()
 }
 
 fn span(millis: &Value) -> i64 {
@@ -109,7 +118,11 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
                 .map(|script| index(&script["robot"]))
                 .map(|robot| (robot, dropped.get(&robot).copied()))
                 .collect(),
-            scripts: scripts.iter().map(|script| script["request_id"].as_str().unwrap().to_owned()).collect(),
+            scripts: scripts
+                .iter()
+                .map(|script| serde_json::from_value(script.clone()).unwrap())
+                .map(|script: PromisedScript| (script.request_id.as_str().to_owned(), script))
+                .collect(),
         }
     };
     journal
@@ -179,12 +192,11 @@ impl Judge<'_> {
         let unconfirmed = rows.clone().any(|row| row["stop"]["state"] == "unconfirmed");
         let outcome =
             report["outcome"].as_str().or_else(|| report["outcome"].as_object()?.keys().next().map(|k| &**k));
-        let stopped = told.kind == Kind::Stop || is_withdrawal(report);
         let expected = match (outcome, unconfirmed) {
             (None, _) => return false,
             (Some("done"), _) => 0,
             (_, true) => 4,
-            _ if stopped => 0,
+            _ if told.kind == Kind::Stop => 0,
             (Some("done_without" | "done_skipping"), _) => 5,
             (Some("stopped"), _) => 3,
             (Some("out_of_tolerance" | "steps_late" | "unknown"), _) => 6,
@@ -286,9 +298,11 @@ impl Judge<'_> {
     fn log(&mut self, robot: usize) {
         let sets = &self.played.sets[robot];
         let values: Vec<f64> = sets.iter().map(|entry| entry.value).collect();
-        self.say(!values.windows(2).all(|pair| pair[0] < pair[1]), || {
-            format!("(order) r{robot} set {values:?}")
-        });
+        let ascend = |device: &str| {
+            let own: Vec<f64> = sets.iter().filter(|set| set.device == device).map(|set| set.value).collect();
+            own.windows(2).all(|pair| pair[0] < pair[1])
+        };
+        self.say(!ascend("d") || !ascend("arm"), || format!("(order) r{robot} set {values:?}"));
         let mut seen = HashSet::new();
         let twice = sets.iter().any(|entry| !seen.insert((&entry.request, entry.step)));
         self.say(twice, || format!("(twice) r{robot} did a step twice: {values:?}"));
@@ -296,17 +310,41 @@ impl Judge<'_> {
         let foreign = values.iter().any(|value| !planned.contains(value));
         self.say(foreign, || format!("(foreign) r{robot} set {values:?}"));
         let unpromised =
-            sets.iter().find(|entry| !self.promises.iter().any(|p| p.scripts.contains(&entry.request)));
+            sets.iter().find(|entry| !self.promises.iter().any(|p| p.scripts.contains_key(&entry.request)));
         self.say(unpromised.is_some(), || {
             format!("(promise) r{robot} did what the journal does not promise: {unpromised:?}")
         });
         self.say(robot == 0 && self.played.strangers > 0, || "(stranger) another robot was moved".to_owned());
     }
 
+    /// Every movement has a reason.
+    fn movements(&mut self, robot: usize) {
+        let promised = |id: &str| {
+            let (act, script) = self.promises.iter().find_map(|p| Some((p.act, p.scripts.get(id)?)))?;
+            let planned = &self.played.choreography.acts[act].plan.robots;
+            let planned = planned.iter().find(|planned| planned.robot == script.robot)?;
+            let same = |written: &&DeviceScript| {
+                written.device == script.device && written.start.get() == script.start.get()
+            };
+            let written = planned.scripts.iter().find(same).map(|written| &written.script);
+            (index_of(script.robot.as_str()) == robot).then_some(Promised { device: &script.device, written })
+        };
+        let may_go_home = self.played.drawn.on_failure == "home";
+        let home_from = if may_go_home { Some(0) } else { self.played.home_from };
+        let goes_home = |entry: &LogEntry| home_from.is_some_and(|from| entry.true_ns >= from);
+        for process in &self.played.logs[robot] {
+            for what in unexplained(process, promised, goes_home) {
+                self.verdict.wrong.push(format!("(movement) r{robot} {what}"));
+            }
+        }
+    }
+
     /// When a step was planned, by the one true clock.
     fn due(&self, entry: &Logged) -> Option<i64> {
-        let promise = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request))?;
-        let step = step_of(entry) * self.played.drawn.every_ms;
+        let promise = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))?;
+        let every = self.played.drawn.every_ms;
+        let later = if entry.device == "arm" { every / 2 } else { 0 };
+        let step = step_of(entry) * every + later;
         Some(promise.start + i64::try_from(step).unwrap() * MILLIS)
     }
 
@@ -320,7 +358,7 @@ impl Judge<'_> {
                 format!("r{robot} set {} {} us off its plan, {early} to {late} ns", entry.value, off / 1_000)
             };
             self.say(off < early - 2 * MILLIS, || format!("(early) {}", what()));
-            let starts = step_of(&entry) == 0;
+            let starts = step_of(&entry) == 0 && entry.device == "d";
             self.say(starts && off > late + START_LATE, || format!("(late) {}", what()));
             let frozen = self.faults(Some(robot)).any(|struck| {
                 matches!(struck.what, What::Robot(Fault::Frozen))
@@ -339,7 +377,7 @@ impl Judge<'_> {
     /// How early and how late a robot may start an act, as was stated before; where no report has it, any tolerated error.
     fn budget(&self, robot: usize, entry: &Logged) -> (i64, i64) {
         let unknown = (-60 * MILLIS, 60 * MILLIS);
-        let Some(promise) = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request))
+        let Some(promise) = self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request))
         else {
             return unknown;
         };
@@ -381,7 +419,8 @@ impl Judge<'_> {
             let under_way = UNDER_WAY + slow.max().unwrap_or(0);
             let beyond = self.played.sets[robot].iter().find(|entry| {
                 let due = entry.at - (entry.set_at - entry.due).max(0);
-                let pending = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request));
+                let pending =
+                    self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request));
                 let pending = pending.map_or(0, |promise| promise.lease).max(self.lease());
                 let lease = if entry.step == Some(0) { pending } else { self.lease() };
                 due > from + lease + under_way && due < until
@@ -402,7 +441,8 @@ impl Judge<'_> {
             journal.filter(|(_, (_, record))| is_stop(record)).map(|(place, (at, _))| (place, *at)).collect();
         for (place, at) in stops {
             let before = |entry: &&Logged| {
-                let promise = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request));
+                let promise =
+                    self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request));
                 promise.is_none_or(|promise| promise.place < place)
             };
             let sets = self.played.sets[robot].iter().filter(|entry| entry.at > at);
@@ -443,8 +483,11 @@ impl Judge<'_> {
         }
         for act in report["acts"].as_array().into_iter().flatten() {
             for said in act["robots"].as_array().into_iter().flatten() {
-                let devices = said["devices"].as_array().into_iter().flatten().enumerate();
-                devices.for_each(|(script, device)| self.script(act, index(&said["robot"]), script, device));
+                let devices = said["devices"].as_array().into_iter().flatten();
+                for name in ["d", "arm"] {
+                    let own = devices.clone().filter(|device| device["device"] == name).enumerate();
+                    own.for_each(|(script, device)| self.script(act, index(&said["robot"]), script, device));
+                }
             }
         }
         for failure in report["failures"].as_array().into_iter().flatten() {
@@ -458,8 +501,9 @@ impl Judge<'_> {
     /// A robot that still moves when this was said is named, with an instant by which it is at rest.
     fn at_rest(&mut self, told: &Told, row: &Value) {
         let robot = index(&row["robot"]);
-        let moves: Vec<i64> =
-            self.played.sets[robot].iter().map(|entry| entry.at).filter(|at| *at > told.gone).collect();
+        let rests = |entry: &&LogEntry| matches!(entry.motion, MotionKind::Rest | MotionKind::Slow);
+        let moves = self.played.logs[robot].iter().flatten().filter(|entry| !rests(entry));
+        let moves: Vec<i64> = moves.map(|entry| entry.true_ns).filter(|at| *at > told.gone).collect();
         let stop = &row["stop"];
         self.say(!moves.is_empty() && stop["state"] != "unconfirmed", || {
             format!("(named) r{robot} did {} steps after {:?} had said of it {stop}", moves.len(), told.kind)
@@ -486,6 +530,11 @@ impl Judge<'_> {
         let of_acts = |entry: &&Logged| acts.contains(&act_of(entry));
         let sets: Vec<&Logged> = self.played.sets[robot].iter().filter(of_acts).collect();
         let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64);
+        let begins = |entry: &&LogEntry| {
+            matches!(entry.motion, MotionKind::Set | MotionKind::Ramp)
+                && acts.contains(&((entry.value as usize - 1) / VALUES))
+        };
+        let begun = self.played.logs[robot].iter().flatten().filter(begins).count();
         let late = sets.iter().filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
         let torn = u64::from(self.lost_its_memory(robot));
         let certain = row["stop"]["state"] != "unconfirmed" && row["unaccounted"] == 0;
@@ -495,11 +544,11 @@ impl Judge<'_> {
         self.say(certain && said < set, || {
             format!("(fewer) r{robot} is said for certain to have done {said} steps, and did {set}")
         });
-        self.say(certain && row["started"] == 0 && set > 0, || {
-            format!("(moved) r{robot} is said not to have started, and did {set} steps")
+        self.say(certain && row["started"] == 0 && begun > 0, || {
+            format!("(moved) r{robot} is reported as not started, and began {begun} movements")
         });
-        self.say(outcome == "not_started" && certain && set > 0, || {
-            format!("(moved) not started, and r{robot} did {set} steps")
+        self.say(outcome == "not_started" && certain && begun > 0, || {
+            format!("(moved) not started, and r{robot} began {begun} movements")
         });
         let claimed = row["late_steps"].as_u64().unwrap();
         self.say(claimed > late + torn, || {
@@ -511,7 +560,8 @@ impl Judge<'_> {
         let act = place_of(act);
         let first = value(act, script * STEPS);
         let own = first..first + STEPS as f64;
-        let set = self.played.sets[robot].iter().filter(|entry| own.contains(&entry.value)).count() as u64;
+        let sets = self.played.sets[robot].iter().filter(|entry| device["device"] == entry.device);
+        let set = sets.filter(|entry| own.contains(&entry.value)).count() as u64;
         let (state, said) = (device["state"].as_str().unwrap(), device["steps_done"].as_u64().unwrap());
         let torn = u64::from(self.lost_its_memory(robot));
         let ended = state == "ended" && (said != STEPS as u64 || set + torn < STEPS as u64);
@@ -550,7 +600,8 @@ impl Judge<'_> {
         for robot in 0..self.played.drawn.robots() {
             let failed = failures.iter().any(|failure| index(&failure["robot"]) == robot)
                 || rows.iter().any(|row| index(&row["robot"]) == robot && row["standing"] == "out");
-            let set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
+            let mut set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
+            set.sort_by(f64::total_cmp);
             let planned = self.played.drawn.values();
             let torn = usize::from(self.lost_its_memory(robot));
             let all = set == planned || (torn > 0 && set.len() + torn >= planned.len());

@@ -2,7 +2,7 @@
 //! started again at random moments, and other processes resume and stop them: what was said of each has to agree with what
 //! the robots' own logs say. `DOWNBEAT_CHAOS=300` plays so many missions, `DOWNBEAT_CHAOS_FIRST=17` begins with that one.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
+#![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod doctored;

@@ -5,6 +5,8 @@ use std::sync::Mutex;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use downbeat_robot::set_log::LogEntry;
+use downbeat_scripts::{Choreography, Folder, Source, compile, read_fleet};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 use serde_json::Value;
 
@@ -71,9 +73,14 @@ pub struct Played {
     pub told: Vec<Told>,
     /// The values of scripts that each robot set.
     pub sets: Vec<Vec<Logged>>,
-    /// Those that robots of other ids set at its address.
+    /// The number of values that robots of other ids set at its address.
     pub strangers: usize,
+    /// The log of each process of each robot.
+    pub logs: Vec<Vec<Vec<LogEntry>>>,
     pub journal: Vec<(i64, Value)>,
+    pub choreography: Choreography,
+    /// When the first command requested the default state.
+    pub home_from: Option<i64>,
 }
 
 /// A program that runs. Only its owner reaps it, so its process id stays its own.
@@ -110,6 +117,7 @@ struct Show<'a> {
     /// In the order in which they were started.
     programs: Mutex<Vec<Program>>,
     struck: Mutex<Vec<Struck>>,
+    home_from: Mutex<Option<i64>>,
     scheduler: Pid,
     began: Instant,
     state: std::path::PathBuf,
@@ -137,6 +145,7 @@ pub fn play(drawn: Drawn) -> Played {
         stage: Mutex::new(stage),
         programs: Mutex::new(vec![run]),
         struck: Mutex::new(Vec::new()),
+        home_from: Mutex::new(None),
         scheduler,
         began,
         state,
@@ -158,16 +167,29 @@ pub fn play(drawn: Drawn) -> Played {
     // Whatever a lease still allows is over then.
     std::thread::sleep(Duration::from_millis(drawn.lease_ms + 300));
     let stage = show.stage.into_inner().unwrap();
-    let (mut sets, mut strangers) = (Vec::new(), 0);
+    let (mut sets, mut strangers, mut logs) = (Vec::new(), 0, Vec::new());
     for robot in &stage.robots {
         let (own, foreign): (Vec<_>, Vec<_>) =
             robot.sets().into_iter().partition(|set| set.robot == robot.id);
         sets.push(own);
         strangers += foreign.len();
+        let entries =
+            |text: String| text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+        logs.push(robot.logs().map(entries).collect());
     }
     let journal = journal(&show.state);
     let struck = show.struck.into_inner().unwrap();
-    Played { drawn, struck, told, sets, strangers, journal }
+    let home_from = show.home_from.into_inner().unwrap();
+    let choreography = compiled(&stage);
+    Played { drawn, struck, told, sets, strangers, logs, journal, choreography, home_from }
+}
+
+fn compiled(stage: &Stage) -> Choreography {
+    let (fleet, findings) = read_fleet(&stage.path("fleet.yaml"));
+    let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
+    let source = Source::read(&stage.path("chaos.yaml")).unwrap();
+    let compiled = compile(&source, &fleet, &Folder::new(stage.path("")));
+    compiled.choreography.unwrap_or_else(|| panic!("{:?}", compiled.findings))
 }
 
 impl Show<'_> {
@@ -204,8 +226,8 @@ impl Show<'_> {
         self.struck.lock().unwrap().push(Struck { robot, what, from, until });
     }
 
-    fn begin(&self, kind: Kind, word: &str) {
-        let program = Program::start(kind, &self.stage.lock().unwrap(), self.drawn, &[word]);
+    fn begin(&self, kind: Kind, words: &[&str]) {
+        let program = Program::start(kind, &self.stage.lock().unwrap(), self.drawn, words);
         self.programs.lock().unwrap().push(program);
     }
 
@@ -220,7 +242,7 @@ impl Show<'_> {
             Strike::SchedulerFrozen(lasts) => self.freeze(lasts, |_| {}),
             Strike::StopWhileFrozen(after, lasts) => self.freeze(lasts, |show| {
                 std::thread::sleep(after);
-                show.begin(Kind::Stop, "stop");
+                show.begin(Kind::Stop, &["stop"]);
             }),
             Strike::SchedulerKilled(then) => {
                 let at = epoch_nanos();
@@ -228,12 +250,17 @@ impl Show<'_> {
                 self.note(None, What::SchedulerKilled, at, i64::MAX);
                 self.follow(then);
             }
-            Strike::ResumeTooSoon => self.begin(Kind::Resume, "resume"),
-            Strike::Stop { again } => {
-                self.begin(Kind::Stop, "stop");
+            Strike::ResumeTooSoon => self.begin(Kind::Resume, &["resume"]),
+            Strike::Stop { home, again } => {
+                if home {
+                    self.home_from.lock().unwrap().get_or_insert(epoch_nanos());
+                    self.begin(Kind::Stop, &["stop", "--home"]);
+                } else {
+                    self.begin(Kind::Stop, &["stop"]);
+                }
                 if let Some(after) = again {
                     std::thread::sleep(after);
-                    self.begin(Kind::Stop, "stop");
+                    self.begin(Kind::Stop, &["stop"]);
                 }
             }
         }
@@ -253,17 +280,17 @@ impl Show<'_> {
             Then::Nothing => {}
             Then::Resume(after) => {
                 std::thread::sleep(after);
-                self.begin(Kind::Resume, "resume");
+                self.begin(Kind::Resume, &["resume"]);
             }
             Then::Stop(after) => {
                 std::thread::sleep(after);
-                self.begin(Kind::Stop, "stop");
+                self.begin(Kind::Stop, &["stop"]);
             }
             Then::ResumeAndStop(after, later) => {
                 std::thread::sleep(after);
-                self.begin(Kind::Resume, "resume");
+                self.begin(Kind::Resume, &["resume"]);
                 std::thread::sleep(later);
-                self.begin(Kind::Stop, "stop");
+                self.begin(Kind::Stop, &["stop"]);
             }
         }
     }

@@ -333,11 +333,14 @@ impl Robot {
         self.process.signal(Signal::CONT);
     }
 
+    /// The log of each of its processes, in order.
+    pub fn logs(&self) -> impl Iterator<Item = String> {
+        self.logs.iter().map(|path| std::fs::read_to_string(path).unwrap())
+    }
+
     /// Everything that it logged, also before it was started again. The last line of a killed process may be torn.
     pub fn log(&self) -> Vec<Logged> {
-        let text = |path: &PathBuf| std::fs::read_to_string(path).unwrap();
-        let lines = |text: String| text.lines().filter_map(Logged::read).collect::<Vec<_>>();
-        self.logs.iter().map(text).flat_map(lines).collect()
+        self.logs().flat_map(|text| text.lines().filter_map(Logged::read).collect::<Vec<_>>()).collect()
     }
 
     /// What it logged after so many lines.

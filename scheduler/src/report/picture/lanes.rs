@@ -174,7 +174,7 @@ impl Lane<'_> {
     fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
         let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
             let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
-            of_act && entry.motion == "set" && entry.device == *self.device
+            of_act && entry.is_set() && entry.device == *self.device
         });
         let millis = |true_ns: i64| (true_ns - reported.start.as_nanos()) as f64 / 1e6;
         log.map(|entry| (frame.offset(self.latency_ms + millis(entry.true_ns)), scale.y(entry.value)))

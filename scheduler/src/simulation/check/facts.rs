@@ -411,7 +411,7 @@ impl<'a> SentAct<'a> {
 impl<'a> SentScript<'a> {
     /// The steps that were set, in order.
     pub(super) fn steps(&self) -> impl Iterator<Item = &'a LogEntry> + '_ {
-        self.log.iter().copied().filter(|entry| entry.motion == "set" && entry.step.is_some())
+        self.log.iter().copied().filter(|entry| entry.is_set() && entry.step.is_some())
     }
 
     /// How many of its steps were set.

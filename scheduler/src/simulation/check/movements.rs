@@ -4,43 +4,13 @@ use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::{FailurePolicy, OnFailure};
-use urrcp::{ControlType, DeviceId, Interpolation, Message, Robot, Server, Span, Timestamp};
+use urrcp::{DeviceId, Interpolation, Message, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::facts::{Facts, SentScript};
 use crate::simulation::draw::{BEGINS_AT, Hands};
+use crate::simulation::trajectory::{Promised, unexplained};
 use crate::simulation::{Fault, Happened};
-
-/// The largest relative difference, by rounding, between two computations of the same value.
-const ROUNDING: f64 = 1e-6;
-
-/// The longest time in which a device slows down, or goes home at its own speed.
-const SLOWS_DOWN_MAX: Span = Span::from_millis(600_000);
-
-/// The last movement of a device. Times are those of its robot's clock.
-#[derive(Clone, Copy)]
-struct Way {
-    /// `None` if the start of the movement is unknown, as for the first movement of a process.
-    from: Option<f64>,
-    since: Timestamp<Robot>,
-    to: f64,
-    until: Timestamp<Robot>,
-}
-
-impl Way {
-    const fn at(value: f64, since: Timestamp<Robot>) -> Self {
-        Self { from: Some(value), since, to: value, until: since }
-    }
-
-    fn value(&self, at: Timestamp<Robot>) -> Option<f64> {
-        if at >= self.until {
-            return Some(self.to);
-        }
-        let from = self.from?;
-        let part = (at - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
-        Some(from + (self.to - from) * part)
-    }
-}
 
 /// Distance from the first value above which a device jumps to it: twice its granularity.
 const JUMP: f64 = 2.0;
@@ -92,7 +62,7 @@ fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
                 break;
             }
             let is_first = moved.insert(&entry.device);
-            if is_first && jumping.contains(&entry.device) && entry.motion == "set" {
+            if is_first && jumping.contains(&entry.device) && entry.is_set() {
                 let what = format!("r{robot} jumped from {BEGINS_AT} to its first value: {entry:?}");
                 verdict.violated('m', what);
             }
@@ -102,29 +72,39 @@ fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     no_jumps(facts, verdict);
-    let scripts: HashMap<&str, &SentScript<'_>> = facts
+    let scripts: HashMap<&str, Promised<'_>> = facts
         .acts
         .iter()
         .flat_map(|act| &act.scripts)
-        .map(|script| (script.promised.request_id.as_str(), script))
+        .map(|script| {
+            let written = script.written.map(|written| &written.script);
+            (script.promised.request_id.as_str(), Promised { device: &script.promised.device, written })
+        })
         .collect();
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let homes = if may_go_home(facts) { homes(facts, robot) } else { Vec::new() };
-        let mut begun = begins(facts, robot).peekable();
-        let mut ways: HashMap<&DeviceId, Way> = HashMap::new();
-        for entry in &facts.ran.logs[robot] {
-            while begun.next_if(|begun| begun.as_nanos() <= entry.true_ns).is_some() {
-                ways.clear();
-            }
-            let script = entry.request_id.as_deref().and_then(|id| scripts.get(id)).copied();
-            let before = ways.get(&entry.device).copied();
-            let goes_home = homes.contains(&(&entry.device, entry.true_ns));
-            match reason(entry, script, before, goes_home) {
-                Ok(way) => drop(ways.insert(&entry.device, way)),
-                Err(why) => verdict.violated('m', format!("r{robot} {why}: {entry:?}")),
-            }
+        for process in processes(facts, robot) {
+            let unexplained = unexplained(
+                process,
+                |id| scripts.get(id).copied(),
+                |entry| homes.contains(&(&entry.device, entry.true_ns)),
+            );
+            unexplained.into_iter().for_each(|what| verdict.violated('m', format!("r{robot} {what}")));
         }
     }
+}
+
+/// The log of a robot, divided among its processes. A new process does not know the movements of the previous one.
+fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
+    let mut rest = facts.ran.logs[robot].as_slice();
+    let mut processes = Vec::new();
+    for begun in begins(facts, robot) {
+        let (before, after) = rest.split_at(rest.partition_point(|entry| entry.true_ns < begun.as_nanos()));
+        processes.push(before);
+        rest = after;
+    }
+    processes.push(rest);
+    processes
 }
 
 /// Whether a policy of this mission, or its operator, sends robots to their default state.
@@ -148,62 +128,8 @@ fn homes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<(&'a DeviceId, i64)> {
     facts.ran.history.iter().filter_map(home).collect()
 }
 
-/// The times at which a new process of the robot started. The new process does not know the movements of the previous one.
+/// The times at which a new process of the robot started.
 fn begins<'a>(facts: &'a Facts<'_>, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + 'a {
     let is_of = move |happened: &Happened| matches!(happened, Happened::Back(of) if *of == robot);
     facts.ran.history.iter().filter(move |(_, happened)| is_of(happened)).map(|(at, _)| *at)
-}
-
-/// Returns the new movement of the device if it has a reason, or else a description of the violation.
-fn reason(
-    entry: &LogEntry,
-    script: Option<&SentScript<'_>>,
-    before: Option<Way>,
-    goes_home: bool,
-) -> Result<Way, String> {
-    let resting = match entry.motion {
-        // The log does not contain the time of arrival.
-        "slow" => Way { from: None, until: entry.due + SLOWS_DOWN_MAX, ..Way::at(entry.value, entry.due) },
-        _ => Way::at(entry.value, entry.due),
-    };
-    match entry.motion {
-        "set" | "ramp" => of_a_step(entry, script, before),
-        // A device that goes home may be sent home again, and a device that slows down may be stopped again.
-        _ if goes_home => Ok(resting),
-        "default" => Err("went to its default state, and no stop said home".to_owned()),
-        "rest" | "slow" if entry.control_type != ControlType::Position.to_string() => match entry.value {
-            0.0 => Ok(resting),
-            _ => Err("came to rest at a speed".to_owned()),
-        },
-        "rest" | "slow" => {
-            let before = before.filter(|way| entry.due < way.until);
-            let way = before.ok_or("was moved by a stop although it rested")?;
-            let Some(value) = way.value(entry.due) else { return Ok(resting) };
-            let off = entry.value - value;
-            let rounded = off.abs() <= ROUNDING * (1.0 + value.abs());
-            let goes_on = entry.motion == "slow" && off * (way.to - value) >= 0.0;
-            if rounded || goes_on { Ok(resting) } else { Err(format!("was at {value} when a stop moved it")) }
-        }
-        other => Err(format!("moved by `{other}`")),
-    }
-}
-
-fn of_a_step(entry: &LogEntry, script: Option<&SentScript<'_>>, before: Option<Way>) -> Result<Way, String> {
-    let script = script.ok_or("moved without a script of this mission")?;
-    if script.promised.device != entry.device {
-        return Err("moved by a script of another device".to_owned());
-    }
-    let index = entry.step.unwrap_or_default() as usize;
-    let Some(written) = script.written else { return Ok(Way::at(entry.value, entry.due)) };
-    let step = written.script.steps().get(index).ok_or("did a step that was not written")?;
-    if (step.setpoint.value - entry.value).abs() > 0.0 {
-        return Err(format!("did step {index}, written as {}", step.setpoint.value));
-    }
-    if entry.motion == "set" {
-        return Ok(Way::at(entry.value, entry.due));
-    }
-    let previous = index.checked_sub(1).and_then(|previous| written.script.steps().get(previous));
-    let offset = step.offset.span() - previous.map_or(Span::ZERO, |previous| previous.offset.span());
-    let from = before.and_then(|way| way.value(entry.due));
-    Ok(Way { from, since: entry.due, to: entry.value, until: entry.due + offset })
 }

@@ -20,7 +20,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
     for (robot, log) in facts.ran.logs.iter().enumerate().filter(|(robot, _)| facts.honest(*robot)) {
         let mut done: HashSet<(&str, u32)> = HashSet::new();
-        for entry in log.iter().filter(|entry| entry.motion == "set") {
+        for entry in log.iter().filter(|entry| entry.is_set()) {
             let (Some(id), Some(step)) = (entry.request_id.as_deref(), entry.step) else { continue };
             if !done.insert((id, step)) {
                 verdict.violated('b', format!("r{robot} did step {step} of {id} twice"));

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Span, Timestamp};
 
 use super::facts::Facts;
@@ -22,7 +23,7 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
         let Some(robot) = facts.index_of(robot).filter(|robot| facts.honest(*robot)) else { continue };
         let next = facts.acts.iter().map(|act| act.at).filter(|next| next >= at).min();
         let moved = facts.ran.logs[robot].iter().find(|entry| {
-            let moves = matches!(entry.motion, "set" | "ramp");
+            let moves = matches!(entry.motion, MotionKind::Set | MotionKind::Ramp);
             let when = Timestamp::<Server>::from_nanos(entry.true_ns);
             moves && when > *at && next.is_none_or(|next| when < next)
         });
@@ -54,7 +55,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         })
         .collect();
     // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it continues.
-    for entry in facts.ran.logs[robot].iter().filter(|entry| entry.motion == "set") {
+    for entry in facts.ran.logs[robot].iter().filter(|entry| entry.is_set()) {
         let Some((pending, running)) = entry.request_id.as_deref().and_then(|id| leases.get(id)) else {
             continue;
         };

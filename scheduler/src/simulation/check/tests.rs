@@ -1,5 +1,6 @@
 //! Each invariant can fail: histories and reports of sound missions are made wrong by hand.
 
+use downbeat_robot::set_log::MotionKind;
 use urrcp::{Message, Span};
 
 use super::*;
@@ -229,7 +230,7 @@ fn a_robot_that_was_left_out_because_it_missed_its_start_has_missed_it() {
 fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
     finds('b', |ran| {
         let robot = member(ran);
-        let again = ran.logs[robot].iter().find(|entry| entry.motion == "set").unwrap().clone();
+        let again = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().clone();
         ran.logs[robot].push(again);
     });
     finds('b', |ran| {
@@ -241,26 +242,26 @@ fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
 
 #[test]
 fn a_movement_without_a_reason_is_found() {
-    let stop_moves = |motion: &'static str| {
+    let stop_moves = |motion: MotionKind| {
         move |ran: &mut Ran| {
             let robot = member(ran);
-            let mut stopped = ran.logs[robot].iter().rfind(|entry| entry.motion == "set").unwrap().clone();
+            let mut stopped = ran.logs[robot].iter().rfind(|entry| entry.is_set()).unwrap().clone();
             (stopped.motion, stopped.step, stopped.request_id) = (motion, None, None);
             stopped.value += 1.0;
             stopped.due = stopped.due + Span::from_millis(1);
             ran.logs[robot].push(stopped);
         }
     };
-    for motion in ["default", "rest", "slow"] {
+    for motion in [MotionKind::Default, MotionKind::Rest, MotionKind::Slow] {
         finds('m', stop_moves(motion));
     }
     finds('m', |ran| {
         let robot = member(ran);
-        ran.logs[robot].iter_mut().find(|entry| entry.motion == "set").unwrap().value += 1.0;
+        ran.logs[robot].iter_mut().find(|entry| entry.is_set()).unwrap().value += 1.0;
     });
     finds('m', |ran| {
         let robot = member(ran);
-        ran.logs[robot].iter_mut().find(|entry| entry.motion == "set").unwrap().request_id = None;
+        ran.logs[robot].iter_mut().find(|entry| entry.is_set()).unwrap().request_id = None;
     });
 }
 
@@ -317,8 +318,7 @@ fn a_start_two_milliseconds_beyond_its_budget_is_found_and_excused_only_by_its_o
         let told = skew.robots.iter().find(|told| told.robot == name).unwrap();
         let latest = told.uncertainty + told.wake_up - told.offset;
         let at = promised(&ran).start + latest + Span::from_millis(2);
-        for entry in ran.logs[robot].iter_mut().filter(|entry| entry.step == Some(0) && entry.motion == "set")
-        {
+        for entry in ran.logs[robot].iter_mut().filter(|entry| entry.step == Some(0) && entry.is_set()) {
             entry.true_ns = at.as_nanos();
         }
         fault.into_iter().for_each(|fault| hit(&mut ran, Span::from_millis(5), fault(robot, other)));

@@ -112,7 +112,7 @@ impl RobotSide {
     fn note_starts_of_dead(&mut self, from: usize) {
         let Some(since) = self.hardware_dead_since else { return };
         let known = (since + DEATH_KNOWN).as_nanos();
-        let starts = |entry: &&LogEntry| entry.step == Some(0) && entry.motion == "set";
+        let starts = |entry: &&LogEntry| entry.step == Some(0) && entry.is_set();
         let dead = self.log[from..].iter().filter(starts).filter(|entry| entry.true_ns > known);
         self.starts_of_dead.extend(dead.filter_map(|entry| entry.request_id.clone()));
     }

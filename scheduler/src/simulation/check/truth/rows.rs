@@ -1,5 +1,6 @@
 //! What a report says of each robot over all acts, and of its stop.
 
+use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Timestamp};
 
 use super::Said;
@@ -135,7 +136,7 @@ impl Said<'_> {
         let Some(rests_from) = rests_from else { return };
         let beyond = self.facts.ran.logs[robot].iter().find(|entry| {
             let at = Timestamp::<Server>::from_nanos(entry.true_ns);
-            matches!(entry.motion, "set" | "ramp") && at > rests_from
+            matches!(entry.motion, MotionKind::Set | MotionKind::Ramp) && at > rests_from
         });
         if let Some(entry) = beyond {
             wrong.push(format!("{} moved after {what}, {rests_from}: {entry:?}", row.robot));
