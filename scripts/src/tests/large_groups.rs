@@ -1,7 +1,4 @@
 //! Groups of as many robots as a formation has places.
-#![expect(clippy::disallowed_methods, reason = "measures how long compiling takes")]
-
-use std::time::{Duration, Instant};
 
 use super::groups::drone;
 use crate::space::Space;
@@ -18,53 +15,49 @@ fn fleet(count: usize) -> Fleet {
     Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() }
 }
 
-fn compiled(count: usize, movement: &str) -> (Compiled, Duration) {
+fn compiled(count: usize, movement: &str) -> Compiled {
     let text = format!(
         "scenario: s\nformations: {{wall: {{grid: {{spacing: 0.9}}, at: [0, 0, 20]}}}}\npaths: {{bend: {{points: [[0, 0, 0], [0, 0, 5], [0, 0, 10]]}}}}\ncues: [{{cue: all, at: 0s, robots: all, {movement}, over: 120s, tolerance: 0.02}}]\n"
     );
-    let fleet = fleet(count);
-    let began = Instant::now();
-    let compiled = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles);
-    (compiled, began.elapsed())
+    compile(&Source { name: "s.yaml".into(), text }, &fleet(count), &NoFiles)
 }
 
-/// Compiles a movement of as many drones as a group may have, in at most ten times `allowed_s` seconds.
+/// Compiles a movement of as many drones as a group may have.
 #[track_caller]
-fn check(movement: &str, allowed_s: u64) {
-    let (compiled, took) = compiled(MOST, movement);
+fn check(movement: &str) {
+    let compiled = compiled(MOST, movement);
     assert!(compiled.choreography.is_some(), "{movement}: {:#?}", compiled.findings.first());
-    assert!(took < Duration::from_secs(10 * allowed_s), "{movement}: {took:?}");
 }
 
 #[test]
 fn ten_thousand_drones_move_into_a_formation() {
-    check("form: wall", 30);
+    check("form: wall");
 }
 
 #[test]
 fn ten_thousand_drones_turn() {
-    check("turn: 1, grow: 0.95", 10);
+    check("turn: 1, grow: 0.95");
 }
 
 #[test]
 fn ten_thousand_drones_grow() {
-    check("grow: 0.8", 5);
+    check("grow: 0.8");
 }
 
 #[test]
 fn ten_thousand_drones_shift() {
-    check("shift: [0, 0, 5]", 5);
+    check("shift: [0, 0, 5]");
 }
 
 #[test]
 fn ten_thousand_drones_go_along_a_path() {
-    check("along: bend", 5);
+    check("along: bend");
 }
 
 #[test]
 fn more_drones_than_a_formation_has_places_are_refused() {
     for movement in ["form: wall", "turn: 10", "grow: 0.8", "shift: [0, 0, 5]", "along: bend"] {
-        let (compiled, _) = compiled(MOST + 1, movement);
+        let compiled = compiled(MOST + 1, movement);
         let [only] = compiled.findings.as_slice() else { panic!("{movement}: {:#?}", compiled.findings) };
         assert_eq!(only.code, Code::TooMuch);
         assert_eq!(only.message, "a group of 10001 robots", "{movement}");
