@@ -1,19 +1,20 @@
 //! From the fleet file to robots that can be talked to.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec, Timeouts};
 use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
 use downbeat_scripts::{
-    Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, RateLimits, SimulatedMoves,
-    Wait,
+    Act, Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Positions, RateLimits,
+    SimulatedMoves, Wait, counted,
 };
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
 use crate::link::{Endpoint, LinkEncoding, Site};
-use crate::mission::{Greeting, Participant};
+use crate::mission::{Greeting, Participant, PlanHome};
 
 /// A robot cannot be simulated.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -68,6 +69,33 @@ pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a F
     });
     let all: std::collections::HashSet<&str> = moved.chain(read).chain(awaited).collect();
     fleet.robots.iter().filter(|robot| all.contains(robot.id.as_str())).collect()
+}
+
+/// Plans the way home for the robots of a fleet file.
+#[derive(Debug)]
+struct Planner(Fleet);
+
+impl PlanHome for Planner {
+    fn plan(
+        &self,
+        choreography: &Choreography,
+        like: usize,
+        from: &Positions,
+    ) -> Result<Option<Act>, String> {
+        choreography.home(like, &self.0, from).map_err(|errors| {
+            let first = errors.first().map(|error| error.message.clone()).unwrap_or_default();
+            match errors.len() {
+                0 | 1 => first,
+                more => format!("{first}; {} more", counted(more - 1, "error")),
+            }
+        })
+    }
+}
+
+/// Plans the way to the default positions after a stop, as [`crate::mission::MissionOptions::home`].
+#[must_use]
+pub fn home(fleet: &Fleet) -> Arc<dyn PlanHome> {
+    Arc::new(Planner(fleet.clone()))
 }
 
 /// As the mission sees them.

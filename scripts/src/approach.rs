@@ -1,14 +1,14 @@
 //! An act ahead of a choreography that moves devices to the positions that its first act expects.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 
 use serde::{Deserialize, Serialize};
-use urrcp::{DeviceId, Interpolation, RobotId, Span};
+use urrcp::{Interpolation, Span};
 
 use crate::finding::Finding;
 use crate::fleet::Fleet;
 use crate::plan::{Act, Choreography, Way};
-use crate::poses::{self, DeviceWay, settable, unused_name};
+use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
 
 /// How devices are moved to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -17,7 +17,7 @@ pub struct Approach {
     #[serde(rename = "over_ms")]
     pub over: Span,
     /// Positions of devices before the movement. Devices without an entry are not moved.
-    pub from: BTreeMap<RobotId, BTreeMap<DeviceId, f64>>,
+    pub from: Positions,
 }
 
 impl Approach {

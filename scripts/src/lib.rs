@@ -34,6 +34,7 @@ mod finding;
 pub mod fit;
 mod fleet;
 mod formation;
+mod home;
 mod identify;
 pub mod import;
 mod init;
@@ -97,6 +98,7 @@ pub use plan::{
     Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
     is_rate,
 };
+pub use poses::Positions;
 pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};

@@ -14,7 +14,7 @@ use crate::plan::{Act, FailurePolicy};
 use crate::source::Source;
 
 /// Positions of devices.
-pub(crate) type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
+pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A device, its position, and the position that it has to reach.
 pub(crate) struct DeviceWay<'a> {

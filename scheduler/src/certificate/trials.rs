@@ -241,7 +241,12 @@ fn rehearse(
     };
     let machines: Result<Vec<SimulatedRobot>, _> = robots.iter().enumerate().map(machine).collect();
     let machines = machines.map_err(|error| error.to_string())?;
-    let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
+    let options = MissionOptions {
+        greeting: fleet::greeting(fleet),
+        first_act,
+        home: Some(fleet::home(fleet)),
+        ..MissionOptions::default()
+    };
     let rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| error.to_string())?;
     let rehearsal = match &world {

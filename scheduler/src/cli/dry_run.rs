@@ -206,8 +206,12 @@ pub(super) fn rehearse(
 ) -> Result<(Played, Vec<Told>), (Exit, String)> {
     let mut viewers = Viewers { bar: Bar::new(format), told: Some(Vec::new()) };
     let whole = Choice { readings: &[], seed: 0, logs: Logs::Kept };
-    let options =
-        MissionOptions { greeting: fleet::greeting(fleet), zone: ZONE, ..MissionOptions::default() };
+    let options = MissionOptions {
+        greeting: fleet::greeting(fleet),
+        zone: ZONE,
+        home: Some(fleet::home(fleet)),
+        ..MissionOptions::default()
+    };
     let played = play(&whole, choreography, options, fleet, &mut viewers);
     viewers.bar.0.finish_and_clear();
     Ok((played?, viewers.told.unwrap_or_default()))
@@ -349,6 +353,7 @@ fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions
         first_act,
         acts_max: args.acts,
         zone: ZONE,
+        home: Some(fleet::home(fleet)),
         ..MissionOptions::default()
     }
 }

@@ -59,7 +59,8 @@ pub(super) struct StopArgs {
     /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
-    /// Send every robot to its default state instead of leaving it where it comes to rest.
+    /// Then move all robots to their default positions, in an act that is planned from where they have come to rest. A mission
+    /// whose scheduler has ended sends each robot there on its own.
     #[arg(long)]
     home: bool,
     #[command(flatten)]
@@ -252,7 +253,11 @@ fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     };
     let report: Value = serde_json::from_str(&ending.report).unwrap_or_default();
     let mut robots = report["robots"].as_array().into_iter().flatten();
-    !ending.superseded && robots.any(|robot| robot["standing"] != "out" && robot["stop"]["state"] == other)
+    // The mission has tried to plan the way home.
+    let is_home = rest == Rest::Home && !report["home"].is_null();
+    !ending.superseded
+        && !is_home
+        && robots.any(|robot| robot["standing"] != "out" && robot["stop"]["state"] == other)
 }
 
 /// Evaluates the report of a mission that has ended. If it did not carry out this stop, stops its robots directly.

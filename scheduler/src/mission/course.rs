@@ -169,6 +169,7 @@ impl Mission {
             }
         }
         self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
+        self.arrive_home();
         self.end();
     }
 
@@ -327,6 +328,7 @@ impl Mission {
         if act.was_sent() {
             self.account(now, &act);
             self.note_missed(&act);
+            self.note_arrivals(&act);
         }
         let fate = self.fate_of(now, &act);
         match fate {

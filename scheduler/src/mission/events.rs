@@ -1,5 +1,8 @@
 //! What goes into a mission and what comes out of it.
 
+use std::sync::Arc;
+
+use downbeat_scripts::Choreography;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
@@ -267,6 +270,19 @@ pub enum Progress {
     Reattached {
         /// Which robot.
         robot: RobotId,
+    },
+    /// All robots rest, and this act moves their devices to their default positions.
+    GoingHome {
+        /// The name of the act.
+        act: String,
+        /// The choreography with this act.
+        #[serde(skip)]
+        choreography: Arc<Choreography>,
+    },
+    /// The devices stay where they came to rest, although they were to move to their default positions.
+    NotHome {
+        /// The reason, for people.
+        reason: String,
     },
     /// A robot is left out from here on.
     Dropped {

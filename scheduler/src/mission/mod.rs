@@ -25,6 +25,7 @@ mod fates;
 #[cfg(feature = "metrics")]
 pub(crate) mod figures;
 mod greet;
+mod home;
 mod identity;
 mod latency;
 mod lead;
@@ -59,6 +60,7 @@ pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
 pub use failure_kind::{Failure, FailureKind, Slow};
 pub use fates::{ActCourse, ActFate};
+pub use home::{HomeReport, PlanHome};
 pub use latency::{LatencyDiffers, OtherLatency};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use motion::{MotionReport, MotionSpread};
@@ -127,6 +129,8 @@ pub struct Mission {
     detour: Option<usize>,
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
+    /// The way to the default positions after a stop.
+    home: home::Home,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
     /// The act with the start that the operator fixes has been lined up.
@@ -226,6 +230,7 @@ impl Mission {
             bounded: false,
             detour: None,
             then: None,
+            home: home::Home::default(),
             again: None,
             start_was_fixed: false,
             hold_up: Span::ZERO,
@@ -385,6 +390,11 @@ impl Mission {
     /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
     pub(crate) fn because(&self) -> Option<&str> {
         self.because.as_deref()
+    }
+
+    /// What became of the way home, if the mission was to go home.
+    pub(crate) const fn home(&self) -> Option<&HomeReport> {
+        self.home.report.as_ref()
     }
 
     /// How many acts were to begin at most, where another would have followed.

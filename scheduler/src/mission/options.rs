@@ -1,9 +1,12 @@
 //! Who takes part in a mission, and what the operator chose.
 
+use std::sync::Arc;
+
 use downbeat_scripts::MissionSettings;
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
+use super::home::PlanHome;
 use crate::session::Session;
 use crate::zone::Zone;
 
@@ -89,6 +92,8 @@ pub struct MissionOptions {
     pub preflight_only: bool,
     /// The time zone of the times of day for which acts wait.
     pub zone: Zone,
+    /// Plans the way to the default positions after a stop. Without it, each robot goes there on its own.
+    pub home: Option<Arc<dyn PlanHome>>,
 }
 
 /// The starts at fixed times: by the operator, or by acts that wait for a time.
@@ -144,6 +149,7 @@ impl Default for MissionOptions {
             verify_motion: false,
             preflight_only: false,
             zone: Zone::UTC,
+            home: None,
         }
     }
 }

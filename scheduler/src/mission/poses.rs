@@ -88,7 +88,7 @@ impl Mission {
         self.ask_positions_of(now, robot, &self.devices_of_first_act(robot));
     }
 
-    fn ask_positions_of(&mut self, now: Timestamp<Server>, robot: usize, devices: &[DeviceId]) {
+    pub(super) fn ask_positions_of(&mut self, now: Timestamp<Server>, robot: usize, devices: &[DeviceId]) {
         let parts: Vec<_> = devices.chunks(NAMES_MAX).map(<[DeviceId]>::to_vec).collect();
         self.robots[robot].positions_owed = parts.len();
         if parts.is_empty() {
@@ -116,6 +116,10 @@ impl Mission {
         state.commanded.extend(stated);
         match self.phase {
             Phase::Greeting { .. } => self.greeting_progress(now),
+            Phase::Stopping { .. } => {
+                self.pose_stated(robot);
+                self.stop_progress(now);
+            }
             _ => self.acts.iter_mut().for_each(|act| act.look_again_at(None)),
         }
     }

@@ -572,6 +572,14 @@ impl RobotState {
         }
     }
 
+    /// Whether something that this mission sent may still move it: its stop is not confirmed, it is not gone, and a lease has not
+    /// ended.
+    pub(crate) fn may_move_at(&self, now: Timestamp<Server>) -> bool {
+        let ended = |lease: &Option<Timestamp<Server>>| lease.is_some_and(|ends| ends <= now);
+        let rests = !self.left.is_empty() && self.left.iter().all(ended);
+        !self.is_settled() && !self.is_gone() && !rests
+    }
+
     /// It was sent nothing that moves, at least since it has confirmed a stop.
     pub(crate) fn holds_nothing(&self) -> bool {
         self.touched.is_empty() || self.at_rest

@@ -22,6 +22,7 @@ impl Mission {
         }
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
+            Phase::Performing if rest == Rest::Home && self.is_on_its_way_home() => {}
             Phase::Performing => {
                 let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
                 self.abort_because(now, (Outcome::Stopped, reason), rest, None);
@@ -30,6 +31,7 @@ impl Mission {
             Phase::Stopping { .. } => {
                 self.then = None;
                 self.outcome = Some(Outcome::Stopped);
+                let rest = self.rest_first(rest);
                 self.stop_otherwise(now, rest);
             }
             Phase::Ended => {}
@@ -40,10 +42,11 @@ impl Mission {
     fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
         let other: Vec<_> =
             (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
-        if other.is_empty() {
+        if other.is_empty() && !self.wants_home() {
             return;
         }
-        self.tell(Progress::Stopping { reason: Outcome::Stopped.to_string(), rest });
+        let reason = self.with_home(Outcome::Stopped.to_string());
+        self.tell(Progress::Stopping { reason, rest });
         self.phase = self.stopping_from(now, StoppedBy::Operator);
         for robot in other {
             self.robots[robot].stop = Stop::None;
@@ -98,6 +101,8 @@ impl Mission {
         rest: Rest,
         then: Option<usize>,
     ) {
+        let rest = self.rest_first(rest);
+        let reason = self.with_home(reason);
         self.tell(Progress::Stopping { reason, rest });
         self.then = then;
         self.next_round = None;
@@ -189,6 +194,8 @@ impl Mission {
                 self.repeat_stop(now, robot);
             }
         }
+        self.ask_poses_again(now);
+        self.stop_progress(now);
     }
 
     /// Repeats the stop on a new link to a robot. If one process has confirmed the stop in place of another one, the other one
@@ -242,7 +249,9 @@ impl Mission {
         let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_left_to_others());
         let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
         if known {
-            self.stopped(now);
+            if self.poses_are_known(now) {
+                self.stopped(now);
+            }
         } else if all {
             // A robot that still does not know the fate of a script is asked again after an interval, not at each answer.
             let lately = now - self.stop_interval();
@@ -277,6 +286,9 @@ impl Mission {
             return self.line_up_again(now);
         }
         self.close_all(now);
+        if self.sets_out_for_home(now) {
+            return;
+        }
         match self.then.take().filter(|_| confirmed) {
             Some(act) => {
                 let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
@@ -289,8 +301,9 @@ impl Mission {
         }
     }
 
-    fn perform_again(&mut self) {
-        for robot in &mut self.robots {
+    pub(super) fn perform_again(&mut self) {
+        let plays = |robot: &&mut RobotState| robot.standing != Standing::Out && robot.is_settled();
+        for robot in self.robots.iter_mut().filter(plays) {
             robot.stop = Stop::None;
             robot.at_rest = true;
             robot.left.clear();

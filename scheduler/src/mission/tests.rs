@@ -4,6 +4,7 @@ mod again;
 mod clocks;
 mod course;
 mod greeting;
+mod home;
 mod hostile;
 mod lost;
 mod motions;

@@ -343,6 +343,8 @@ impl Watch for MissionTrace {
             }
             Progress::Reattached { robot } => self.happened(at, "reattached", Some(robot), None),
             Progress::Dropped { robot } => self.happened(at, "dropped", Some(robot), None),
+            Progress::GoingHome { act, .. } => self.happened(at, "going home", None, Some(act)),
+            Progress::NotHome { reason } => self.happened(at, "not home", None, Some(reason)),
             Progress::AtRest { robot } => self.happened(at, "at rest", Some(robot), None),
             Progress::NtpLost { .. } => self.happened(at, "ntp lost", None, None),
             Progress::NtpBack { .. } => self.happened(at, "ntp back", None, None),

@@ -24,7 +24,7 @@ use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::mission::{
     ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Greeting, Outcome,
 };
-use crate::mission::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight};
+use crate::mission::{ClockMode, Failure, HomeReport, LatencyDiffers, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::requirements::Judged;
 use crate::server_clock::NtpState;
@@ -87,6 +87,9 @@ pub struct Report {
     pub robots: Vec<RobotReport>,
     /// The failures of each robot, in order; of a robot that fails again and again the first ones.
     pub failures: Vec<Failure>,
+    /// What became of the way home, if the mission was to go home.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub home: Option<HomeReport>,
     /// Robots driven in this process whose hardware may not be at rest, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
@@ -211,6 +214,7 @@ impl Report {
             session: mission.options().session_name().cloned(),
             outcome,
             because: mission.because().map(str::to_owned),
+            home: mission.home().cloned(),
             journal_written_again: mission.journal_written_again(),
             acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),

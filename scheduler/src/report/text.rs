@@ -13,6 +13,7 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
+use crate::mission::HomeReport;
 use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
     Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow, SkewBudget,
@@ -281,7 +282,26 @@ pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
     if let Some(because) = &report.because {
         say(&mut text, columns, &format!("  {because}"));
     }
+    let home = report.home.as_ref().and_then(home_sentence);
+    if let Some(sentence) = home {
+        say(&mut text, columns, &format!("  {sentence}"));
+    }
     text
+}
+
+/// What the list of acts does not say of the way home.
+fn home_sentence(home: &HomeReport) -> Option<String> {
+    match home {
+        HomeReport::Planned { without, .. } if without.is_empty() => None,
+        HomeReport::Planned { act, without } => {
+            let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
+            Some(format!("without a part in `{act}`: {}", stayed.join(", ")))
+        }
+        HomeReport::NothingToMove => Some("all devices were at their default positions".to_owned()),
+        HomeReport::NotPlanned { reason } => {
+            Some(format!("the robots stayed where they came to rest: {reason}"))
+        }
+    }
 }
 
 /// The report for people, in this many columns: the outcome, the failures, a row per robot, and the figures that matter.

@@ -244,6 +244,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
+        if let (Progress::GoingHome { .. }, Some(lane)) = (&progress, &self.stop_lane) {
+            lane.goes_home();
+        }
         (self.tell)(at, &progress);
         self.watches.each(|watch| watch.told(at, &progress));
         self.note(move |recording, _| recording.progress(at, &progress));

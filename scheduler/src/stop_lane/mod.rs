@@ -4,7 +4,7 @@
 //! It keeps a connection to every robot, knows which of their devices were sent anything (`sent.rs`), and sends nothing but
 //! stops. It hears the signals and the mission's socket (`words.rs`), stops the robots first and hands the word on to the
 //! mission, which stops them in its own way: it asks for confirmations, decides and reports. Once the operator has said stop,
-//! nothing that moves leaves this process any more.
+//! nothing that moves leaves this process any more, except the way home that the operator has requested.
 
 mod connection;
 mod sent;
@@ -38,6 +38,8 @@ enum Alarm {
     Quiet,
     /// It is said; the latest word says how the robots come to rest.
     Ringing(Rest),
+    /// The operator's latest word was home, all robots rest, and the mission moves them to their default positions.
+    GoingHome,
 }
 
 /// What an earlier process of the mission has moved.
@@ -173,6 +175,11 @@ impl StopLane {
         self.voice.turned();
     }
 
+    /// The mission sets out for home. If the operator has stopped it in another way meanwhile, nothing passes.
+    pub(crate) fn goes_home(&self) {
+        self.voice.goes_home();
+    }
+
     /// The mission has made a link to a robot.
     pub(crate) fn links(&self, robot: usize, link: &Link) {
         self.robots[robot].links(link);
@@ -188,7 +195,7 @@ impl StopLane {
         match self.robots[robot].note(message) {
             sent::Moves::Nothing => Passage::Open,
             // It is noted first and looked second: either the lane knows of it, or it is not sent.
-            sent::Moves::Devices if *self.alarm.borrow() != Alarm::Quiet => Passage::Closed,
+            sent::Moves::Devices if matches!(*self.alarm.borrow(), Alarm::Ringing(_)) => Passage::Closed,
             sent::Moves::Devices => Passage::Open,
         }
     }

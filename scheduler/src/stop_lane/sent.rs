@@ -7,7 +7,6 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
 use crate::link::{Link, Outgoing};
-use crate::mission::robot_state::Rest;
 use crate::session;
 
 /// What a robot was sent.
@@ -86,13 +85,9 @@ impl Sent {
         self.session.clone_from(&request.session);
     }
 
-    /// A stop of every device that was sent anything, each under a name of its own.
-    pub(super) fn stops(
-        &self,
-        now: Timestamp<Server>,
-        robot: usize,
-        rest: Rest,
-    ) -> Vec<(RequestId, Message)> {
+    /// A stop of every device that was sent anything, each under a name of its own. Devices come to rest where they are, also before
+    /// the mission moves them home.
+    pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();
         let stop = |(index, device): (usize, &DeviceId)| {
@@ -103,7 +98,6 @@ impl Sent {
             request.request_id = Some(id.clone());
             request.timestamp = self.latest;
             request.session.clone_from(&self.session);
-            request.home = rest == Rest::Home;
             Some((id, Message::ControlRequest(request)))
         };
         self.devices.iter().enumerate().filter_map(stop).collect()
@@ -133,7 +127,7 @@ mod tests {
         assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
         assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
         assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
-        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3, Rest::InPlace);
+        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3);
         let told = |(id, message): &(RequestId, Message)| {
             let Message::ControlRequest(request) = message else { panic!("{message:?}") };
             assert_eq!(request.command, Command::Script(Script::cancel()));
@@ -150,24 +144,10 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_that_sends_robots_home_says_so_on_every_device() {
-        let book = Book::new(watch::Sender::new(Sent::default()));
-        book.note(&request("arm", set(), 7));
-        book.note(&request("leg", set(), 9));
-        for (rest, home) in [(Rest::InPlace, false), (Rest::Home, true)] {
-            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0, rest);
-            let homes = stops.iter().filter(
-                |(_, message)| matches!(message, Message::ControlRequest(request) if request.home == home),
-            );
-            assert_eq!(homes.count(), 2, "{rest:?}");
-        }
-    }
-
-    #[test]
     fn readings_and_stops_leave_nothing_to_stop() {
         let book = Book::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
         assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
-        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::InPlace).is_empty());
+        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0).is_empty());
     }
 }

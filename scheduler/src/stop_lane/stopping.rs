@@ -48,7 +48,6 @@ pub(super) struct Guard {
 }
 
 impl Guard {
-    /// Ends when nothing is left to do.
     pub(super) async fn keep(mut self) {
         let mut known = None;
         let (connection, rest) = self.until_alarm(&mut known).await;
@@ -91,8 +90,32 @@ impl Guard {
         }
     }
 
+    /// Stops the robot, and stops it again whenever the operator says something else: the mission may have moved it home meanwhile.
     async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
-        let mut open = self.stops(rest);
+        loop {
+            self.stop_once(&mut connection, &mut known, &mut rest).await;
+            let mut otherwise = pin!(rings(self.alarm.clone(), Some(rest)));
+            // What the robot says of its scripts may come here, as the place where it last heard this session.
+            rest = loop {
+                let Some(stands) = &mut connection else { break otherwise.await };
+                tokio::select! {
+                    latest = &mut otherwise => break latest,
+                    message = stands.next() => match message {
+                        Some(message) => self.hand_on(message),
+                        None => connection = None,
+                    },
+                }
+            };
+        }
+    }
+
+    async fn stop_once(
+        &self,
+        connection: &mut Option<Connection>,
+        known: &mut Option<SocketAddr>,
+        rest: &mut Rest,
+    ) {
+        let mut open = self.stops();
         if open.is_empty() {
             return;
         }
@@ -102,18 +125,18 @@ impl Guard {
         let mut within = TRY_WITHIN.0;
         loop {
             let kept = connection.is_some();
-            let attempt = self.attempt(&mut connection, &mut known, &mut open, rest);
+            let attempt = self.attempt(connection, known, &mut open, *rest);
             let ended = tokio::time::timeout(within, attempt).await;
             if open.is_empty() {
                 break;
             }
             if let Ok(Attempt::Otherwise(latest)) = ended {
                 // By the same connection: the robot hears it last there, too.
-                rest = latest;
-                open = self.stops(rest);
+                *rest = latest;
+                open = self.stops();
                 continue;
             }
-            connection = None;
+            *connection = None;
             if !kept {
                 // A try that fails at once is not repeated at once.
                 if ended.is_ok() {
@@ -122,16 +145,10 @@ impl Guard {
                 within = (within * 2).min(TRY_WITHIN.1);
             }
         }
-        // What the robot says of its scripts may come here, as the place where it last heard this session.
-        while let Some(connection) = &mut connection
-            && let Some(message) = connection.next().await
-        {
-            self.hand_on(message);
-        }
     }
 
-    fn stops(&self, rest: Rest) -> Open {
-        self.sent.borrow().stops(self.clock.now(), self.robot, rest).into_iter().collect()
+    fn stops(&self) -> Open {
+        self.sent.borrow().stops(self.clock.now(), self.robot).into_iter().collect()
     }
 
     /// Sends what is not confirmed, and hears until all is; ends early where the connection does, or by another word.
@@ -216,10 +233,10 @@ fn is_for(stop: &Message, response: &ControlResponse) -> bool {
 
 /// The operator's word, once it is another one than this.
 async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
-    let known = known.map_or(Alarm::Quiet, Alarm::Ringing);
-    match alarm.wait_for(|alarm| *alarm != known).await.map(|alarm| *alarm) {
+    let other = |alarm: &Alarm| matches!(alarm, Alarm::Ringing(rest) if Some(*rest) != known);
+    match alarm.wait_for(other).await.map(|alarm| *alarm) {
         Ok(Alarm::Ringing(rest)) => rest,
-        Ok(Alarm::Quiet) | Err(_) => std::future::pending().await,
+        Ok(Alarm::Quiet | Alarm::GoingHome) | Err(_) => std::future::pending().await,
     }
 }
 

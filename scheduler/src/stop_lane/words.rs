@@ -64,7 +64,8 @@ impl Voice {
         let tried = self.mission.try_send(word);
         if let Some(rest) = rest {
             self.alarm.send_if_modified(|alarm| {
-                std::mem::replace(alarm, Alarm::Ringing(rest)) != Alarm::Ringing(rest)
+                let known = rest == Rest::Home && *alarm == Alarm::GoingHome;
+                !known && std::mem::replace(alarm, Alarm::Ringing(rest)) != Alarm::Ringing(rest)
             });
         }
         match tried {
@@ -77,7 +78,22 @@ impl Voice {
     /// Whether the operator's latest stop brings robots to rest in this way.
     #[must_use]
     pub fn latest_is(&self, rest: Rest) -> bool {
-        *self.alarm.borrow() == Alarm::Ringing(rest)
+        match *self.alarm.borrow() {
+            Alarm::Quiet => false,
+            Alarm::Ringing(latest) => latest == rest,
+            Alarm::GoingHome => rest == Rest::Home,
+        }
+    }
+
+    /// The mission sets out for home, if that is still the operator's latest word.
+    pub(super) fn goes_home(&self) {
+        self.alarm.send_if_modified(|alarm| {
+            let wanted = *alarm == Alarm::Ringing(Rest::Home);
+            if wanted {
+                *alarm = Alarm::GoingHome;
+            }
+            wanted
+        });
     }
 
     /// Whether the mission has taken all that was said, or is over.

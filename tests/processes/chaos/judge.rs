@@ -46,7 +46,16 @@ pub struct Verdict {
 }
 
 pub fn judge(played: &Played) -> Verdict {
-    let mut judge = Judge { played, promises: promises(&played.journal), verdict: Verdict::default() };
+    let promises = promises(&played.journal);
+    let acts = played.drawn.acts.len();
+    let homes = promises.iter().filter(|promise| promise.act >= acts).flat_map(|home| home.scripts.keys());
+    let homes: HashSet<&str> = homes.map(String::as_str).collect();
+    let is_home = |entry: &Logged| homes.contains(entry.request.as_str());
+    let sets = played.sets.iter().map(|sets| sets.iter().filter(|set| !is_home(set)).cloned().collect());
+    let home_steps = played.sets.iter().map(|sets| sets.iter().filter(|set| is_home(set)).count() as u64);
+    let (sets, home_steps) = (sets.collect(), home_steps.collect());
+    let mut judge =
+        Judge { played, sets, home_steps, promises: promises.clone(), verdict: Verdict::default() };
     judge.programs();
     judge.starts();
     for robot in 0..played.drawn.robots() {
@@ -71,6 +80,7 @@ fn is_withdrawal(report: &Value) -> bool {
 }
 
 /// An act as it was promised.
+#[derive(Clone)]
 struct Promise {
     /// Index of its record in the journal.
     place: usize,
@@ -136,6 +146,10 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
 /// Collects what is wrong.
 struct Judge<'a> {
     played: &'a Played,
+    /// The values that each robot set, except on the way home.
+    sets: Vec<Vec<Logged>>,
+    /// The steps of each robot on the way home.
+    home_steps: Vec<u64>,
     promises: Vec<Promise>,
     verdict: Verdict,
 }
@@ -240,8 +254,12 @@ impl Judge<'_> {
 
     fn how_it_started(&self, which: usize) -> Result<&'static str, String> {
         let promise = &self.promises[which];
-        let first = value(promise.act, 0);
-        let started = |robot: usize| self.played.sets[robot].iter().any(|entry| entry.value == first);
+        let begins = |entry: &LogEntry| {
+            let promised = |id: &String| promise.scripts.contains_key(id);
+            matches!(entry.motion, MotionKind::Set | MotionKind::Ramp)
+                && entry.request_id.as_ref().is_some_and(promised)
+        };
+        let started = |robot: usize| self.played.logs[robot].iter().flatten().any(begins);
         let (starters, missing): (Vec<_>, Vec<_>) =
             promise.members.iter().map(|(robot, out)| (*robot, *out)).partition(|(robot, _)| started(*robot));
         if missing.is_empty() {
@@ -296,7 +314,7 @@ impl Judge<'_> {
 
     /// Nothing twice, everything in order, and nothing that another robot was sent.
     fn log(&mut self, robot: usize) {
-        let sets = &self.played.sets[robot];
+        let sets = self.sets[robot].clone();
         let values: Vec<f64> = sets.iter().map(|entry| entry.value).collect();
         let ascend = |device: &str| {
             let own: Vec<f64> = sets.iter().filter(|set| set.device == device).map(|set| set.value).collect();
@@ -321,12 +339,15 @@ impl Judge<'_> {
     fn movements(&mut self, robot: usize) {
         let promised = |id: &str| {
             let (act, script) = self.promises.iter().find_map(|p| Some((p.act, p.scripts.get(id)?)))?;
-            let planned = &self.played.choreography.acts[act].plan.robots;
-            let planned = planned.iter().find(|planned| planned.robot == script.robot)?;
+            // The way home is planned in the course of the mission.
+            let acts = self.played.choreography.acts.get(act);
+            let planned = acts.into_iter().flat_map(|act| &act.plan.robots);
+            let of_robot = planned.filter(|planned| planned.robot == script.robot);
             let same = |written: &&DeviceScript| {
                 written.device == script.device && written.start.get() == script.start.get()
             };
-            let written = planned.scripts.iter().find(same).map(|written| &written.script);
+            let written =
+                of_robot.flat_map(|planned| &planned.scripts).find(same).map(|written| &written.script);
             (index_of(script.robot.as_str()) == robot).then_some(Promised { device: &script.device, written })
         };
         let may_go_home = self.played.drawn.on_failure == "home";
@@ -350,7 +371,7 @@ impl Judge<'_> {
 
     /// Steps come when they were planned, by the one true clock, as far as the skew budget says.
     fn in_time(&mut self, robot: usize) {
-        for entry in self.played.sets[robot].clone() {
+        for entry in self.sets[robot].clone() {
             let Some(due) = self.due(&entry) else { continue };
             let (early, late) = self.budget(robot, &entry);
             let off = entry.at - due;
@@ -417,7 +438,7 @@ impl Judge<'_> {
                 _ => None,
             });
             let under_way = UNDER_WAY + slow.max().unwrap_or(0);
-            let beyond = self.played.sets[robot].iter().find(|entry| {
+            let beyond = self.sets[robot].iter().find(|entry| {
                 let due = entry.at - (entry.set_at - entry.due).max(0);
                 let pending =
                     self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request));
@@ -445,7 +466,7 @@ impl Judge<'_> {
                     self.promises.iter().find(|promise| promise.scripts.contains_key(&entry.request));
                 promise.is_none_or(|promise| promise.place < place)
             };
-            let sets = self.played.sets[robot].iter().filter(|entry| entry.at > at);
+            let sets = self.sets[robot].iter().filter(|entry| entry.at > at);
             let after = sets.filter(before).count();
             self.say(after > 0, || {
                 format!("(stop) r{robot} played {after} steps after it confirmed its stop")
@@ -465,7 +486,7 @@ impl Judge<'_> {
                 if self.struck_within(Some(robot), told.began - 2 * self.lease(), rest) {
                     continue;
                 }
-                let after = self.played.sets[robot].iter().filter(|entry| entry.at > rest).count();
+                let after = self.sets[robot].iter().filter(|entry| entry.at > rest).count();
                 self.say(after > 0, || {
                     format!("(stop) r{robot} did {after} steps long after `downbeat stop`")
                 });
@@ -481,7 +502,7 @@ impl Judge<'_> {
                 self.row(&outcome, report, row);
             }
         }
-        for act in report["acts"].as_array().into_iter().flatten() {
+        for act in report["acts"].as_array().into_iter().flatten().filter(|act| place_of(act).is_some()) {
             for said in act["robots"].as_array().into_iter().flatten() {
                 let devices = said["devices"].as_array().into_iter().flatten();
                 for name in ["d", "arm"] {
@@ -526,13 +547,14 @@ impl Judge<'_> {
     fn row(&mut self, outcome: &str, report: &Value, row: &Value) {
         let robot = index(&row["robot"]);
         let acts = report["acts"].as_array().into_iter().flatten();
-        let acts: Vec<usize> = acts.map(place_of).collect();
-        let of_acts = |entry: &&Logged| acts.contains(&act_of(entry));
-        let sets: Vec<&Logged> = self.played.sets[robot].iter().filter(of_acts).collect();
-        let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64);
+        let acts: Vec<Option<usize>> = acts.map(place_of).collect();
+        let of_acts = |entry: &&Logged| acts.contains(&Some(act_of(entry)));
+        let home = if acts.contains(&None) { self.home_steps[robot] } else { 0 };
+        let sets: Vec<&Logged> = self.sets[robot].iter().filter(of_acts).collect();
+        let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64 + home);
         let begins = |entry: &&LogEntry| {
             matches!(entry.motion, MotionKind::Set | MotionKind::Ramp)
-                && acts.contains(&((entry.value as usize - 1) / VALUES))
+                && acts.contains(&Some((entry.value as usize).saturating_sub(1) / VALUES))
         };
         let begun = self.played.logs[robot].iter().flatten().filter(begins).count();
         let late = sets.iter().filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
@@ -557,10 +579,10 @@ impl Judge<'_> {
     }
 
     fn script(&mut self, act: &Value, robot: usize, script: usize, device: &Value) {
-        let act = place_of(act);
+        let Some(act) = place_of(act) else { return };
         let first = value(act, script * STEPS);
         let own = first..first + STEPS as f64;
-        let sets = self.played.sets[robot].iter().filter(|entry| device["device"] == entry.device);
+        let sets = self.sets[robot].iter().filter(|entry| device["device"] == entry.device);
         let set = sets.filter(|entry| own.contains(&entry.value)).count() as u64;
         let (state, said) = (device["state"].as_str().unwrap(), device["steps_done"].as_u64().unwrap());
         let torn = u64::from(self.lost_its_memory(robot));
@@ -600,7 +622,7 @@ impl Judge<'_> {
         for robot in 0..self.played.drawn.robots() {
             let failed = failures.iter().any(|failure| index(&failure["robot"]) == robot)
                 || rows.iter().any(|row| index(&row["robot"]) == robot && row["standing"] == "out");
-            let mut set: Vec<f64> = self.played.sets[robot].iter().map(|entry| entry.value).collect();
+            let mut set: Vec<f64> = self.sets[robot].iter().map(|entry| entry.value).collect();
             set.sort_by(f64::total_cmp);
             let planned = self.played.drawn.values();
             let torn = usize::from(self.lost_its_memory(robot));
@@ -610,9 +632,9 @@ impl Judge<'_> {
     }
 }
 
-/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again.
-fn place_of(act: &Value) -> usize {
-    act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok()).unwrap()
+/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None`: the way home.
+fn place_of(act: &Value) -> Option<usize> {
+    act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok())
 }
 
 fn act_of(entry: &Logged) -> usize {

@@ -92,7 +92,7 @@ fn the_key_s_stops() {
 }
 
 #[test]
-fn the_key_for_home_sends_to_the_default_state_what_has_stopped_already() {
+fn the_key_for_home_moves_robots_home_that_have_stopped_already_once_all_have_confirmed() {
     let mut stage = stage();
     let terminal = Terminal::new(100, 30);
     let watched = terminal.watch();
@@ -104,8 +104,9 @@ fn the_key_for_home_sends_to_the_default_state_what_has_stopped_already() {
     terminal.type_keys("s");
     watched.shows("stop confirmed", SOON);
     terminal.type_keys("H");
-    watched.shows("default state confirmed", SOON);
+    watched.shows("then home", SOON);
     stage.robots[1].thaw();
+    watched.shows("default state confirmed", SOON);
     let code = process.0.wait().unwrap().code();
     assert_eq!(code, Some(3), "{}", watched.screen());
     for robot in &mut stage.robots {
@@ -223,17 +224,13 @@ fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_fil
         };
         text.lines().filter_map(numbers).collect()
     };
-    let mission =
-        stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s", "--patience", "60s"]);
+    let mission = stage.start(&["run", "play.yaml", "--fleet", "own.yaml", "--lead", "2s"]);
     await_that("the way up", || driven().last().is_some_and(|(_, value)| *value >= 150.0));
-    // While this robot does not confirm, the scheduler and the driver of the other robot continue to run.
-    stage.robots[0].freeze();
-    let stop = stage.start(&["stop", "--home"]);
-    await_that("the default state", || driven().last().is_some_and(|(_, value)| *value == 0.0));
-    stage.robots[0].thaw();
-    assert_eq!(stop.ended().code, Some(0));
+    assert_eq!(stage.run(&["stop", "--home"]).code, Some(0));
     let ended = mission.ended();
     assert!(ended.out.contains("w: default state confirmed"), "{ended}");
+    assert!(ended.out.contains("act `home`: played"), "{ended}");
+    assert!(driven().last().is_some_and(|(_, value)| *value == 0.0), "{:?}", driven());
     let driven = driven();
     let below = |limit: f64| {
         let top = driven.iter().rposition(|(_, value)| *value >= 150.0).unwrap();
@@ -242,6 +239,10 @@ fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_fil
     // 100 units take 2 s at the speed of the fleet file, and 0.1 s at that of the device.
     let seconds = below(20.0) - below(120.0);
     assert!(seconds > 1.0, "{seconds} s: {driven:?}");
+    let together = stage.robots[0].sets();
+    assert!(together.last().is_some_and(|entry| entry.value == 0.0), "{together:?}");
+    let defaults = stage.robots[0].log().iter().filter(|entry| entry.motion == "default").count();
+    assert_eq!(defaults, 0, "no robot goes home on its own");
 }
 
 #[test]

@@ -10,7 +10,6 @@ use ratatui::widgets::{Cell, Row as TableRow, Table, Widget};
 use urrcp::{Server, Span, Timestamp};
 
 use super::model::{Confirmed, Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
-use crate::mission::Rest;
 use crate::report::local::{seconds_of_day, time_as_of};
 
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
@@ -90,7 +89,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     let style = match row.state {
         RobotState::Failed | RobotState::LinkLost => RED,
         RobotState::Stopping | RobotState::LeftOut => YELLOW,
-        RobotState::Playing | RobotState::AtRest | RobotState::Home => GREEN,
+        RobotState::Playing | RobotState::AtRest => GREEN,
         RobotState::Accepted => CYAN,
         RobotState::Greeting | RobotState::Ready | RobotState::Ended => Style::new(),
     };
@@ -167,8 +166,8 @@ fn title(model: &Model, now: Timestamp<Server>, columns: usize) -> Line<'static>
 
 fn doing(model: &Model, now: Timestamp<Server>) -> (&'static str, Style) {
     match (&model.phase, model.acts.first().map(|act| &act.stage)) {
-        (Phase::Stopping(_, Rest::InPlace), _) => ("STOPPING", RED),
-        (Phase::Stopping(_, Rest::Home), _) => ("GOING HOME", RED),
+        (Phase::Stopping(_), _) => ("STOPPING", RED),
+        (Phase::Performing, Some(_)) if model.goes_home() => ("GOING HOME", RED),
         (Phase::Greeting, _) => ("checking the robots", CYAN),
         (Phase::Performing, None) => ("between acts", Style::new()),
         (Phase::Performing, Some(Stage::Waiting { .. })) => ("waiting", YELLOW),
@@ -180,12 +179,8 @@ fn doing(model: &Model, now: Timestamp<Server>) -> (&'static str, Style) {
 
 fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
-    if let Phase::Stopping(reason, rest) = &model.phase {
+    if let Phase::Stopping(reason) = &model.phase {
         lines.push(Line::from(vec![Piece::styled("reason  ", DIM), Piece::raw(reason.clone())]));
-        let word = match rest {
-            Rest::InPlace => "stop    ",
-            Rest::Home => "home    ",
-        };
         let failed = |row: &&Row| row.state == RobotState::Failed && row.stop == Confirmed::NotYet;
         let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping || failed(row)).count();
         let text = match (left, model.rows.iter().find(failed)) {
@@ -195,7 +190,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
             }
             (left, _) => format!("{} without a confirmation yet", downbeat_scripts::counted(left, "robot")),
         };
-        lines.push(Line::from(vec![Piece::styled(word, DIM), Piece::raw(text)]));
+        lines.push(Line::from(vec![Piece::styled("stop    ", DIM), Piece::raw(text)]));
         return lines;
     }
     for (place, shown_act) in model.acts.iter().take(2).enumerate() {
@@ -344,7 +339,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         return vec![
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot slows down and stays where it is"),
-            Line::raw("H           home: every robot returns to its default state"),
+            Line::raw("H           home: all robots stop, then move to their default positions"),
             Line::raw("Ctrl-C      twice: leave at once, confirmed or not"),
             Line::raw("~3/5        steps by the plan; 3/5 as reported, 3+ at least"),
             Line::raw("?           hide this help"),
@@ -359,13 +354,11 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         key("g", "go", YELLOW);
     }
     match model.phase {
-        Phase::Stopping(_, rest) => {
-            match rest {
-                Rest::InPlace => key("H", "home", Style::new()),
-                Rest::Home => key("s", "stop", Style::new()),
-            }
+        Phase::Stopping(_) => {
+            key("H", "home", Style::new());
             key("Ctrl-C twice", "leave at once", Style::new());
         }
+        _ if model.goes_home() => key("s", "stop", Style::new()),
         _ => {
             key("s", "stop", Style::new());
             key("H", "home", Style::new());

@@ -38,6 +38,8 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
             format!("{robot}: link lost ({reason}); it goes on by its script{until}")
         }
         Progress::Reattached { robot } => format!("{robot}: back"),
+        Progress::GoingHome { act, .. } => format!("all robots rest; `{act}` moves them to their default positions"),
+        Progress::NotHome { reason } => format!("the robots stay where they are: {reason}"),
         Progress::Dropped { robot } => format!("going on without {robot}"),
         Progress::NtpLost { since } => format!(
             "no answer from the NTP server since {}; this machine's clock goes on by itself",

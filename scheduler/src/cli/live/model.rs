@@ -7,7 +7,7 @@ use downbeat_scripts::shown::{shown, within};
 use downbeat_scripts::{Choreography, DeviceScript, Wait};
 use urrcp::{RobotId, Server, Span, Timestamp};
 
-use crate::mission::{Preflight, Progress, Rest};
+use crate::mission::{Preflight, Progress};
 
 /// Columns of a robot's last word that are kept.
 const WORD_MAX: usize = 120;
@@ -24,6 +24,8 @@ pub(super) struct Model {
     index: HashMap<RobotId, usize>,
     /// The act whose steps the rows show.
     planned: Option<usize>,
+    /// The act that moves the robots to their default positions after a stop.
+    home: Option<String>,
 }
 
 /// Where the mission as a whole stands.
@@ -33,8 +35,8 @@ pub(super) enum Phase {
     Greeting,
     /// Acts wait, are prepared and play.
     Performing,
-    /// All robots are stopped, why, and how they come to rest.
-    Stopping(String, Rest),
+    /// All robots are stopped, and why.
+    Stopping(String),
 }
 
 /// An act that is not over.
@@ -113,8 +115,6 @@ pub(super) enum RobotState {
     Ready,
     Ended,
     AtRest,
-    /// On its way to its default state, or there.
-    Home,
 }
 
 impl RobotState {
@@ -130,7 +130,6 @@ impl RobotState {
             Self::Ready => "ready",
             Self::Ended => "ended",
             Self::AtRest => "at rest",
-            Self::Home => "home",
         }
     }
 
@@ -166,7 +165,13 @@ impl Model {
             rows: robots.iter().map(row).collect(),
             index: robots.into_iter().enumerate().map(|(index, robot)| (robot, index)).collect(),
             planned: None,
+            home: None,
         }
+    }
+
+    /// Whether robots are on the way to their default positions.
+    pub(super) fn goes_home(&self) -> bool {
+        self.home.is_some() && self.acts.first().map(|act| &act.name) == self.home.as_ref()
     }
 
     /// An act waits for the operator, and nothing plays before it.
@@ -204,10 +209,14 @@ impl Model {
             | Progress::ActWithdrawn { act } => {
                 self.ended(at, act);
             }
-            Progress::Stopping { reason, rest } => {
+            Progress::GoingHome { act, choreography } => {
+                self.home = Some(act.clone());
+                self.choreography = Arc::clone(choreography);
+            }
+            Progress::Stopping { reason, .. } => {
                 self.acts.retain(|act| !act.is_waiting());
-                let again = matches!(self.phase, Phase::Stopping(..));
-                self.phase = Phase::Stopping(shown(reason).into_owned(), *rest);
+                let again = matches!(self.phase, Phase::Stopping(_));
+                self.phase = Phase::Stopping(shown(reason).into_owned());
                 self.rows.iter_mut().filter(|row| again || !row.rests()).for_each(Row::stopping);
             }
             _ => self.tell_of_robot(progress),
@@ -240,17 +249,13 @@ impl Model {
                 self.say(robot, RobotState::Ended, "ended all");
             }
             Progress::AtRest { robot } => {
-                let (state, word) = match self.phase {
-                    Phase::Stopping(_, Rest::Home) => (RobotState::Home, "default state confirmed"),
-                    _ => (RobotState::AtRest, "stop confirmed"),
-                };
                 if let Some(row) = self.row(robot) {
                     row.stop = Confirmed::Yes;
                 }
                 // Why it failed is worth more than that it has come to rest.
                 match self.row(robot).filter(|row| row.state.is_out()) {
-                    Some(row) => row.word = format!("{}; {}", state.text(), row.word),
-                    None => self.say(robot, state, word),
+                    Some(row) => row.word = format!("{}; {}", RobotState::AtRest.text(), row.word),
+                    None => self.say(robot, RobotState::AtRest, "stop confirmed"),
                 }
             }
             Progress::Failed(failure) => {
@@ -273,7 +278,7 @@ impl Model {
     }
 
     fn say(&mut self, robot: &RobotId, state: RobotState, word: &str) {
-        let stopping = matches!(self.phase, Phase::Stopping(..));
+        let stopping = matches!(self.phase, Phase::Stopping(_));
         let Some(row) = self.row(robot) else { return };
         // What comes late from a robot that is being stopped does not make it play again.
         let late = stopping && matches!(state, RobotState::Playing | RobotState::Accepted);
@@ -358,7 +363,7 @@ impl Model {
         if let Some(ShownAct { stage: Stage::Waiting { since, .. }, .. }) = self.acts.first_mut() {
             since.get_or_insert(at);
         }
-        if !matches!(self.phase, Phase::Stopping(..)) {
+        if !matches!(self.phase, Phase::Stopping(_)) {
             self.plan_rows();
         }
     }
@@ -400,7 +405,7 @@ impl Row {
     }
 
     const fn rests(&self) -> bool {
-        matches!(self.state, RobotState::AtRest | RobotState::Home)
+        matches!(self.state, RobotState::AtRest)
     }
 
     fn stopping(&mut self) {

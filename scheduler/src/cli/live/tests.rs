@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::{Folder, Source, compile, read_fleet};
+use downbeat_scripts::{Act, Folder, Source, compile, read_fleet};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use urrcp::{RobotId, Server, Span, Timestamp};
@@ -217,20 +217,23 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
 fn a_way_home_shows_as_such_and_a_stop_after_it_as_one() {
     let mut model = meeting();
     decided(&mut model);
-    let (started, at_rest) = (
-        |name: &str| Progress::Started { robot: robot(name), error: None },
-        |name: &str| Progress::AtRest { robot: robot(name) },
-    );
+    let started = |name: &str| Progress::Started { robot: robot(name), error: None };
     ["arm-1", "arm-2"].iter().for_each(|name| model.tell(at(5_001), &started(name)));
-    let reason = || "stopped by the operator".to_owned();
-    model.tell(at(8_000), &Progress::Stopping { reason: reason(), rest: Rest::Home });
-    model.tell(at(8_010), &at_rest("arm-1"));
+    let stopping =
+        || Progress::Stopping { reason: "stopped by the operator".to_owned(), rest: Rest::InPlace };
+    model.tell(at(8_000), &stopping());
+    let ended = model.acts[0].name.clone();
+    model.tell(at(8_010), &Progress::ActEnded { act: ended });
+    let mut home = (*model.choreography).clone();
+    home.acts.push(Act { name: "home".to_owned(), ..home.acts[0].clone() });
+    model.tell(at(8_020), &Progress::GoingHome { act: "home".to_owned(), choreography: home.into() });
+    model.tell(
+        at(8_030),
+        &Progress::Waiting { act: "home".to_owned(), awaits: "robots".to_owned(), at: None },
+    );
     let text = drawn(&model, 8_100, 100, 24);
-    check(&text, &["GOING HOME", "home    ", "default state confirmed", "s stop"]);
-    assert!(!text.contains("STOPPING") && !text.contains("at rest"), "{text}");
-    model.tell(at(8_200), &Progress::Stopping { reason: reason(), rest: Rest::InPlace });
-    let text = drawn(&model, 8_300, 100, 24);
-    check(&text, &["STOPPING", "3 robots without a confirmation yet", "H home"]);
-    model.tell(at(8_310), &at_rest("arm-1"));
-    check(&drawn(&model, 8_400, 100, 24), &["2 robots without", "at rest", "stop confirmed"]);
+    check(&text, &["GOING HOME", "act `home`", "s stop"]);
+    assert!(!text.contains("STOPPING") && !text.contains("H home"), "{text}");
+    model.tell(at(8_200), &stopping());
+    check(&drawn(&model, 8_300, 100, 24), &["STOPPING", "without a confirmation yet", "H home"]);
 }

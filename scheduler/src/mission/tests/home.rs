@@ -1,0 +1,204 @@
+//! The way home after a stop.
+
+use std::sync::Mutex;
+
+use downbeat_scripts::{FailurePolicy, OnFailure, Positions};
+
+use super::course::{broken, fates};
+use super::played::Played;
+use super::*;
+use crate::mission::bench::ms;
+use crate::mission::home::{HomeReport, PlanHome};
+
+/// Plans an act of 400 ms for the robots that take part, and keeps the positions from which it starts.
+#[derive(Debug)]
+struct Planner {
+    answer: Result<bool, &'static str>,
+    from: Mutex<Vec<Positions>>,
+}
+
+impl PlanHome for Planner {
+    fn plan(
+        &self,
+        _: &Choreography,
+        _: usize,
+        from: &Positions,
+    ) -> Result<Option<downbeat_scripts::Act>, String> {
+        self.from.lock().unwrap().push(from.clone());
+        let mut act = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
+        act.name = "home".to_owned();
+        act.plan.robots.retain(|planned| from.contains_key(&planned.robot));
+        self.answer.map(|moves| moves.then_some(act)).map_err(str::to_owned)
+    }
+}
+
+/// Two robots play an act of 10 s, and can go home.
+fn plays(answer: Result<bool, &'static str>, on_failure: OnFailure) -> (Played, Arc<Planner>) {
+    let planner = Arc::new(Planner { answer, from: Mutex::default() });
+    let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
+    choreography.acts[0].on_failure = FailurePolicy { default: on_failure, ..FailurePolicy::default() };
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let participants = ["r0", "r1"].map(participant).to_vec();
+    let home: Option<Arc<dyn PlanHome>> = Some(planner.clone());
+    let options = MissionOptions { greeting: Greeting::Skip, home, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.positions = [("a".parse().unwrap(), 45.0)].into();
+    played.run_to_the_start();
+    (played, planner)
+}
+
+fn says(played: &mut Played, rest: Rest) {
+    played.happens(Event::StopRequested { rest, by: None });
+}
+
+fn homes_sent(played: &Played) -> usize {
+    let home = |message: &Message| matches!(message, Message::ControlRequest(request) if request.home);
+    played.sent.iter().filter(|(.., message)| home(message)).count()
+}
+
+/// How robots have confirmed their stops.
+fn rests(played: &Played) -> Vec<Option<Rest>> {
+    let rest = |robot: &RobotState| match robot.stop {
+        Stop::Confirmed(rest) => Some(rest),
+        Stop::None | Stop::Sent(_) => None,
+    };
+    played.mission.robots().iter().map(rest).collect()
+}
+
+#[test]
+fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(homes_sent(&played), 0, "no robot goes home on its own");
+    assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
+    let planned = HomeReport::Planned { act: "home".to_owned(), without: Vec::new() };
+    assert_eq!(played.mission.home(), Some(&planned));
+    assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
+    let from = planner.from.lock().unwrap();
+    let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
+    assert_eq!(stated, [&45.0, &45.0]);
+}
+
+#[test]
+fn a_device_that_slows_down_is_asked_until_it_rests() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    for position in [46.0, 47.0, 48.0] {
+        played.positions = [("a".parse().unwrap(), position)].into();
+        played.run_until(played.now + ms(150));
+        assert!(planner.from.lock().unwrap().is_empty(), "planned from {position}");
+    }
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    let from = planner.from.lock().unwrap();
+    let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
+    assert_eq!(stated, [&48.0, &48.0]);
+}
+
+#[test]
+fn without_a_plan_the_robots_stay_where_they_are_and_the_reason_is_reported() {
+    let (mut played, _) = plays(Err("a and b collide"), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    let reason = "a and b collide".to_owned();
+    assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason: reason.clone() }));
+    assert!(
+        played.told.iter().any(|told| matches!(told, Progress::NotHome { reason: told } if *told == reason))
+    );
+    assert_eq!(rests(&played), [Some(Rest::InPlace), Some(Rest::InPlace)]);
+}
+
+#[test]
+fn devices_at_their_default_positions_are_home() {
+    let (mut played, _) = plays(Ok(false), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.mission.home(), Some(&HomeReport::NothingToMove));
+    assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
+}
+
+/// Until the way home has started.
+fn runs_home(played: &mut Played) {
+    while !played.mission.is_on_its_way_home() {
+        played.run_until(played.now + ms(10));
+    }
+    played.run_to_the_start();
+}
+
+#[test]
+fn a_stop_on_the_way_home_leaves_the_robots_where_they_are_and_a_second_home_changes_nothing() {
+    let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    runs_home(&mut played);
+    let sent = played.sent.len();
+    says(&mut played, Rest::Home);
+    assert_eq!(played.sent.len(), sent, "it is on its way");
+    says(&mut played, Rest::InPlace);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Stopped]);
+    assert_eq!(rests(&played), [Some(Rest::InPlace), Some(Rest::InPlace)]);
+}
+
+#[test]
+fn a_stop_that_follows_home_at_once_leaves_the_robots_where_they_are() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    says(&mut played, Rest::InPlace);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert!(planner.from.lock().unwrap().is_empty());
+    let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::InPlace);
+    says(&mut played, Rest::Home);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
+}
+
+#[test]
+fn after_a_failure_the_others_go_home_and_the_robot_that_failed_stays() {
+    let (mut played, _) = plays(Ok(true), OnFailure::Home);
+    let actions = {
+        played.mission.fail(played.now, 1, broken());
+        std::mem::take(&mut played.mission.actions)
+    };
+    played.carry_out(actions);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    let without = vec![RobotId::new("r1").unwrap()];
+    assert_eq!(played.mission.home(), Some(&HomeReport::Planned { act: "home".to_owned(), without }));
+    assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::InPlace)]);
+}
+
+#[test]
+fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    played.mute = vec![1];
+    played.mission.robots[1].settings.clock = ClockMode::Ntp;
+    let still: Vec<_> = vec![None];
+    says(&mut played, Rest::Home);
+    played.mission.robots[1].left = still;
+    played.run_until(played.now + ms(60_000));
+    assert!(planner.from.lock().unwrap().is_empty());
+    assert!(
+        matches!(played.mission.home(), Some(HomeReport::NotPlanned { .. })),
+        "{:?}",
+        played.mission.home()
+    );
+}
+
+#[test]
+fn an_act_that_follows_a_failure_begins_once_the_robots_are_home() {
+    for (answer, fate) in [(Ok(true), ActFate::Played), (Err("a and b collide"), ActFate::NotReached)] {
+        let (mut played, _) = plays(answer, OnFailure::Home);
+        let then = Arc::make_mut(&mut played.mission.choreography);
+        let mut after = choreography(&[&[("a", 0, 400)]]).acts.remove(0);
+        after.name = "after".to_owned();
+        then.acts.push(after);
+        played.mission.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
+        let failed = (Outcome::Failed, "broken".to_owned());
+        played.mission.abort_because(played.now, failed, Rest::Home, Some(1));
+        let actions = std::mem::take(&mut played.mission.actions);
+        played.carry_out(actions);
+        assert_eq!(played.run_to_the_end(), Outcome::Failed);
+        assert_eq!(fates(&played)[1], fate);
+    }
+}

@@ -1,0 +1,143 @@
+//! An act that moves devices from where they have stopped to their default positions.
+
+use std::collections::HashMap;
+
+use urrcp::{DeviceId, Interpolation, RobotId, Span};
+
+use crate::finding::Finding;
+use crate::fleet::Fleet;
+use crate::motion::Easing;
+use crate::plan::{Act, Choreography, FailurePolicy, OnFailure};
+use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
+
+const NAME: &str = "home";
+/// The shortest duration of the act.
+const SHORTEST: Span = Span::from_millis(1_000);
+/// Its duration if it moves a device linearly whose largest speed is unknown.
+const WITHOUT_LIMIT: Span = Span::from_millis(5_000);
+/// On a grid, some steps are faster than the movement by up to this fraction.
+const SLACK: f64 = 0.02;
+/// How often the duration is doubled if a device cannot move that fast.
+const DOUBLED_MAX: u32 = 4;
+
+impl Choreography {
+    /// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other:
+    /// within the limits of the devices and, as far as bodies are known, without collisions. It takes the time that the largest
+    /// speeds demand, but at least 1 s, and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a
+    /// default position do not move. Leases and tolerances are those of the act `like`.
+    ///
+    /// Returns `None` if every device is at its default position.
+    ///
+    /// # Errors
+    /// The errors in the act, for example a collision.
+    pub fn home(&self, like: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
+        let speeds = self.largest_speeds();
+        let (ways, mut over) = ways(&speeds, fleet, from);
+        let Some(like) = self.acts.get(like).filter(|_| !ways.is_empty()) else { return Ok(None) };
+        let standing = poses::standing(fleet, from);
+        let mut act = poses::compiled("home", &ways, &standing, over);
+        for _ in 0..DOUBLED_MAX {
+            if act.is_ok() {
+                break;
+            }
+            over = over * 2;
+            act = poses::compiled("home", &ways, &standing, over);
+        }
+        let mut act = act?;
+        poses::name_like(&mut act, unused_name(NAME, &self.acts), &self.scenario, like);
+        act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
+        Ok(Some(act))
+    }
+
+    /// The largest speeds of devices, as the acts know them.
+    fn largest_speeds(&self) -> HashMap<(&RobotId, &DeviceId), f64> {
+        let used = self.acts.iter().flat_map(|act| &act.devices);
+        used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
+    }
+}
+
+/// The movements, and the time that they take together.
+fn ways<'a>(
+    speeds: &HashMap<(&RobotId, &DeviceId), f64>,
+    fleet: &Fleet,
+    from: &'a Positions,
+) -> (Vec<DeviceWay<'a>>, Span) {
+    let (mut ways, mut over) = (Vec::new(), SHORTEST);
+    for (robot, devices) in from {
+        let listed = fleet.robots.iter().find(|listed| listed.id == *robot);
+        let Some(block) = listed.and_then(|listed| listed.init.as_ref()) else { continue };
+        for (device, position) in devices {
+            let Some(described) = block.device(device.as_str()) else { continue };
+            let Some(to) = described.default_value else { continue };
+            let from = settable(described, *position);
+            if from == to {
+                continue;
+            }
+            let seconds =
+                |speed: &f64| Easing::Smooth.slope_max() * (to - from).abs() / speed * (1.0 + SLACK);
+            over = over.max(match speeds.get(&(robot, device)) {
+                Some(speed) => Span::from_millis_f64(seconds(speed) * 1_000.0),
+                None if described.interpolation == Interpolation::Linear => WITHOUT_LIMIT,
+                None => SHORTEST,
+            });
+            ways.push(DeviceWay { robot, device, from, to });
+        }
+    }
+    (ways, over)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::address::Address;
+    use crate::compile::compile;
+    use crate::files::NoFiles;
+    use crate::fleet::FleetRobot;
+    use crate::source::Source;
+
+    fn show() -> (Choreography, Fleet) {
+        let block = serde_json::from_str(poses::ARM).unwrap();
+        let robots = vec![FleetRobot::new("arm".parse().unwrap(), Address::Simulated, Some(block))];
+        let fleet = Fleet { robots, ..Fleet::default() };
+        let text = "scenario: show
+on_failure: without
+acts:
+  - {act: home, cues: [{at: 0s, robots: arm, tracks: {joint: [{at: 0s, to: 0}, {at: 9s, to: 170, ease: smooth}], lamp: [{at: 0s, to: 50}]}}]}
+";
+        let compiled = compile(&Source { name: "show.yaml".into(), text: text.into() }, &fleet, &NoFiles);
+        (compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)), fleet)
+    }
+
+    fn from(devices: &[(&str, f64)]) -> Positions {
+        let devices = devices.iter().map(|(device, position)| (device.parse().unwrap(), *position));
+        [("arm".parse().unwrap(), devices.collect())].into()
+    }
+
+    #[test]
+    fn devices_move_within_their_limits_to_their_default_positions() {
+        let (show, fleet) = show();
+        let home = show.home(0, &fleet, &from(&[("joint", 150.0), ("lamp", 40.0)])).unwrap().unwrap();
+        assert_eq!((home.name.as_str(), home.next), ("home-2", crate::Way::End));
+        assert_eq!(home.on_failure.default, OnFailure::Stop);
+        let scripts = &home.plan.robots[0].scripts;
+        let of = |device: &str| {
+            let script = scripts.iter().find(|script| script.device == device.parse().unwrap()).unwrap();
+            let values: Vec<_> = script.script.steps().iter().map(|step| step.setpoint.value).collect();
+            (values[0], values[values.len() - 1], values.len())
+        };
+        let (first, last, steps) = of("joint");
+        assert_eq!((first, last), (150.0, 0.0));
+        assert!(steps > 2, "{steps}");
+        let (first, last, _) = of("lamp");
+        assert_eq!((first, last), (40.0, 0.0));
+        // 1.875 * 150 / 60 = 4.6875 s, and 2 %.
+        let lasts = scripts.iter().map(|script| script.script.duration()).max().unwrap();
+        assert_eq!(lasts.as_millis_f64().round(), 4_781.0);
+    }
+
+    #[test]
+    fn without_a_device_away_from_its_default_position_there_is_no_act() {
+        let (show, fleet) = show();
+        assert_eq!(show.home(0, &fleet, &from(&[("joint", 0.1), ("lamp", 0.0)])).unwrap(), None);
+    }
+}
