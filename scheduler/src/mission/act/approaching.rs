@@ -82,6 +82,12 @@ impl Approach {
         now <= self.commit_by(timing) && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
+    /// Whether this process took the act up after the last instant at which it may ask robots, so that no robot can answer. It would
+    /// be silent until it is too late to commit the act, and other acts that play would end by their leases.
+    fn was_taken_up_too_late(&self, timing: &Timing) -> bool {
+        self.on_disk == OnDisk::Nothing && self.taken_up.is_some_and(|at| at >= timing.critical())
+    }
+
     pub(super) const fn recorded(&mut self) {
         self.on_disk = OnDisk::Commitment;
     }
@@ -130,6 +136,9 @@ impl Act {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
+        if approach.was_taken_up_too_late(timing) {
+            return vec![ActAction::Withdraw(Outcome::CommitmentLate { by: now - timing.critical() })];
+        }
         if now >= timing.commit_from() {
             return self.commit_if_all_hold(now, robots);
         }
