@@ -42,7 +42,7 @@ pub enum HomeReport {
         #[serde(skip_serializing_if = "Vec::is_empty")]
         without: Vec<RobotId>,
     },
-    /// All devices were at their default positions.
+    /// No device was away from its default position.
     NothingToMove,
     /// All robots stayed where they came to rest.
     NotPlanned {
@@ -203,6 +203,11 @@ impl Mission {
                 }
                 None => {}
             }
+        }
+        if from.is_empty()
+            && let Some(stays) = self.robots.iter().find(|robot| !robot.touched.is_empty())
+        {
+            return Err(format!("`{}` has failed or does not state its positions", stays.id));
         }
         planner.plan(&self.choreography, like, &from)
     }

@@ -47,6 +47,9 @@ impl Mission {
         }
         let reason = self.with_home(Outcome::Stopped.to_string());
         self.tell(Progress::Stopping { reason, rest });
+        if other.is_empty() {
+            return;
+        }
         self.phase = self.stopping_from(now, StoppedBy::Operator);
         for robot in other {
             self.robots[robot].stop = Stop::None;

@@ -297,7 +297,7 @@ fn home_sentence(home: &HomeReport) -> Option<String> {
             let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
             Some(format!("without a part in `{act}`: {}", stayed.join(", ")))
         }
-        HomeReport::NothingToMove => Some("all devices were at their default positions".to_owned()),
+        HomeReport::NothingToMove => Some("no device was away from its default position".to_owned()),
         HomeReport::NotPlanned { reason } => {
             Some(format!("the robots stayed where they came to rest: {reason}"))
         }

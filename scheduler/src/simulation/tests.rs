@@ -1,6 +1,6 @@
 use super::check::LEAD_LEAST;
 use super::*;
-use crate::mission::{ActCourse, ActFate, Failure, FailureKind, Progress};
+use crate::mission::{ActCourse, ActFate, Failure, FailureKind, HomeReport, Progress};
 use crate::report::Outcome;
 
 #[test]
@@ -315,4 +315,21 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
         left += usize::from(ran.report.map(fate) == Some(ActFate::Stopped));
     }
     assert!(left > 20, "{left}");
+}
+
+#[test]
+fn missions_go_home_together_or_report_why_they_stay() {
+    let (mut arrived, mut on_the_way, mut stayed) = (0, 0, 0);
+    for seed in 0..2_000 {
+        let Some(report) = run(seed).report else { continue };
+        match &report.home {
+            Some(HomeReport::Planned { act, .. }) => {
+                let played = report.course.iter().any(|course| course.act == *act && course.played == 1);
+                *if played { &mut arrived } else { &mut on_the_way } += 1;
+            }
+            Some(HomeReport::NotPlanned { .. }) => stayed += 1,
+            Some(HomeReport::NothingToMove) | None => {}
+        }
+    }
+    assert!(arrived >= 10 && on_the_way >= 1 && stayed >= 5, "{arrived}, {on_the_way}, {stayed}");
 }

@@ -118,6 +118,21 @@ fn devices_at_their_default_positions_are_home() {
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
 }
 
+#[test]
+fn if_no_robot_can_take_part_nobody_goes_home() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Home);
+    let actions = {
+        let failing = vec![(0, broken()), (1, broken())];
+        played.mission.fail_all(played.now, failing);
+        std::mem::take(&mut played.mission.actions)
+    };
+    played.carry_out(actions);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert!(planner.from.lock().unwrap().is_empty());
+    let reason = "`r0` has failed or does not state its positions".to_owned();
+    assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason }));
+}
+
 /// Until the way home has started.
 fn runs_home(played: &mut Played) {
     while !played.mission.is_on_its_way_home() {

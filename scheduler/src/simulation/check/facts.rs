@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::DeviceScript;
+use downbeat_scripts::{Choreography, DeviceScript};
 use urrcp::{Command, Message, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
@@ -16,6 +16,8 @@ const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A run as the invariants look at it.
 pub(super) struct Facts<'a> {
     pub(super) ran: &'a Ran,
+    /// The choreography, with the way home if one was planned.
+    pub(super) choreography: &'a Choreography,
     /// The acts that were sent, in order.
     pub(super) acts: Vec<SentAct<'a>>,
     /// What went wrong, in order.
@@ -73,6 +75,17 @@ pub(super) struct SentScript<'a> {
     pub(super) log: Vec<&'a LogEntry>,
 }
 
+fn choreography_of(ran: &Ran) -> &Choreography {
+    for (_, happened) in ran.history.iter().rev() {
+        if let Happened::Told(told) = happened
+            && let Progress::GoingHome { choreography, .. } = &**told
+        {
+            return choreography;
+        }
+    }
+    &ran.drawn.choreography
+}
+
 impl<'a> Facts<'a> {
     pub(super) fn of(ran: &'a Ran) -> Self {
         let mut logs: HashMap<&str, Vec<&LogEntry>> = HashMap::new();
@@ -83,6 +96,7 @@ impl<'a> Facts<'a> {
         }
         let mut facts = Self {
             ran,
+            choreography: choreography_of(ran),
             acts: Vec::new(),
             hits: hits_of(ran),
             dropped: vec![None; ran.drawn.robots.len()],
@@ -145,7 +159,7 @@ impl<'a> Facts<'a> {
         promised: &'a PromisedScript,
         logs: &HashMap<&str, Vec<&'a LogEntry>>,
     ) -> Option<SentScript<'a>> {
-        let plan = &self.drawn().choreography.acts.get(promise.act)?.plan;
+        let plan = &self.choreography.acts.get(promise.act)?.plan;
         let of_robot = plan.robots.iter().find(|robot| robot.robot == promised.robot);
         let scripts = of_robot.map(|robot| robot.scripts.as_slice()).unwrap_or_default();
         let same = |written: &&DeviceScript| {

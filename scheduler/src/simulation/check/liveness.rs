@@ -323,7 +323,7 @@ fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 
 /// It waits for an instant, and is not late for it.
 fn starts_at_its_time(facts: &Facts<'_>, act: &SentAct<'_>) -> bool {
-    let written = facts.drawn().choreography.acts.get(act.promise.act);
+    let written = facts.choreography.acts.get(act.promise.act);
     let waits_for = written.map(|written| &written.wait);
     matches!(waits_for, Some(Wait::Instant(at)) if act.promise.start + act.ahead <= *at)
 }
@@ -406,7 +406,7 @@ fn lead(act: &SentAct<'_>) -> Span {
 
 /// The lead that the scenario asks for: it is kept where no act before it still plays.
 fn asked_for(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
-    facts.drawn().choreography.acts.get(act.promise.act)?.plan.lead
+    facts.choreography.acts.get(act.promise.act)?.plan.lead
 }
 
 /// For how long the disk stood still before an act was sent.
@@ -418,7 +418,7 @@ fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 /// From the planned end of the act before to the start of this one.
 fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Span> {
     // As written: what a robot would have played that was left out leaves a gap of its own.
-    let written = facts.drawn().choreography.acts.get(before.promise.act)?;
+    let written = facts.choreography.acts.get(before.promise.act)?;
     Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
@@ -426,7 +426,7 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
-    let waited_for = match facts.drawn().choreography.acts.get(act.promise.act).map(|written| &written.wait) {
+    let waited_for = match facts.choreography.acts.get(act.promise.act).map(|written| &written.wait) {
         Some(Wait::Sensor { robot, .. }) => {
             facts.drawn().robots.iter().position(|drawn| drawn.block.id.as_str() == robot)
         }

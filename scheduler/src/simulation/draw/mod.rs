@@ -59,6 +59,10 @@ impl Drawn {
     }
 }
 
+/// In one of this many missions, the operator sends the robots home: those whose seed leaves this remainder.
+const SENT_HOME_ONE_IN: u64 = 50;
+const SENT_HOME: u64 = 37;
+
 /// In one of this many missions, devices may begin at a position other than that of the first act.
 const MISPLACED_ONE_IN: u64 = 40;
 
@@ -109,10 +113,29 @@ pub fn draw(seed: u64) -> Drawn {
     };
     let faults = faults::draw_faults(rng, &drawn);
     let drawn = Drawn { faults, ..drawn };
-    match together::is_such(seed) {
-        true => together::bring_together(rng, drawn),
-        false => drawn,
+    match seed % SENT_HOME_ONE_IN {
+        _ if together::is_such(seed) => together::bring_together(rng, drawn),
+        SENT_HOME => send_home(rng, drawn),
+        _ => drawn,
     }
+}
+
+/// The operator sends all robots home while acts play, and perhaps says something else soon afterwards.
+fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
+    for device in drawn.robots.iter_mut().flat_map(|robot| robot.block.devices.iter_mut()) {
+        device.default_value.get_or_insert(BEGINS_AT);
+    }
+    if one_in(rng, 2) {
+        drawn.faults.clear();
+    }
+    let at = millis(rng, 600, 3_000);
+    drawn.faults.push((at, Fault::Home));
+    if one_in(rng, 2) {
+        let then = if one_in(rng, 2) { Fault::Stop } else { Fault::Home };
+        drawn.faults.push((at + millis(rng, 0, 1_500), then));
+    }
+    drawn.faults.sort_by_key(|(at, _)| *at);
+    drawn
 }
 
 /// In time, too late, or never.

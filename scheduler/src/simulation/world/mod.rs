@@ -3,6 +3,7 @@
 //! `operator` is the person at the terminal.
 
 mod faults;
+mod home;
 mod network;
 mod operator;
 mod robots;
@@ -10,6 +11,7 @@ mod scheduler;
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::sync::Arc;
 
 use downbeat_robot::LinkId;
 use downbeat_robot::simulated::Outgoing;
@@ -21,7 +23,7 @@ use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
 use crate::drive::{at_once, drive};
 use crate::dry_run::BEGIN;
-use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
+use crate::mission::{Event, Mission, MissionOptions, Participant, PlanHome, Record};
 use crate::session::Session;
 
 /// A mission that lasts longer hangs.
@@ -151,8 +153,14 @@ fn options(drawn: &Drawn) -> MissionOptions {
         patience: PATIENCE,
         session: session().map(Session::named),
         join: drawn.join,
+        home: goes_home_together(drawn.seed).then(|| Arc::new(home::Planner::of(drawn)) as Arc<dyn PlanHome>),
         ..MissionOptions::default()
     }
+}
+
+/// Whether the mission can plan the way home. Otherwise each robot goes there on its own.
+const fn goes_home_together(seed: u64) -> bool {
+    !seed.is_multiple_of(4)
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {
