@@ -197,7 +197,14 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
         _ => {
             let simulated =
                 ["simulated", "simulation", "simulator", "virtual", "sim:", "sim://"].contains(&text);
-            ("is not an address", simulated.then(|| "write `sim`".to_owned()))
+            let hint = match text.parse::<IpAddr>() {
+                _ if simulated => Some("write `sim`".to_owned()),
+                Ok(IpAddr::V4(ip)) => {
+                    Some(format!("add how to reach it and its port, as in `tls://{ip}:7401`"))
+                }
+                _ => None,
+            };
+            ("is not an address", hint)
         }
     }
 }

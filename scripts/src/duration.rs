@@ -84,6 +84,11 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     if is_too_long(text) {
         return Some(format!("no time is longer than {}", written(longest())));
     }
+    if let Some(beat) = text.strip_prefix("beat ").filter(|beat| beat.parse::<f64>().is_ok()) {
+        return Some(format!(
+            "a position names its bar, as in `bar 1 beat {beat}`, and a length is `{beat} beats`"
+        ));
+    }
     if let Some(length) = musical(text) {
         return Some(format!("write `{length}`"));
     }
@@ -155,8 +160,16 @@ fn is_too_long(text: &str) -> bool {
 /// `2beats`: a length in the music without a space.
 fn musical(text: &str) -> Option<String> {
     let (number, word) = text.split_at(text.find(|c: char| !c.is_ascii_digit() && c != '.')?);
-    let known = matches!(word, "beat" | "beats" | "bar" | "bars");
-    (known && number.parse::<f64>().is_ok()).then(|| format!("{number} {word}"))
+    number.parse::<f64>().ok()?;
+    let meant = match word.trim() {
+        joined @ ("beat" | "beats" | "bar" | "bars") => joined,
+        "measure" => "bar",
+        "measures" => "bars",
+        "quarter" | "quarter note" => "beat",
+        "quarters" | "quarter notes" => "beats",
+        _ => return None,
+    };
+    Some(format!("{number} {meant}"))
 }
 
 /// Hours, minutes and seconds, all three, so that nobody has to guess which of them two numbers are: `00:01:30`, `00:01:30.5`.

@@ -134,6 +134,7 @@ impl Reader {
             message,
             expected,
             hint,
+            hint_in_block: None,
             related: Vec::new(),
             affected: None,
         });
@@ -182,6 +183,32 @@ impl Reader {
             found.affected = Some(Box::new(affected));
             self.alike.insert(key, index);
         }
+    }
+
+    /// A finding that each use of something would make: the first one is reported.
+    pub(crate) fn add_once(
+        &mut self,
+        cause: String,
+        code: Code,
+        place: Place,
+        message: String,
+        expected: String,
+        hint: Option<String>,
+    ) {
+        if self.has(code, &cause) {
+            self.joined += usize::from(code.severity() == Severity::Error);
+            return;
+        }
+        let index = self.found.len();
+        self.add(code, place, message, expected, hint);
+        if self.found.len() > index {
+            self.alike.insert((code, cause), index);
+        }
+    }
+
+    /// Whether a finding of this cause is reported already.
+    pub(crate) fn has(&self, code: Code, cause: &str) -> bool {
+        self.alike.contains_key(&(code, cause.to_owned()))
     }
 
     /// A finding about a file, at the place at which the file is named.
@@ -280,9 +307,40 @@ impl Reader {
 
     /// The same for a value that stands elsewhere: the parameter of a move or a sequence where it is given.
     fn wrong_value(&mut self, at: &At<'_>, value: &Node, expected: &str) {
+        if self.is_template(at, expected) {
+            return;
+        }
         let hint = slips::value(self, &at.place(), value, expected);
         let place = self.given_at(at).map_or_else(|| at.place(), |given| Place::clone(&given));
-        self.add(Code::WrongType, place, format!("found {}", value.kind()), expected, hint);
+        let in_block = slips::in_block(value, expected).map(str::to_owned);
+        self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
+    }
+
+    /// A value of the wrong type, with a hint for it between brackets and one for it on lines of its own, if that is another one.
+    pub(crate) fn add_styled(
+        &mut self,
+        place: Place,
+        message: String,
+        expected: &str,
+        [hint, in_block]: [Option<String>; 2],
+    ) {
+        let before = self.found.len();
+        self.add(Code::WrongType, place, message, expected, hint);
+        if let Some(found) = self.found.get_mut(before) {
+            found.hint_in_block = in_block;
+        }
+    }
+
+    /// Whether braces of a template language stand here, as `{{ x }}`, which is then reported.
+    pub(crate) fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
+        let Some(inner) = slips::template(at.node) else { return false };
+        let message = format!("braces around `{}`", shortened(&inner));
+        let hint = Some(match is_scalar(expected) {
+            true => format!("write `{}`, without braces", shortened(&slips::bare(&self.scope, &inner))),
+            false => "variables stand for numbers, times and names only: write the rest out".to_owned(),
+        });
+        self.add(Code::WrongType, at.place(), message, expected, hint);
+        true
     }
 
     /// The value of each known key; findings for the others, for duplicates and for missing ones.
@@ -297,9 +355,13 @@ impl Reader {
             self.wrong_type(at, &format!("{what}: a map with {}", names(known)));
             return None;
         };
+        if self.is_template(at, &format!("{what}: a map with {}", names(known))) {
+            return None;
+        }
         #[cfg(test)]
         crate::known::keys(at, &known);
         let mut values: [Option<At<'a>>; N] = [None; N];
+        let mut meant: [Option<At<'a>>; N] = [None; N];
         let (mut open, mut skipped) = (None, 0);
         for (index, (key, node)) in entries.iter().enumerate() {
             let before = index.checked_sub(1).map(|before| &entries[before]);
@@ -329,16 +391,25 @@ impl Reader {
                         _ if syntax::without_space(key, &known).is_some() => {
                             syntax::without_space(key, &known)
                         }
-                        _ => slips::key(self, what, key, node)
+                        _ => syntax::without_colon(key, node, &known)
+                            .or_else(|| slips::key(self, what, key, node))
                             .or_else(|| self.did_you_mean(key, known))
                             .or_else(|| slips::word_of(key, known))
                             .or_else(|| slips::parameter(what, key, node, entries)),
                     };
+                    // A misspelt key is read as the key that its hint names, so that no key seems to be missing.
+                    let named = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
+                    if let Some(index) = known.iter().position(named) {
+                        meant[index] = Some(at.entry(key, 0, node));
+                    }
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
                     self.add(Code::UnknownKey, place, message, one_of(known), hint);
                 }
             }
+        }
+        for (value, meant) in values.iter_mut().zip(meant) {
+            *value = value.or(meant);
         }
         for key in required {
             let index = known.iter().position(|name| name == key)?;
@@ -354,10 +425,14 @@ impl Reader {
         Some(values)
     }
 
-    /// Whether a part of the scenario is of the wrong type as a whole, so that nothing in it is known.
+    /// Whether a part of the scenario is misspelt or of the wrong type as a whole, so that nothing in it is known.
     pub(crate) fn is_wrong(&self, part: &str) -> bool {
-        let is_part = |place: &Place| matches!(place.path.as_slice(), [Part::Key(key, _)] if key == part);
-        self.found.iter().any(|found| found.code == Code::WrongType && is_part(&found.place))
+        let meant = did_you_mean_this(part);
+        self.found.iter().any(|found| match (found.code, found.place.path.as_slice()) {
+            (Code::WrongType, [Part::Key(key, _)]) => key == part,
+            (Code::UnknownKey, [_]) => found.hint.as_ref() == Some(&meant),
+            _ => false,
+        })
     }
 
     /// Whether the findings say already that one of the keys here was meant to be this one.
@@ -408,6 +483,9 @@ impl Reader {
             self.wrong_type(at, &format!("a map from {what}"));
             return Vec::new();
         };
+        if self.is_template(at, &format!("a map from {what}")) {
+            return Vec::new();
+        }
         let mut seen = std::collections::HashSet::new();
         let mut unique = Vec::with_capacity(entries.len());
         for (key, node) in entries {
@@ -533,6 +611,10 @@ impl Reader {
     pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
+            node if slips::template(node).is_some() => {
+                self.wrong_value(at, node, expected);
+                None
+            }
             Node::Text(text) if expression::is_one(text) => self.number_of(at, text, expected),
             node if is_spread(node) => {
                 let text = self.spread(at)?;
@@ -585,6 +667,9 @@ impl Reader {
 
     /// The same before it is rounded.
     pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
+        if self.is_template(at, duration::EXPECTED) {
+            return None;
+        }
         let (found, hint) = match self.scalar(at)?.as_ref() {
             Node::Text(text) => return self.exact_time(at, text),
             Node::Number(value) => {
@@ -640,6 +725,9 @@ impl Reader {
                 let is_number = text.parse::<f64>().is_ok_and(|value| value >= 0.0);
                 let hint = match is_number {
                     true => Some(format!("add the unit: `{text}s` or `{text}ms`")),
+                    false if self.scope.get(text).is_some() => {
+                        Some(format!("the variable is written `${text}`"))
+                    }
                     false => duration::hint(text),
                 };
                 self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
@@ -694,6 +782,11 @@ impl Reader {
         self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None
     }
+}
+
+/// Whether a variable can stand where this is expected.
+fn is_scalar(expected: &str) -> bool {
+    !expected.starts_with("a list") && !expected.contains("a map")
 }
 
 /// The entry and its number if a decimal comma made this key of its decimals.

@@ -70,7 +70,7 @@ codes! {
     NothingToDo = "DB0016", Error, "nothing to do";
     ListedTwice = "DB0017", Error, "a robot is listed twice";
     InitializationBlock = "DB0018", Error, "an initialization block is not valid";
-    NameClash = "DB0019", Error, "a group has the name of a robot";
+    NameClash = "DB0019", Error, "a group or a role has a name that is taken";
     UnknownWord = "DB0020", Error, "an unknown word";
     UnknownBeginning = "DB0021", Error, "a movement without a beginning";
     UnknownCue = "DB0022", Error, "no cue of this name";
@@ -238,6 +238,8 @@ pub(crate) struct Pending {
     pub(crate) message: String,
     pub(crate) expected: String,
     pub(crate) hint: Option<String>,
+    /// The hint where a map or a list is written in lines, not between brackets, if it is another one.
+    pub(crate) hint_in_block: Option<String>,
     /// Other places of the same file.
     pub(crate) related: Vec<(Place, String)>,
     /// The robots that it concerns, if others may join them.
@@ -314,9 +316,13 @@ pub(crate) fn nearest<'a>(
     // In a short word, every second letter may differ by chance.
     let near = 1.max(length / 3);
     let first = wrong.chars().next();
-    let mut written_out = None;
+    let (mut written_out, mut in_other_case) = (None, None);
+    let small = wrong.to_lowercase();
     let compared = known.into_iter().take(*left).inspect(|name| {
         *left -= 1;
+        if name.len() <= 4 * wrong.len() && name.to_lowercase() == small {
+            in_other_case.get_or_insert(*name);
+        }
         if is_short_for(&wrong, name) {
             written_out.get_or_insert(*name);
         }
@@ -336,13 +342,21 @@ pub(crate) fn nearest<'a>(
     };
     let like =
         scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance);
-    Some(did_you_mean_this(like.map(|(_, name)| name).or(written_out)?))
+    let like = like.map(|(_, name)| name);
+    Some(did_you_mean_this(in_other_case.or(like).or(written_out)?))
 }
 
 /// Whether a word, or its singular, is the beginning of a name, as `forms` of `formations`.
 fn is_short_for(word: &str, name: &str) -> bool {
     let begin = word.strip_suffix('s').unwrap_or(word);
     begin.chars().count() >= 4 && name.starts_with(begin)
+}
+
+/// The only name that ends like this one, which stands in a file or a sequence: `lib.lift` for `lift`.
+pub(crate) fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
+    let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
+    let only = ending.next().filter(|_| ending.next().is_none())?;
+    Some(did_you_mean_this(only))
 }
 
 pub(crate) fn did_you_mean_this(name: &str) -> String {

@@ -66,7 +66,9 @@ impl Init {
             return Err(vec![mistaken]);
         }
         match document {
-            Ok(document) if dictionary::is_one(&document) => Ok(Self::Dictionary(source, document)),
+            Ok(document) if dictionary::is_one(&document) && !dictionary::is_block(&document) => {
+                Ok(Self::Dictionary(source, document))
+            }
             _ => {
                 let found = faults::of(&source);
                 Err(if found.is_empty() { vec![wrong] } else { found })

@@ -1,6 +1,7 @@
 //! Where paths into the tree are in the text: one pass of a parser that keeps places, made only when there is something
 //! to report. What stands behind an alias is placed where the alias is used.
 
+mod defined;
 mod spelled;
 mod uses;
 
@@ -23,7 +24,8 @@ const LINE_BYTES_MAX: usize = 500;
 const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
-pub(crate) fn locate<S: Borrow<Source>>(sources: &[S], pending: Vec<Pending>) -> Vec<Finding> {
+pub(crate) fn locate<S: Borrow<Source>>(sources: &[S], mut pending: Vec<Pending>) -> Vec<Finding> {
+    defined::relate(sources, &mut pending);
     let mut by_file: Vec<Vec<(Pending, String)>> = sources.iter().map(|_| Vec::new()).collect();
     let uses = uses::told(sources, &pending);
     for (finding, use_) in pending.into_iter().zip(uses) {
@@ -123,6 +125,8 @@ fn finding(
     related: Vec<Related>,
     room: &mut usize,
 ) -> Finding {
+    let line = lines.line(&source.text, spot.line);
+    let is_block = !line.chars().nth(spot.column.saturating_sub(1)).is_some_and(|c| matches!(c, '[' | '{'));
     Finding {
         code: pending.code,
         severity: pending.code.severity(),
@@ -132,8 +136,8 @@ fn finding(
         width: spot.width.max(1),
         message: pending.message,
         expected: pending.expected,
-        hint: pending.hint,
-        source_line: carried(lines.line(&source.text, spot.line), room),
+        hint: pending.hint_in_block.filter(|_| is_block).or(pending.hint),
+        source_line: carried(line, room),
         related,
     }
 }

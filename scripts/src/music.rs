@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use urrcp::Span;
 
-use crate::exact::{Beginning, Exact, Fraction, decimal, sum, within};
+use crate::exact::{Beginning, Exact, Fraction, decimal, sum, to_f64, within};
 
 const MINUTE: Span = Span::from_millis(60_000);
 
@@ -154,6 +154,23 @@ impl Music {
             Some(tempo.time_of_beat(beat)?.minus(start))
         };
         Ok(time().unwrap_or(Exact::ZERO))
+    }
+
+    /// A position whose beat its bar does not have: the number of beats of the bar, and the position counted on into later bars.
+    pub(crate) fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
+        let (written, mut beat) = position(text)?;
+        let tempo = self.tempo.as_ref()?;
+        let beats = |bar: u32| tempo.section(|s| s.section.bar, bar).map(|s| s.section.beats_a_bar);
+        let mut bar = written;
+        loop {
+            let beats = i128::from(beats(bar)?);
+            if beat < Fraction::from_integer(beats) {
+                break;
+            }
+            (bar, beat) = (bar + 1, beat - beats);
+        }
+        let meant = format!("bar {} beat {}", bar + 1, to_f64(beat + 1));
+        (bar > written).then_some((beats(written)?, meant))
     }
 
     /// A position such as `bar 3 beat 2`, as time from the beginning; `None` if the text is no position.

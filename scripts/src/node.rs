@@ -173,6 +173,10 @@ impl<'de> Deserialize<'de> for Key {
             Node::Number(value) => value.to_string(),
             Node::Bool(value) => value.to_string(),
             Node::Null => "null".into(),
+            // `{{ x }}`
+            Node::Map(entries) if matches!(entries.as_slice(), [(_, Node::Null)]) => {
+                format!("{{{}}}", entries[0].0)
+            }
             other => other.kind(),
         }))
     }

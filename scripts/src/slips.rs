@@ -10,6 +10,7 @@ use crate::fields::{At, Reader};
 use crate::finding::{Part, Place, did_you_mean_this};
 use crate::node::{Node, shortened};
 use crate::scenario::CUE_KEYS;
+use crate::scope::Scope;
 
 /// The devices of a fleet by name, each with its unit if all robots that have it agree.
 #[derive(Debug, Default)]
@@ -49,9 +50,9 @@ impl Units {
 }
 
 /// Other words for the keys of a map: where, the words, and the key.
-const KEYS: [(&str, &[&str], &str); 43] = [
+const KEYS: [(&str, &[&str], &str); 53] = [
     ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
-    ("a keyframe", &["time", "t", "when", "start"], "at"),
+    ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
     ("a keyframe", &["easing", "curve", "interpolation", "transition"], "ease"),
     ("a point", &["value", "position", "pos", "angle", "target", "val"], "to"),
     ("a point", &["time", "t", "when", "start"], "at"),
@@ -93,6 +94,16 @@ const KEYS: [(&str, &[&str], &str); 43] = [
     ("limits", &["accel", "max_acceleration"], "acceleration"),
     ("robot", &["host", "ip", "url", "endpoint"], "address"),
     ("robot", &["description", "model", "file", "path"], "init"),
+    ("`scale`", &["factor", "times", "to"], "by"),
+    ("`mirror`", &["at", "around", "center", "centre", "value"], "about"),
+    ("`turn`", &["around", "center", "centre", "at"], "about"),
+    ("`turn`", &["angle", "degrees", "to"], "by"),
+    ("`grid`", &["cols"], "columns"),
+    ("`repeat`", &["count", "n"], "times"),
+    ("`repeat`", &["interval", "period"], "every"),
+    ("`repeat`", &["duration", "length"], "for"),
+    ("`along`", &["name", "to"], "path"),
+    ("`form`", &["formation", "name"], "to"),
 ];
 
 /// A hint for a key that a map does not have.
@@ -119,6 +130,22 @@ pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Optio
         ("a cue", "ease" | "easing") => {
             format!("write it in each keyframe: `{{at: 1s, to: 45, ease: {given}}}`")
         }
+        ("the scenario", "version" | "author" | "description" | "date" | "music" | "audio") => {
+            format!("leave it out, or write a comment: `# {key}: {given}`")
+        }
+        ("the scenario", "duration" | "length") => {
+            "leave it out: a show lasts as long as its cues".to_owned()
+        }
+        ("an act", "moves" | "sequences" | "variables" | "roles" | "formations" | "paths") => {
+            "write it at the top of the scenario: all acts share it".to_owned()
+        }
+        ("an act", "repeat" | "loop") => "write it in the cues of the act".to_owned(),
+        ("`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`", "count" | "number" | "n" | "robots") => {
+            "leave it out: there is a place for each robot of the cue".to_owned()
+        }
+        ("a keyframe of several values", "ease") => "leave it out: several values are set at once".to_owned(),
+        ("a tempo", "bar" | "from_bar" | "start") => format!("write `at: bar {given}`"),
+        ("`wait`", "operator" | "done") if *value == Node::Null => format!("write `for: {key}`"),
         ("an act", "at" | "after" | "with" | "before") => {
             "acts follow each other in the order of the file, or as `next` says".to_owned()
         }
@@ -198,6 +225,44 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
     match node {
         Node::Text(text) if reader.scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
         Node::Text(text) if expected == "true or false" => truth(text, place),
+        Node::Text(text) if expected.starts_with("an entry of `play`") => Some(format!("write `{{move: {text}}}`")),
+        Node::Text(text) if expected == "a finite number" && colour(text).is_some() => colour(text)
+            .map(|values| format!("write a list, if the device takes several values: `{values:?}`")),
+        Node::Number(value) if expected == "true or false" => Some(match place.path.last() {
+            Some(Part::Key(key, _)) if key == "mirror" => format!("write `{{about: {value}}}`"),
+            _ => format!("write `{}`", *value != 0.0),
+        }),
+        Node::Number(value) if expected == "a list of finite numbers" => Some(format!("write `[{value}]`")),
+        Node::Number(value) if expected.starts_with("the least and the largest coordinate") => {
+            Some(format!("write both: `[{}, {}]`", -value.abs(), value.abs()))
+        }
+        Node::Number(value) if expected.starts_with("`above` or `below`") => Some(format!("write `above {value}`")),
+        Node::Map(entries) if expected.starts_with("metres along x, y and z") => coordinates(entries),
+        Node::Map(entries) if expected.starts_with("a factor") => match entries.as_slice() {
+            [(key, Node::Number(value))] if key == "by" => Some(format!("write `{value}`")),
+            _ => None,
+        },
+        Node::Map(entries) if expected == "the name of a move" => match entries.as_slice() {
+            [(name, _)] => Some(format!("write `move: {}`, and its values under `parameters`", shortened(name))),
+            _ => None,
+        },
+        Node::Map(_) if expected.starts_with("beats per minute") => {
+            Some("put brackets around it: `[{at: bar 1, bpm: 120}]`".to_owned())
+        }
+        Node::List(_) if expected.starts_with("the move `") || expected.starts_with("a move: a map") => {
+            Some("name the device: `{tracks: {elbow: [{at: 0s, to: 0}]}}`".to_owned())
+        }
+        Node::List(_) if expected.starts_with("the sequence `") => Some("write the list below `cues:`".to_owned()),
+        Node::List(_) if expected.starts_with("the name of an act") => {
+            Some("name one act; `otherwise` of a `wait` names another one".to_owned())
+        }
+        Node::List(_) if expected.starts_with("the name of a formation") => {
+            Some("write a cue for each of them".to_owned())
+        }
+        Node::List(items) if expected == "`home`" => match &items[..] {
+            [Node::Text(home), Node::Text(over)] if home == "home" => Some(format!("write `{{home: {over}}}`")),
+            _ => None,
+        },
         Node::Text(text) if expected.starts_with("a whole number") && is_endless(text) => Some(
             "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`".to_owned(),
         ),
@@ -207,9 +272,8 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         }
         Node::Text(text) => number(reader, place, text, expected)
             .or_else(|| expected.contains(": a map").then(|| crate::syntax::without_space_at_all(text)).flatten()),
-        Node::Map(entries) if is_braced(entries) => Some("a variable is written `$name`, without braces".to_owned()),
         Node::Map(entries) if expected.starts_with("a place in metres") => coordinates(entries),
-        Node::Map(_) if expected.starts_with("a list of") => Some("begin every entry of the list with a dash: `- `".to_owned()),
+        Node::Map(_) if expected.starts_with("a list of") => Some("put brackets around it: `[{...}]`".to_owned()),
         Node::Map(_) if expected.starts_with("the path of an initialization block") => {
             Some("write the description into a file of its own, and name that".to_owned())
         }
@@ -225,13 +289,21 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         Node::Number(value) if expected.starts_with("a time signature") => Some(format!("write `{value}/4`")),
         Node::Number(value) => in_a_map(expected, *value),
         Node::List(_) if expected.starts_with("a map from robot id") => {
-            Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash".to_owned())
+            Some("write a map: `{left: {init: arm.yaml, address: sim}}`".to_owned())
         }
         Node::List(_) if expected.starts_with("a map from device to its keyframes") => {
-            Some("write `elbow: [{at: 0s, to: 0}]` for each device, without a dash".to_owned())
+            Some("write a map: `{elbow: [{at: 0s, to: 0}]}`".to_owned())
+        }
+        Node::List(items) if expected == "a map from parameter to its default" => {
+            let name = |item: &Node| match item {
+                Node::Text(name) => Some(format!("{}: ~", shortened(name))),
+                _ => None,
+            };
+            let names: Option<Vec<String>> = items.iter().map(name).collect();
+            Some(format!("write each with its default, or `~` for none: `{{{}}}`", names?.join(", ")))
         }
         Node::List(_) if expected.starts_with("a map from") => {
-            Some("write `name: ...` for each entry instead of a dash".to_owned())
+            Some("write a map, with a name for each entry: `{name: ...}`".to_owned())
         }
         Node::List(_) if expected == "the name of a move" => {
             Some("write a cue for each move, or a move that has `play` with a list of them".to_owned())
@@ -244,6 +316,28 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         }
         Node::Null if expected.starts_with("`sim`") => Some("write `sim` to simulate it".to_owned()),
         Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
+        _ => None,
+    }
+}
+
+/// The same where the value is written in lines, if that needs other words.
+pub(crate) fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
+    match node {
+        Node::Map(_) if expected.starts_with("a list of") => {
+            Some("begin every entry of the list with a dash: `- `")
+        }
+        Node::List(_) if expected.starts_with("a map from robot id") => {
+            Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash")
+        }
+        Node::List(_) if expected.starts_with("a map from device to its keyframes") => {
+            Some("write `elbow: [{at: 0s, to: 0}]` for each device, without a dash")
+        }
+        Node::List(_) if expected == "a map from parameter to its default" => {
+            Some("write each with its default, or `~` for none, without a dash: `height: ~`")
+        }
+        Node::List(_) if expected.starts_with("a map from") => {
+            Some("write `name: ...` for each entry instead of a dash")
+        }
         _ => None,
     }
 }
@@ -288,9 +382,36 @@ pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str>
     (comments && is_known(name)).then(|| format!("a comment begins with `#`: `{name} # ...`"))
 }
 
-/// `{{height}}` is a map whose key is a map.
-fn is_braced(entries: &[(String, Node)]) -> bool {
-    matches!(entries, [(key, Node::Null)] if key == "a map")
+/// What stands within the braces of `{{ x }}`, which YAML reads as a map whose key is a map, of `"{{ x }}"` or of `{$x}`.
+pub(crate) fn template(node: &Node) -> Option<String> {
+    let inner = match node {
+        Node::Text(text) => text.trim().strip_prefix("{{")?.strip_suffix("}}")?,
+        Node::Map(entries) => match entries.as_slice() {
+            [(key, Node::Null)] if key.starts_with('$') => key,
+            [(key, Node::Null)] => key.strip_prefix('{')?.strip_suffix('}')?,
+            _ => return None,
+        },
+        _ => return None,
+    };
+    let inner = inner.trim();
+    (!inner.is_empty() && !inner.contains(['{', '}'])).then(|| inner.to_owned())
+}
+
+/// The same with `$` before each name that is a variable, or before all of it if that is one word.
+pub(crate) fn bare(scope: &Scope, inner: &str) -> String {
+    let is_part = |c: char| c.is_alphanumeric() || c == '_';
+    if inner.chars().all(is_part) && !inner.starts_with(|c: char| c.is_ascii_digit()) {
+        return format!("${inner}");
+    }
+    let mut written = String::new();
+    for word in inner.split_inclusive(|c| !is_part(c)) {
+        let name = word.trim_end_matches(|c| !is_part(c));
+        if !written.ends_with('$') && scope.get(name).is_some() {
+            written.push('$');
+        }
+        written.push_str(word);
+    }
+    written
 }
 
 /// `{x: 0, y: 0, z: 3}`
@@ -311,6 +432,50 @@ fn in_a_map(expected: &str, value: f64) -> Option<String> {
     let key = keys.split('`').next().filter(|_| of_one_number.contains(&what))?;
     Some(format!("write `{{{key}: {value}}}`"))
 }
+
+/// `red`, `#ff8800`: red, green and blue, each up to 255.
+fn colour(text: &str) -> Option<[u8; 3]> {
+    const NAMED: [(&str, [u8; 3]); 8] = [
+        ("red", [255, 0, 0]),
+        ("green", [0, 255, 0]),
+        ("blue", [0, 0, 255]),
+        ("white", [255, 255, 255]),
+        ("black", [0, 0, 0]),
+        ("yellow", [255, 255, 0]),
+        ("cyan", [0, 255, 255]),
+        ("magenta", [255, 0, 255]),
+    ];
+    if let Some((_, values)) = NAMED.iter().find(|(name, _)| text.eq_ignore_ascii_case(name)) {
+        return Some(*values);
+    }
+    let digits = text.strip_prefix('#').filter(|digits| digits.len() == 6)?;
+    let [_, r, g, b] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
+    Some([r, g, b])
+}
+
+/// Robots as a range, `d1-d6` or `d1..d6`, or by the beginning of their names, `d*`: as a list.
+pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+    let listed: Vec<&str> = match text.strip_suffix('*') {
+        Some(begin) => ids.filter(|id| id.starts_with(begin)).collect(),
+        None => {
+            let (from, to) = text.split_once("..").or_else(|| text.split_once('-'))?;
+            let is_digit = |c: char| c.is_ascii_digit();
+            let word = from.trim_end_matches(is_digit);
+            let number = |id: &str| id.strip_prefix(word)?.parse::<u32>().ok();
+            // `d1-6`
+            let last = number(to).or_else(|| to.parse().ok())?;
+            let range = number(from)?..=last;
+            let mut within: Vec<(u32, &str)> = ids.filter_map(|id| Some((number(id)?, id))).collect();
+            within.retain(|(number, _)| range.contains(number));
+            within.sort_unstable();
+            within.into_iter().map(|(_, id)| id).collect()
+        }
+    };
+    (2..=LISTED_MAX).contains(&listed.len()).then(|| format!("write a list: `[{}]`", listed.join(", ")))
+}
+
+/// Most robots that a hint lists.
+const LISTED_MAX: usize = 20;
 
 /// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
 fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<String> {
@@ -335,7 +500,14 @@ fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<
     let (unit, per) = unit.find('/').map_or((unit, ""), |slash| unit.split_at(slash));
     let is_acceleration = matches!(place.path.last(), Some(Part::Key(key, _)) if key == "acceleration");
     let per = if is_acceleration && !per.is_empty() { "/s^2" } else { per };
-    if wants("hertz") || wants("beats per minute") || wants("whole number") {
+    if wants("degrees") && matches!(unit, "turn" | "turns") {
+        return Some(format!("write `{}`", value * 360.0));
+    }
+    if wants("hertz")
+        || wants("beats per minute")
+        || wants("whole number")
+        || (wants("factor") && unit == "x")
+    {
         return Some(format!("write the number alone: `{digits}`"));
     }
     if wants("metres") {
@@ -412,14 +584,22 @@ pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
         }
         (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
         ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
+        ("a spread", "across") => Some("say over what it is spread, as in `across: group`"),
         ("a wave", "for") => Some("say how long it lasts, as in `for: 8s`"),
         ("`grid`", "spacing") => Some("say how far neighbours are apart in metres, as in `spacing: 1`"),
         _ => None,
     }
 }
 
-/// Times and values that a beginner writes in another form than a list of keyframes, as that list; with what was found.
-pub(crate) fn as_keyframes(at: &At<'_>) -> Option<(String, String)> {
+/// Times and values that a beginner writes in another form than a list of keyframes.
+pub(crate) struct OtherForm {
+    /// Which form.
+    pub(crate) found: &'static str,
+    /// How they become that list, between brackets and in lines.
+    pub(crate) hints: [String; 2],
+}
+
+pub(crate) fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     let time = |node: &Node| match node {
         Node::Text(text) if parse_duration(text).is_some() => Some(text.clone()),
         _ => None,
@@ -429,10 +609,11 @@ pub(crate) fn as_keyframes(at: &At<'_>) -> Option<(String, String)> {
         Node::Text(text) if text.starts_with('$') => Some(format!("{{at: {at}, to: {}}}", shortened(text))),
         _ => None,
     };
-    let (found, keyframes): (&str, Option<Vec<String>>) = match at.node {
-        Node::Map(entries) if entries.iter().all(|(key, _)| parse_duration(key).is_some()) => {
-            ("a map from time to value", entries.iter().map(|(at, to)| keyframe(at, to)).collect())
-        }
+    let (found, keyframes): (&'static str, Option<Vec<String>>) = match at.node {
+        Node::Map(entries) if entries.iter().all(|(key, _)| time_of_key(key).is_some()) => (
+            "a map from time to value",
+            entries.iter().map(|(at, to)| keyframe(&time_of_key(at)?, to)).collect(),
+        ),
         Node::Map(entries) if entries.iter().any(|(key, _)| key == "at" || key == "to") => {
             let of = |name: &str| entries.iter().find(|(key, _)| key == name).map(|(_, node)| node);
             let begin = of("at").map_or_else(|| Some("0s".to_owned()), time);
@@ -460,7 +641,21 @@ pub(crate) fn as_keyframes(at: &At<'_>) -> Option<(String, String)> {
         Some([first, second, ..]) => format!("{first}, {second}, ..."),
         None => "{at: 0s, to: 0}, ...".to_owned(),
     };
-    Some((found.to_owned(), format!("write `[{shown}]`")))
+    let first = keyframes.as_ref().and_then(|all| all.first()).map_or("{at: 0s, to: 0}", String::as_str);
+    let in_lines = match at.node {
+        Node::List(items) if items.iter().all(is_whole_or_single) => {
+            "time and value are one entry: write two spaces in place of the dash before the second of them"
+                .to_owned()
+        }
+        _ => format!("write each keyframe as an entry of a list: `- {first}`"),
+    };
+    Some(OtherForm { found, hints: [format!("write `[{shown}]`"), in_lines] })
+}
+
+/// A time as the key of a map: `1s`, or `1` of someone who means seconds.
+fn time_of_key(key: &str) -> Option<String> {
+    let is_number = key.parse::<f64>().is_ok_and(|seconds| seconds >= 0.0 && seconds.is_finite());
+    if is_number { Some(format!("{key}s")) } else { parse_duration(key).map(|_| key.to_owned()) }
 }
 
 /// `at: 1s` in a list, without braces, is a map of one key.

@@ -1,7 +1,7 @@
 //! Where a text stops being YAML, in words for people who do not know the grammar of YAML.
 
 use crate::finding::{Code, Finding};
-use crate::node::{BYTE_ORDER_MARK, shortened};
+use crate::node::{BYTE_ORDER_MARK, Node, shortened};
 use crate::render::{line_of, line_starts};
 use crate::source::Source;
 
@@ -97,6 +97,14 @@ fn braced(line: &str) -> Option<&str> {
 pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(':')?;
     known.contains(&name.trim()).then(|| spaced(name, rest))
+}
+
+/// The same for `to 30`.
+pub(crate) fn without_colon(key: &str, value: &Node, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(' ').filter(|_| *value == Node::Null)?;
+    known
+        .contains(&name)
+        .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))
 }
 
 /// The same where any word may be the key.

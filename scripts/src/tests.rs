@@ -117,10 +117,10 @@ fn a_gap_between_two_cues_is_held_and_not_crept_through() {
 
 #[test]
 fn ten_thousand_findings_are_all_placed() {
-    let keyframes: String = (0..10_000).map(|i| format!("        - {{at: {i}s, to: 0.3}}\n")).collect();
+    let keyframes: String = (0..10_000).map(|i| format!("        - {{at: {i}s, to: 91}}\n")).collect();
     let text = format!("scenario: s\ncues:\n  - at: 0s\n    robots: arm\n    tracks:\n      d:\n{keyframes}");
     let compiled = compile_text(&text);
-    let off = compiled.findings.iter().filter(|finding| finding.code == Code::OffGranularity);
+    let off = compiled.findings.iter().filter(|finding| finding.code == Code::OutOfRange);
     let lines: Vec<_> = off.map(|finding| finding.line).collect();
     assert_eq!(lines, (7..10_007).collect::<Vec<_>>());
 }

@@ -124,7 +124,7 @@ impl ByName<'_> {
                 ("next" | "following" | "continue", _) => {
                     Some("leave it out: acts follow each other in the order of the file".to_owned())
                 }
-                _ => findings.did_you_mean(&name.text, known()),
+                _ => findings.did_you_mean(&name.text, known().chain(["end"])),
             };
             let message = format!("no act `{}`", shortened(&name.text));
             let expected = format!("`end` or one of {}", names(known()));

@@ -56,7 +56,7 @@ pub(super) fn go_home(
             return;
         }
     }
-    if homes.known.is_empty() {
+    if homes.known.is_empty() && findings.errors() == 0 {
         let message = "`at_end: home` moves nothing".to_owned();
         let expected = "a device that the scenario moves and whose description has a `default_value`";
         findings.add(Code::NothingToDo, at_end.place.clone(), message, expected, None);

@@ -18,6 +18,8 @@ use crate::scenario::{Canon, Cue, Movement, Name, Unset};
 use crate::shared_fault::SharedFault;
 use crate::slips;
 
+const LISTED_TWICE: &str = "remove the second one; a group stands for all of its robots";
+
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
     pub(super) fleet: &'a Fleet,
@@ -118,24 +120,70 @@ impl<'a> Cast<'a> {
     /// The robots that a name stands for.
     pub(super) fn robots(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
         match self.roles.get(&name.text) {
-            Some(role) => role.iter().flat_map(|name| self.robots_of_fleet(findings, name)).collect(),
-            None => self.robots_of_fleet(findings, name),
+            // `check_roles` reports the faults of a role.
+            Some(role) => {
+                let mut seen = HashSet::new();
+                let all = role.iter().filter_map(|name| self.robots_of_fleet(name)).flatten();
+                all.filter(|robot| seen.insert(*robot)).collect()
+            }
+            None => self.robots_of_fleet(name).unwrap_or_else(|| {
+                let hint = self.hint(findings, &name.text);
+                unknown_robot(findings, name, one_of(self.known().iter().map(String::as_str)), hint);
+                Vec::new()
+            }),
         }
     }
 
-    fn robots_of_fleet(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
+    /// `None` if it is neither a robot nor a group.
+    fn robots_of_fleet(&self, name: &Name) -> Option<Vec<usize>> {
         if let Some(&index) = self.index_of.get(composed(&name.text).as_ref()) {
-            return vec![index];
+            return Some(vec![index]);
         }
-        if let Some(members) = self.fleet.groups.get(&name.text) {
-            return members.iter().filter_map(|id| self.index(id)).collect();
+        let members = self.fleet.groups.get(&name.text)?;
+        Some(members.iter().filter_map(|id| self.index(id)).collect())
+    }
+
+    /// Reports unknown and duplicate robots of roles, whether or not a cue uses them.
+    pub(super) fn check_roles(&self, findings: &mut Reader) {
+        let mut roles: Vec<_> = self.roles.iter().collect();
+        roles.sort_unstable_by_key(|(role, _)| role.as_str());
+        for (role, members) in roles {
+            let mut seen = HashSet::new();
+            for name in members {
+                match self.robots_of_fleet(name) {
+                    None => self.unknown_member(findings, name),
+                    Some(robots) => {
+                        let twice: Vec<usize> =
+                            robots.into_iter().filter(|robot| !seen.insert(*robot)).collect();
+                        if !twice.is_empty() {
+                            let message =
+                                format!("already in the role `{}`: {}", shortened(role), self.names(&twice));
+                            let hint = Some(LISTED_TWICE.to_owned());
+                            let expected = "each robot once in a role";
+                            findings.add(Code::ListedTwice, name.place.clone(), message, expected, hint);
+                        }
+                    }
+                }
+            }
         }
-        let known = || self.known().iter().map(String::as_str);
-        let hint = self.hint(findings, &name.text);
-        let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
-        let expected = one_of(known());
-        findings.add(Code::UnknownRobot, name.place.clone(), message, expected, hint);
-        Vec::new()
+    }
+
+    fn unknown_member(&self, findings: &mut Reader, name: &Name) {
+        let ids = || self.fleet.robots.iter().map(|robot| robot.id.as_str());
+        let mut known: Vec<&str> = ids().chain(self.fleet.groups.keys().map(String::as_str)).collect();
+        known.sort_unstable();
+        let of_role = self.roles.get(&name.text).map(|role| {
+            let members: Vec<&str> = role.iter().map(|name| name.text.as_str()).collect();
+            format!(
+                "a role has robots and groups: write those of `{}`, `[{}]`",
+                shortened(&name.text),
+                members.join(", ")
+            )
+        });
+        let hint = of_role
+            .or_else(|| slips::several_names(&name.text, known.iter().copied()))
+            .or_else(|| findings.did_you_mean(&name.text, known.iter().copied()));
+        unknown_robot(findings, name, one_of(known), hint);
     }
 
     fn hint(&self, findings: &Reader, name: &str) -> Option<String> {
@@ -148,7 +196,11 @@ impl<'a> Cast<'a> {
                 None => "list the robots, or make a group of all of them in the fleet file".to_owned(),
             }
         });
-        all.or_else(|| slips::several_names(name, known())).or_else(|| findings.did_you_mean(name, known()))
+        let ids = self.fleet.robots.iter().map(|robot| robot.id.as_str());
+        let listed = || slips::range_of_robots(name, ids);
+        all.or_else(|| slips::several_names(name, known()))
+            .or_else(listed)
+            .or_else(|| findings.did_you_mean(name, known()))
     }
 
     fn known(&self) -> &[String] {
@@ -180,7 +232,7 @@ impl<'a> Cast<'a> {
                         place: name.place.clone(),
                         message: ["already in this cue: ".to_owned(), String::new()],
                         expected: "each robot once in a cue".to_owned(),
-                        hint: Some("remove the second one; a group stands for all of its robots".to_owned()),
+                        hint: Some(LISTED_TWICE.to_owned()),
                     });
                 }
             }
@@ -241,6 +293,11 @@ impl<'a> Cast<'a> {
         }
         overridden
     }
+}
+
+fn unknown_robot(findings: &mut Reader, name: &Name, expected: String, hint: Option<String>) {
+    let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
+    findings.add(Code::UnknownRobot, name.place.clone(), message, expected, hint);
 }
 
 fn unset_parameter(findings: &mut Reader, unset: &Unset) {

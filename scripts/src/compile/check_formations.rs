@@ -13,11 +13,20 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     written.sort_unstable_by_key(|(name, _)| name.as_str());
     for (name, written) in written {
         let Some(formation) = &written.formation else { continue };
+        // An error about a cue that has it says the same.
+        if findings.has(Code::NoWayPast, &crowded(name)) {
+            continue;
+        }
         let places = formation.own_count().and_then(|count| formation.places(count).ok());
         if let Some(places) = places {
             near(findings, &written.place, name, &places, fleet);
         }
     }
+}
+
+/// The cause of findings about places of a formation that are too near for any two of its robots.
+pub(super) fn crowded(name: &str) -> String {
+    format!("places of {name}")
 }
 
 /// How near two places are, as the end of a sentence about them.

@@ -45,33 +45,69 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             ControlType::Speed => ["an acceleration", "a jerk"],
             _ => ["a speed", "an acceleration"],
         };
-        let checks =
-            [(limits.speed, speed, Code::TooFast), (limits.acceleration, acceleration, Code::TooSudden)];
-        for ((limit, found, code), name) in checks.into_iter().zip(names) {
-            let Some(limit) = limit.filter(|limit| found > limit * DUST) else { continue };
-            if !seen.insert((code, knot.item)) {
-                continue;
-            }
-            let said = format!(
-                "{}from {} to {} in {} needs {name} of {:.4}, for ",
-                named(on.track, knot.item),
-                tidy(last.to),
-                tidy(knot.to),
-                knot.at - last.at,
-                found,
-            );
-            let longer = if code == Code::TooFast { found / limit } else { (found / limit).sqrt() };
-            let hint = format!(
-                "give it {} instead of {}, or a shorter way",
-                duration::seconds(seconds * longer),
-                duration::written(knot.at - last.at)
-            );
-            let place = way_place(on.track, knot.item);
-            let (expected, hint) = (format!("at most {limit}"), Some(hint));
-            let fault = Fault { code, place, size: found / limit, said, expected, hint };
-            on.add(findings, control_type, fault);
+        let asked = [
+            Rate { code: Code::TooFast, name: names[0], found: speed, limit: limits.speed },
+            Rate { code: Code::TooSudden, name: names[1], found: acceleration, limit: limits.acceleration },
+        ];
+        let broken: Vec<Rate> = asked
+            .into_iter()
+            .filter(|rate| rate.is_broken() && seen.insert((rate.code, knot.item)))
+            .collect();
+        if !broken.is_empty() {
+            too_much(findings, on, control_type, [last, knot], &broken);
         }
     }
+}
+
+/// A derivative of a movement, with its limit.
+struct Rate {
+    code: Code,
+    name: &'static str,
+    found: f64,
+    limit: Option<f64>,
+}
+
+impl Rate {
+    fn is_broken(&self) -> bool {
+        self.limit.is_some_and(|limit| self.found > limit * DUST)
+    }
+
+    /// How many times as long the movement has to be.
+    fn longer(&self) -> f64 {
+        let over = self.limit.map_or(1.0, |limit| self.found / limit);
+        if self.code == Code::TooFast { over } else { over.sqrt() }
+    }
+}
+
+/// One finding for all limits that a way between two knots breaks, with a time that satisfies each of them.
+fn too_much(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    [last, knot]: [&Knot; 2],
+    broken: &[Rate],
+) {
+    let Some(worst) = broken.iter().max_by(|a, b| a.longer().total_cmp(&b.longer())) else { return };
+    let list = |of: fn(&Rate) -> String| broken.iter().map(of).collect::<Vec<_>>().join(" and ");
+    let length = knot.at - last.at;
+    let said = format!(
+        "{}from {} to {} in {length} needs {}, for ",
+        named(on.track, knot.item),
+        tidy(last.to),
+        tidy(knot.to),
+        list(|rate| format!("{} of {:.4}", rate.name, rate.found)),
+    );
+    let needed = duration::seconds(length.as_millis_f64() / 1_000.0 * worst.longer());
+    let hint = format!("give it {needed} instead of {}, or a shorter way", duration::written(length));
+    let fault = Fault {
+        code: worst.code,
+        place: way_place(on.track, knot.item),
+        size: worst.longer(),
+        said,
+        expected: format!("at most {}", list(|rate| rate.limit.unwrap_or_default().to_string())),
+        hint: Some(hint),
+    };
+    on.add(findings, control_type, fault);
 }
 
 /// Where a device that moves linearly is told to be at two places at once: a movement that is repeated and does not end as

@@ -77,6 +77,10 @@ impl Lines<'_> {
     }
 
     fn tell(&self, findings: &mut Reader, refill: &Refill, queue: Option<u32>) {
+        // Which act follows, and when, is only known of a scenario without faults.
+        if refill.kind == RefillKind::First && findings.errors() > 0 {
+            return;
+        }
         let needed = needed(refill.kind);
         let holds = self.queue(&refill.robot, &refill.device).unwrap_or(1);
         let (act, before) = (self.name(refill.act), self.name(refill.freed_by.act));

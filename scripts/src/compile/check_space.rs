@@ -126,6 +126,21 @@ impl Stage<'_> {
     fn id(&self, robot: usize) -> &str {
         self.cast.id(robot).as_str()
     }
+
+    /// How much closer, in metres, the grids of their devices may bring two bodies that move into one formation: half a step of each
+    /// device for its place, and half for its steps. Ways into a formation are kept apart by all else.
+    fn by_grids(&self, cues: [Option<usize>; 2], robots: [usize; 2]) -> f64 {
+        let [Some(cue), Some(other)] = cues else { return 0.0 };
+        let group = self.act.cues[cue].group.as_ref().filter(|_| cue == other);
+        if !group.is_some_and(|group| matches!(group.action, Action::Form(_))) {
+            return 0.0;
+        }
+        let coarseness = |robot: usize| {
+            let body = self.cast.fleet.robots[robot].body.as_ref();
+            body.map_or(0.0, |body| ensemble::coarseness(body, self.cast.devices(robot)))
+        };
+        robots.map(coarseness).iter().sum()
+    }
 }
 
 /// The cues of each robot with the times at which it begins with them.
@@ -319,7 +334,8 @@ fn pairs(
             let of = pair.robots.map(|robot| cues.at(robot, pair.at));
             // What rests too close was told where it came there.
             let told_before = of == [None, None] && !stage.positions.is_first();
-            if pair.distance >= required - ROUNDING || told_before {
+            let rounding = ROUNDING + stage.by_grids(of, pair.robots);
+            if pair.distance >= required - rounding || told_before {
                 continue;
             }
             let group = *index_of.entry(of).or_insert_with(|| {
@@ -363,28 +379,7 @@ impl TooClose {
                 None => "both are there from the beginning".to_owned(),
             };
         }
-        let hint = match self.short_by_grids(stage) {
-            Some(short) => format!(
-                "steps on the grid of their devices are off by that much where bodies begin or end as close as they may be: \
-                 let their places be at least {:.3} m further apart, as in a larger formation",
-                (short * 1e3).ceil() / 1e3
-            ),
-            None => "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned(),
-        };
+        let hint = "let one of them move later or elsewhere, or lower `distance` of `space`".to_owned();
         findings.add_related(Code::TooClose, lines, message, expected, Some(hint));
-    }
-
-    /// How much too close they are, in metres, if both move into one formation and the grids of their devices can be the reason: ways
-    /// into a formation are kept apart by all else.
-    fn short_by_grids(&self, stage: &Stage<'_>) -> Option<f64> {
-        let [Some(cue), Some(other)] = self.cues else { return None };
-        let group = stage.act.cues[cue].group.as_ref().filter(|_| cue == other)?;
-        let short = stage.cast.fleet.space.distance.unwrap_or(0.0) - self.worst.distance;
-        let off = |robot: usize| {
-            let body = stage.cast.fleet.robots[robot].body.as_ref();
-            body.map_or(0.0, |body| ensemble::coarseness(body, stage.cast.devices(robot)))
-        };
-        let by_grids = self.worst.robots.map(off).iter().sum::<f64>();
-        (matches!(group.action, Action::Form(_)) && short <= by_grids).then_some(short)
     }
 }

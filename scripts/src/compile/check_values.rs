@@ -56,7 +56,7 @@ pub(super) fn check(
     }
     // Repeated movements come from the same items again and again.
     let (mut seen, mut ways) = (HashSet::new(), HashSet::new());
-    let mut snapped = Snapped::default();
+    let [mut snapped, mut refused] = [OffGrid::default(), OffGrid::default()];
     for index in 0..curve.knots.len() {
         let knot = curve.knots[index];
         let sound = limits.iter().all(|limits| is_settable(limits, knot.to));
@@ -82,11 +82,11 @@ pub(super) fn check(
                         set.extend(curve.knots.iter().map(|knot| knot.to));
                     }
                     set[index] = moved.to;
-                    if first && !moved.is_dust() {
-                        snapped.add(findings, on, control_type, moved);
+                    if first && !moved.is_dust() && !is_too_far(findings, on, control_type, moved) {
+                        snapped.add(moved);
                     }
                 } else if first {
-                    off_grid(findings, on, control_type, &knot, broken);
+                    refused.add(moved);
                 }
             }
         }
@@ -98,6 +98,7 @@ pub(super) fn check(
         }
     }
     snapped.report(findings, on, control_type);
+    refused.refuse(findings, on, control_type, &limits);
     set
 }
 
@@ -203,31 +204,6 @@ fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> 
     fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {}", on.device.id, tidy(radians)))
 }
 
-fn off_grid(
-    findings: &mut Reader,
-    on: &OnDevice<'_>,
-    control_type: ControlType,
-    knot: &Knot,
-    limits: &Limits,
-) {
-    let (value, granularity) = (knot.to, limits.granularity);
-    let said = format!("{}{} lies off the grid for ", named(on.track, knot.item), tidy(value));
-    let around = [(value / granularity).floor(), (value / granularity).ceil()].map(|n| tidy(n * granularity));
-    let nearest = match around.map(|value| limits.contains(value)) {
-        [true, true] => format!("the nearest values on the grid are {} and {}", around[0], around[1]),
-        _ => format!("the nearest value on the grid is {}", tidy(limits.nearest_settable(value))),
-    };
-    let fault = Fault {
-        code: Code::OffGranularity,
-        place: value_place(on.track, knot.item),
-        size: (limits.nearest(value) - value).abs(),
-        said,
-        expected: format!("a multiple of {granularity}"),
-        hint: Some(format!("{nearest}; `off_grid: snap` takes the nearest everywhere")),
-    };
-    on.add(findings, control_type, fault);
-}
-
 /// A value with the nearest one on the grid.
 #[derive(Clone, Copy)]
 struct Moved {
@@ -274,32 +250,37 @@ impl Moved {
     }
 }
 
-/// The values of a track that are moved to the grid.
+/// Whether a value is further off the grid than max_error allows, which is an error by itself.
+fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
+    let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
+    if moved.off() <= allowed {
+        return false;
+    }
+    let fault = Fault {
+        expected: format!("at most {allowed} off (max_error)"),
+        hint: Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
+        ..moved.fault(on, Code::ToleranceTooTight, "")
+    };
+    on.add(findings, control_type, fault);
+    true
+}
+
+/// The values of a track that are off the grid: one finding, however many there are.
 #[derive(Default)]
-struct Snapped {
+struct OffGrid {
     furthest: Option<Moved>,
     count: usize,
 }
 
-impl Snapped {
-    /// A value that is further off than max_error allows is an error by itself.
-    fn add(&mut self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) {
-        let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
-        if moved.off() > allowed {
-            let fault = Fault {
-                expected: format!("at most {allowed} off (max_error)"),
-                hint: Some("write a value on the grid, or allow more with `tolerance`".to_owned()),
-                ..moved.fault(on, Code::ToleranceTooTight, "")
-            };
-            return on.add(findings, control_type, fault);
-        }
+impl OffGrid {
+    fn add(&mut self, moved: Moved) {
         self.count += 1;
         if self.furthest.is_none_or(|furthest| moved.off() > furthest.off()) {
             self.furthest = Some(moved);
         }
     }
 
-    /// One warning, however many values there are.
+    /// A warning: they are moved to the grid.
     fn report(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType) {
         let Some(furthest) = self.furthest else { return };
         let others = match self.count {
@@ -307,6 +288,36 @@ impl Snapped {
             count => format!(", the most of {count} values off the grid"),
         };
         on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
+    }
+
+    /// An error.
+    fn refuse(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, limits: &[&Limits]) {
+        let Some(furthest) = self.furthest else { return };
+        let Moved { item, from, granularity, .. } = furthest;
+        let around =
+            [(from / granularity).floor(), (from / granularity).ceil()].map(|n| tidy(n * granularity));
+        let nearest = match around.map(|value| limits.iter().all(|limits| limits.contains(value))) {
+            [true, true] => format!("the nearest values on the grid are {} and {}", around[0], around[1]),
+            _ => format!("the nearest value on the grid is {}", tidy(furthest.to)),
+        };
+        let snap = "`off_grid: snap` at the top of the scenario takes the nearest everywhere";
+        let (lie, hint) = match self.count {
+            1 => (" lies".to_owned(), format!("{nearest}; {snap}")),
+            2 => (" and 1 other value lie".to_owned(), snap.to_owned()),
+            count => (format!(" and {} other values lie", count - 1), snap.to_owned()),
+        };
+        let fault = Fault {
+            code: Code::OffGranularity,
+            place: value_place(on.track, item),
+            size: furthest.off(),
+            said: format!("{}{}{lie} off the grid for ", named(on.track, item), tidy(from)),
+            expected: format!(
+                "{} of {granularity}",
+                if self.count == 1 { "a multiple" } else { "multiples" }
+            ),
+            hint: Some(hint),
+        };
+        on.add(findings, control_type, fault);
     }
 }
 

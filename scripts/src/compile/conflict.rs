@@ -71,6 +71,7 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
         hint: Some(hint),
         related,
         affected: None,
+        hint_in_block: None,
     }
 }
 
@@ -132,6 +133,7 @@ fn circle(
         hint: Some(format!("leave out one of: {}", out.join("; "))),
         related,
         affected: None,
+        hint_in_block: None,
     }
 }
 

@@ -10,6 +10,7 @@ use super::segment::{Segment, Steps};
 use crate::duration::seconds;
 use crate::fields::Reader;
 use crate::finding::Code;
+use crate::fleet::limits_of;
 use crate::motion::Value;
 use crate::plan::Way;
 use crate::scenario::{Act, Items};
@@ -46,8 +47,10 @@ impl Mover<'_> {
     pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) {
         let Steps::One(values) = &segment.part.steps else { return };
         let Some(first) = values.first() else { return };
-        // A segment that overlaps the previous one is reported already.
-        if segment.start() < from.since {
+        // A segment that overlaps the previous one is reported already, and so is a value that the device cannot take.
+        let is_settable =
+            |value| limits_of(self.device, ControlType::Position).all(|own| own.contains(value));
+        if segment.start() < from.since || !is_settable(from.value) || !is_settable(first.to) {
             return;
         }
         let way = (first.to - from.value).abs();

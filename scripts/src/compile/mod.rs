@@ -102,6 +102,7 @@ impl Compiler {
     fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
         let scenario = std::mem::take(&mut self.scenario);
         let cast = Cast::new(fleet, &scenario.roles);
+        cast.check_roles(&mut self.findings);
         let ways = acts::ways(&mut self.findings, &scenario.acts, &cast, readable);
         let horizon = scenario.horizon();
         let mut known = self.first_times(&scenario, &cast).into_iter();

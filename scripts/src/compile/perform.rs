@@ -112,10 +112,10 @@ impl<'p> OnDevice<'p> {
     /// Adds a fault of these robots.
     pub(super) fn add(&self, findings: &mut Reader, control_type: ControlType, fault: Fault) {
         let Fault { code, place, size, said, expected, hint } = fault;
-        // What a group does is one thing for all of its coordinates.
-        let cause = match self.cue.group.as_ref().is_some_and(|group| group.place == place) {
-            true => format!("{place:?}"),
-            false => format!("{place:?} {} {expected}", self.device.id),
+        // What a group does is one thing for all of its coordinates, and a formation for all cues that have it.
+        let cause = match self.cue.group.as_ref().filter(|group| group.place == place) {
+            Some(group) => group.formation().map_or_else(|| format!("{place:?}"), str::to_owned),
+            None => format!("{place:?} {} {expected}", self.device.id),
         };
         findings.add_shared(SharedFault {
             code,
@@ -474,12 +474,20 @@ impl<'c, 'a> Performer<'c, 'a> {
         let available: Vec<_> = available.iter().map(ToString::to_string).collect();
         let message =
             format!("device `{}` of {} does not support {what}", device.id, on.cast.names(on.robots));
-        let (expected, hint) = if available.is_empty() {
-            let hint = "if it does, declare `script` under its `available_control_types`";
-            ("a device that takes scripts".to_owned(), Some(hint.to_owned()))
-        } else {
-            let named = names(available.iter().map(String::as_str));
-            (format!("a device that takes scripts of {named}"), None)
+        let named = names(available.iter().map(String::as_str));
+        let (expected, hint) = match (available.is_empty(), device.available_control_types.script()) {
+            (true, None) => (
+                "a device that takes scripts".to_owned(),
+                Some("if it does, declare `script` under its `available_control_types`".to_owned()),
+            ),
+            (true, Some(_)) => (
+                "a device with `position`, `speed` or `acceleration` next to `script`".to_owned(),
+                Some(
+                    "add to its `available_control_types` the one that its scripts set, such as `position`"
+                        .to_owned(),
+                ),
+            ),
+            (false, _) => (format!("a device that takes scripts of {named}"), None),
         };
         self.findings.add(Code::ControlType, track.place.clone(), message, expected, hint);
         None

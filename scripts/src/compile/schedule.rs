@@ -1,8 +1,7 @@
 //! When the cues of an act take place: their times and relations as a simple temporal network (Dechter, Meiri and Pearl,
 //! Artificial Intelligence 49, 1991), solved for the earliest schedule.
 
-use std::cell::RefCell;
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 
 use urrcp::{ControlType, Span};
 
@@ -10,7 +9,7 @@ use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::duration::parse_duration;
 use crate::fields::Reader;
-use crate::finding::{Code, names, one_defined, one_of};
+use crate::finding::{Code, Place, names, one_defined, one_of, within_file};
 use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::{PlannedCue, Repetition};
@@ -41,6 +40,7 @@ pub(super) fn schedule(
 ) -> (Vec<CueTime>, bool) {
     let before = findings.found.len();
     let mut times = Timetable::new(act);
+    times.ambiguous(findings);
     for (index, cue) in act.cues.iter().enumerate() {
         times.length(index, cue, &members[index]);
         times.limits(index, cue, &members[index], cast);
@@ -116,6 +116,11 @@ struct Shared {
     cues: Vec<usize>,
 }
 
+/// In a sequence, names are those of the sequence: what stands ahead of them, such as `greet.`.
+fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
+    &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
+}
+
 struct Timetable<'a> {
     act: &'a Act,
     network: Network,
@@ -123,8 +128,6 @@ struct Timetable<'a> {
     /// Start and end of each cue.
     events: Vec<(Event, Event)>,
     by_name: HashMap<&'a str, Option<usize>>,
-    /// Names of several cues that are told already.
-    ambiguous: RefCell<HashSet<String>>,
 }
 
 impl<'a> Timetable<'a> {
@@ -136,7 +139,7 @@ impl<'a> Timetable<'a> {
             // A name that stands twice cannot be referred to.
             by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
         }
-        Self { act, network, origins: HashMap::new(), events, by_name, ambiguous: RefCell::default() }
+        Self { act, network, origins: HashMap::new(), events, by_name }
     }
 
     fn constrain(
@@ -246,21 +249,16 @@ impl<'a> Timetable<'a> {
 
     fn cue(&self, findings: &mut Reader, name: &Name) -> Option<usize> {
         match self.by_name.get(name.text.as_str()) {
-            Some(Some(index)) => Some(*index),
-            Some(None) => {
-                self.ambiguous(findings, name);
-                None
-            }
+            // A name of several cues is reported where the cues are.
+            Some(index) => *index,
             None => {
-                // In a sequence, names are those of the sequence.
-                let prefix =
-                    name.text.rfind('.').filter(|_| name.place.used.is_some()).map_or(0, |dot| dot + 1);
-                let (prefix, text) = name.text.split_at(prefix);
+                let (prefix, text) = name.text.split_at(sequence_of(&name.text, &name.place).len());
                 let known = || self.act.cues.iter().filter_map(|cue| cue.name.strip_prefix(prefix));
                 let hint = match parse_duration(text).is_some() {
                     true => Some(format!("a time goes under `at`: write `at: {}`", shortened(text))),
                     false => relation(text, known())
                         .or_else(|| slips::several_names(text, known()))
+                        .or_else(|| within_file(text, known()))
                         .or_else(|| findings.did_you_mean(text, known())),
                 };
                 let message = format!("no cue `{}`", shortened(text));
@@ -271,19 +269,23 @@ impl<'a> Timetable<'a> {
         }
     }
 
-    /// A name of several cues: told where it is used first.
-    fn ambiguous(&self, findings: &mut Reader, name: &Name) {
-        if !self.ambiguous.borrow_mut().insert(name.text.clone()) {
-            return;
+    /// Names of several cues: each is reported once, at the second of them.
+    fn ambiguous(&self, findings: &mut Reader) {
+        let mut cues_of: HashMap<&str, Vec<&Cue>> = HashMap::new();
+        for cue in &self.act.cues {
+            let cues = cues_of.entry(&cue.name).or_default();
+            cues.push(cue);
+            let [first, second] = cues.as_slice() else { continue };
+            let called =
+                shortened(cue.name.strip_prefix(sequence_of(&cue.name, &cue.place)).unwrap_or(&cue.name));
+            let related = vec![
+                (second.place.of_key("cue"), format!("another cue called `{called}`")),
+                (first.place.of_key("cue"), format!("the first cue called `{called}`")),
+            ];
+            let message = format!("several cues are called `{called}`");
+            let hint = Some("rename one of them".to_owned());
+            findings.add_related(Code::NameTwice, related, message, "a unique name", hint);
         }
-        let mut cues = self.act.cues.iter().filter(|cue| cue.name == name.text).map(|cue| cue.place.clone());
-        let called = shortened(&name.text);
-        let mut related = vec![(name.place.clone(), "expected the name of one cue".to_owned())];
-        related.extend(cues.next().map(|place| (place, format!("one cue called `{called}`"))));
-        related.extend(cues.next().map(|place| (place, format!("another cue called `{called}`"))));
-        let message = format!("several cues are called `{called}`");
-        let hint = Some("give each cue to which others refer a different name".to_owned());
-        findings.add_related(Code::NameTwice, related, message, "the name of one cue", hint);
     }
 
     /// What cues share, in the order of their first use.
@@ -296,6 +298,9 @@ impl<'a> Timetable<'a> {
         for (index, cue) in self.act.cues.iter().enumerate() {
             for zone in &cue.uses {
                 let Some(order) = orders.get(zone.text.as_str()) else {
+                    if findings.is_wrong("zones") {
+                        continue;
+                    }
                     let known = || self.act.zones.iter().map(|(name, _)| name.as_str());
                     let message = format!("no zone `{}`", shortened(&zone.text));
                     let hint = findings

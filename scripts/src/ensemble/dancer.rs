@@ -115,6 +115,11 @@ impl Dancer<'_> {
         (self.robot, self.delay_seconds(), self.from)
     }
 
+    /// The same as [`coarseness`].
+    pub(super) fn coarseness(&self) -> f64 {
+        coarseness_of(&self.axes)
+    }
+
     /// Whether it cannot change its height.
     pub(super) const fn is_flat(&self) -> bool {
         matches!(self.axes[2], Axis::Fixed(_))
@@ -136,7 +141,11 @@ impl Dancer<'_> {
 
 /// How far a body can be from a place because of the grids of its devices, in metres.
 pub(crate) fn coarseness(body: &Body, devices: &[Device]) -> f64 {
-    let grids = axes(body, devices).into_iter().flatten().filter_map(|axis| axis.grid());
+    axes(body, devices).map_or(0.0, |axes| coarseness_of(&axes))
+}
+
+fn coarseness_of(axes: &[Axis<'_>; 3]) -> f64 {
+    let grids = axes.iter().filter_map(Axis::grid);
     grids.map(|[scale, _, granularity]| scale * granularity).fold(0.0, f64::hypot)
 }
 

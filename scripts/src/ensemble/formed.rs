@@ -21,9 +21,9 @@ pub(super) fn formed(
         Target::Formation(name) => {
             let places = places(form, dancers.len(), ground)?;
             reached(name, dancers, &places)?;
-            let places = settable(level(places, dancers), dancers);
+            let places = level(places, dancers);
             uncrowded(dancers, &places, ground)?;
-            (places, false)
+            (settable(places, dancers), false)
         }
     };
     let spare = match form.spare {
@@ -123,6 +123,8 @@ fn bodies(
             from: dancer.from,
             keep: apart + radius,
             error: x.hypot(y).hypot(z),
+            // Half a step of each grid.
+            rounding: dancer.coarseness() / 2.0,
             begin: dancer.delay_seconds(),
             limits: dancer.limits(ground.fleet),
             heights: dancer.axes[2].ends().map(|[low, high]| [low.max(lowest), high.min(keep_in)]),

@@ -256,7 +256,11 @@ fn device<'a>(
     if found.is_none() {
         let known = || init.devices.iter().filter(moves).map(|device| device.id.as_str());
         let message = format!("the robot has no device `{}` that moves", node::shortened(name));
-        let hint = findings.did_you_mean(name, known());
+        let metres = name.trim_end_matches('m').trim();
+        let fixed = metres.parse::<f64>().ok().filter(|metres| metres.is_finite());
+        let fixed =
+            fixed.map(|_| format!("a coordinate that does not change is a number in metres: `{metres}`"));
+        let hint = fixed.or_else(|| findings.did_you_mean(name, known()));
         findings.add(Code::UnknownDevice, at.place(), message, one_of(known()), hint);
     }
     found

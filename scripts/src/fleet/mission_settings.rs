@@ -150,7 +150,13 @@ fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
     };
     if range.is_none() {
         let message = format!("`{}` is not a range of readings", node::shortened(&text));
-        findings.add(Code::UnknownWord, at.place(), message, expected, None);
+        let hint = text.trim().split_at_checked(1).and_then(|(sign, bound)| {
+            let word = if sign == ">" { "above" } else { "below" };
+            let bound = bound.trim_start_matches('=').trim();
+            (matches!(sign, "<" | ">") && bound.parse::<f64>().is_ok())
+                .then(|| format!("write `{word} {bound}`"))
+        });
+        findings.add(Code::UnknownWord, at.place(), message, expected, hint);
     }
     range
 }

@@ -28,6 +28,12 @@ pub(super) fn is_one(document: &Node) -> bool {
     matches!(value(document, "devices"), Some(Node::Map(_)))
 }
 
+/// Whether its devices are those of an initialization block, which are a list there.
+pub(super) fn is_block(document: &Node) -> bool {
+    let Some(Node::Map(devices)) = value(document, "devices") else { return false };
+    devices.iter().any(|(_, device)| value(device, "available_control_types").is_some())
+}
+
 fn value<'a>(node: &'a Node, key: &str) -> Option<&'a Node> {
     let Node::Map(entries) = node else { return None };
     entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)

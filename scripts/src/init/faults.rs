@@ -21,6 +21,10 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     let mut bare = block.clone();
     let devices = match bare.insert("devices".into(), vec![Value::Mapping(any_device())].into()) {
         Some(Value::Sequence(devices)) => devices,
+        Some(Value::Mapping(devices)) => {
+            by_id(&mut findings, &devices);
+            return locate(std::slice::from_ref(source), findings.finish());
+        }
         // Left out or something else: the block itself says so.
         _ => return Vec::new(),
     };
@@ -51,6 +55,25 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     of_number(&mut findings, &place, devices.len());
     of_ids(&mut findings, &place, &devices);
     locate(std::slice::from_ref(source), findings.finish())
+}
+
+/// Devices as a map from their ids.
+fn by_id(findings: &mut Reader, devices: &Mapping) {
+    let first = devices.keys().find_map(Value::as_str).unwrap_or("elbow");
+    let place = Place::default().of_key("devices");
+    let before = findings.found.len();
+    let message = "found a map from id to device".to_owned();
+    let hint = format!(
+        "put brackets around the devices, and the id into each: `[{{id: {}, ...}}]`",
+        shortened(first)
+    );
+    add(findings, place, message, "a list of devices", Some(hint));
+    if let Some(found) = findings.found.get_mut(before) {
+        found.hint_in_block = Some(format!(
+            "write `- id: {}` in place of `{0}:`, and the keys of the device below it",
+            shortened(first)
+        ));
+    }
 }
 
 /// A device with which nothing is wrong.

@@ -438,6 +438,7 @@ fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
         hint: Some(hint.to_owned()),
         related: Vec::new(),
         affected: None,
+        hint_in_block: None,
     }
 }
 

@@ -32,6 +32,8 @@ pub(super) struct Defaults<'a> {
 struct Shared {
     zones: Arc<[(String, Order)]>,
     rules: Arc<[(Name, OnFailure)]>,
+    /// In the zones.
+    faults: usize,
 }
 
 /// What the fleet does when a robot fails.
@@ -145,8 +147,8 @@ pub(super) fn read(
 ) -> Vec<Act> {
     match (cues, acts) {
         (Some(cues), None) => {
-            let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
             let before = reader.found.len();
+            let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
             let read = read_cues(reader, library, defaults, &cues, "the scenario");
             vec![Act {
                 name: String::new(),
@@ -167,9 +169,10 @@ pub(super) fn read(
                 super::nothing(reader, &acts, "the scenario has no acts", "at least one act");
             }
             let tempo = reader.music.clone();
+            let before = reader.found.len();
             let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
             let rules = defaults.on_failure.robots.as_slice().into();
-            let shared = Shared { zones: zones.into(), rules };
+            let shared = Shared { zones: zones.into(), rules, faults: reader.found.len() - before };
             let act = |(index, item)| {
                 reader.music = tempo.clone();
                 act(reader, library, defaults, &shared, item, index)
@@ -231,6 +234,7 @@ fn act(
     library::music(reader, tempo, signature);
     let own_order = order.and_then(|at| reader.word(&at, &ORDER));
     let order = own_order.unwrap_or(defaults.order);
+    let zones_from = reader.found.len();
     let all = match (own_order, own_zones) {
         (None, None) => shared.zones.clone(),
         (_, own) => {
@@ -239,6 +243,7 @@ fn act(
             all.into()
         }
     };
+    let faults = shared.faults + reader.found.len() - zones_from;
     let whose = format!("the act `{}`", shortened(&name));
     let mut rule = failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
     rule.default = rule.default.or(defaults.on_failure.default);
@@ -248,7 +253,7 @@ fn act(
     Some(Act {
         place: at.place(),
         cues,
-        faults: reader.found.len() - before,
+        faults: faults + reader.found.len() - before,
         zones: all,
         order,
         wait: wait.map(|at| read_wait(reader, &at)).unwrap_or_default(),
@@ -347,6 +352,7 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
         }
         (None, Some(time), None) => time_of_day(reader, &time),
         (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [above, below, within]),
+        _ if reader.is_miswritten(at, "for") => None,
         _ => {
             let message = "found none or several of `for`, `time` and `sensor`";
             reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
@@ -434,9 +440,30 @@ fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
     let parsed = parse_time(&text);
     if parsed.is_none() {
         let message = format!("`{}` is not a time of day", shortened(&text));
-        reader.add(Code::BadDuration, at.place(), message, expected, None);
+        let hint = meant_time(&text).map(|time| format!("write `\"{time}\"`"));
+        reader.add(Code::BadDuration, at.place(), message, expected, hint);
     }
     parsed
+}
+
+/// The time of day of `30 19 * * *` or of `7:30 pm`.
+fn meant_time(text: &str) -> Option<String> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let (hour, minute) = match words.as_slice() {
+        [minute, hour, _, _, _] => (hour.parse::<u8>().ok()?, minute.parse::<u8>().ok()?),
+        _ => {
+            let small = text.to_lowercase();
+            let (time, later) = match small.strip_suffix("pm") {
+                Some(time) => (time, 12),
+                None => (small.strip_suffix("am")?, 0),
+            };
+            let (hour, minute) = time.trim().split_once(':').unwrap_or((time.trim(), "0"));
+            let hour = hour.parse::<u8>().ok().filter(|hour| (1..=12).contains(hour))?;
+            (hour % 12 + later, minute.parse().ok()?)
+        }
+    };
+    let written = format!("{hour:02}:{minute:02}");
+    parse_time(&written).map(|_| written)
 }
 
 /// A time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339: what an act may wait for.

@@ -11,8 +11,10 @@ use super::movement::{Shaping, movement};
 use super::{Movement, Name};
 use crate::composed::composed;
 use crate::expression::Robot;
-use crate::fields::Reader;
+use crate::fields::{At, Reader};
+use crate::finding::Code;
 use crate::fleet::Fleet;
+use crate::node::shortened;
 
 /// The robots that names stand for, before they are checked.
 pub(super) struct Roster<'a> {
@@ -34,6 +36,18 @@ impl<'a> Roster<'a> {
         let of_role = |name: &Name| roles.get(&name.text).cloned().unwrap_or_else(|| vec![name.clone()]);
         let all = names.iter().flat_map(of_role).flat_map(|name| self.of_fleet(&name.text));
         all.filter(|robot| seen.insert(*robot)).collect()
+    }
+
+    /// A role that hides a robot or a group of the fleet.
+    pub(super) fn check_role(&self, reader: &mut Reader, at: &At<'_>, name: &str) {
+        let whose = match self.index_of.contains_key(composed(name).as_ref()) {
+            true => "robot",
+            false if self.fleet.groups.contains_key(name) => "group",
+            false => return,
+        };
+        let message = format!("the role `{}` has the name of a {whose}", shortened(name));
+        let hint = Some("rename the role here and in the cues that it plays in".to_owned());
+        reader.add(Code::NameClash, at.key_place(), message, "a unique name", hint);
     }
 
     fn of_fleet(&self, name: &str) -> Vec<usize> {

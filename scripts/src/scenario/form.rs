@@ -44,6 +44,16 @@ pub(crate) struct Together {
     pub(crate) place: Place,
 }
 
+impl Together {
+    /// The name of the formation into which they move.
+    pub(crate) fn formation(&self) -> Option<&str> {
+        match &self.action {
+            Action::Form(Form { to: Target::Formation(name), .. }) => Some(name),
+            Action::Form(_) | Action::Sweep(_) => None,
+        }
+    }
+}
+
 #[derive(Clone, Debug)]
 pub(crate) enum Action {
     Form(Form),
@@ -149,7 +159,10 @@ pub(super) fn read(
     }
     if keys.over.is_none() && duration.is_none() && !reader.is_miswritten(cue, "over") {
         let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
-        reader.add(Code::MissingKey, first.key_place(), "`form` without `over`", "a key `over`", hint);
+        let named = ["form", "turn", "grow", "shift", "along"].into_iter().zip(values);
+        let named = named.filter(|(_, value)| value.is_some()).map(|(name, _)| name).next();
+        let message = format!("`{}` without `over`", named.unwrap_or("form"));
+        reader.add(Code::MissingKey, first.key_place(), message, "a key `over`", hint);
     }
     let length = keys.over.and_then(|at| positive_time(reader, &at));
     let action = match keys.form {

@@ -27,6 +27,7 @@ const TEXT_MAX: usize = 200;
 const VEE_ANGLE: f64 = 60.0;
 
 const LENGTH: &str = "a length above 0, in metres, up to 1000000";
+const LENGTHS: &str = "lengths above 0 in metres, as [1, 1, 2]";
 const POINT: &str = "a place in metres, as [1, 0, 2.5]";
 const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, as [90, 0, 0]";
 
@@ -214,7 +215,7 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     };
     let (columns, rows) = (side(reader, columns), side(reader, rows));
     let spacing = spacing.and_then(|at| match at.node {
-        Node::List(_) => each_axis(reader, &at, "lengths above 0 in metres, as [1, 1, 2]", length),
+        Node::List(_) => each_axis(reader, &at, LENGTHS, length),
         _ => length(reader, &at).map(|length| [length; 3]),
     });
     let grid = Grid { spacing: spacing?, columns: columns?, rows: rows? };
@@ -465,7 +466,8 @@ fn each_axis(
         let hint = match parts.as_slice() {
             [x, y] => match (x.node, y.node) {
                 (Node::Number(x), Node::Number(y)) => {
-                    Some(format!("add the third one, for the height: `[{x}, {y}, 0]`"))
+                    let height = if expected == LENGTHS { *y } else { 0.0 };
+                    Some(format!("add the third one, for the height: `[{x}, {y}, {height}]`"))
                 }
                 _ => None,
             },

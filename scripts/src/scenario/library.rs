@@ -18,7 +18,7 @@ use crate::ensemble::Ground;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, Use, one_defined};
+use crate::finding::{Code, Finding, Place, Use, one_defined, within_file};
 use crate::fleet::Fleet;
 use crate::identify::not_to_include;
 use crate::locate::locate;
@@ -310,6 +310,7 @@ impl<'a> Library<'a> {
             for (name, at) in reader.entries(&at, "role to its robots") {
                 let robots = super::cue::robot_names(reader, &at);
                 let name = format!("{}{name}", self.copies[copy].prefix);
+                self.roster.check_role(reader, &at, &name);
                 if self.roles.insert(name.clone(), robots).is_some() {
                     twice(reader, &at, "role", &name);
                 }
@@ -341,8 +342,19 @@ impl<'a> Library<'a> {
         // The moves as a whole have a finding already.
         if found.is_none() && !reader.is_wrong("moves") {
             let known = || self.names.get_or_init(|| sorted(&self.moves)).iter().map(String::as_str);
-            let none = known().next().is_none().then(|| "define it under `moves`".to_owned());
-            let hint = none.or_else(|| reader.did_you_mean(name, known()));
+            let none = || known().next().is_none().then(|| "define it under `moves`".to_owned());
+            let other = || {
+                let is_sequence = self.sequences.contains_key(name);
+                is_sequence.then(|| format!("it is a sequence: write `sequence: {}`", shortened(name)))
+            };
+            let called = || {
+                let (called, _) = name.split_once('(')?;
+                let is_known = known().any(|known| known == called.trim());
+                is_known
+                    .then(|| format!("write `move: {}`, and its values under `parameters`", called.trim()))
+            };
+            let hint = other().or_else(none).or_else(called).or_else(|| within_file(name, known()));
+            let hint = hint.or_else(|| reader.did_you_mean(name, known()));
             let message = format!("no move `{}`", shortened(name));
             reader.add(Code::UnknownMove, at.place(), message, one_defined("move", known()), hint);
         }
@@ -352,7 +364,7 @@ impl<'a> Library<'a> {
     /// The sequence of that name.
     pub(super) fn sequence(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
         let found = self.find("sequence", reader, name);
-        if found.is_none() {
+        if found.is_none() && !reader.is_wrong("sequences") {
             let known = sorted(&self.sequences);
             let known = || known.iter().map(String::as_str);
             let hint = reader.did_you_mean(name, known());

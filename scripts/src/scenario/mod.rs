@@ -410,12 +410,13 @@ pub(crate) fn read(
     library::music(reader, tempo, signature);
     let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
     let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
+    let lease = stop_condition.and_then(|at| cue::lease(reader, &at, default));
     let mut scenario = Scenario {
         name: name.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
         start_tolerance: tolerance.and_then(|at| reader.duration(&at)).unwrap_or(START_TOLERANCE),
         lead: lead.and_then(|at| read_lead(reader, &at)),
-        stop_condition: stop_condition.and_then(|at| cue::lease(reader, &at, default)).unwrap_or(default),
-        lease_place: stop_condition.map(|at| at.place()),
+        stop_condition: lease.unwrap_or(default),
+        lease_place: stop_condition.filter(|_| lease.is_some()).map(|at| at.place()),
         requirements,
         closest_place,
         at_end: at_end.and_then(|at| read_at_end(reader, &at)),

@@ -240,6 +240,7 @@ fn aim(reader: &mut Reader, about: Option<At<'_>>, devices: Option<At<'_>>) -> A
 }
 
 fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let before = reader.found.len();
     let (factor, aim) = match at.node {
         Node::Map(_) if !is_spread(at.node) => {
             let Some([by, about, devices]) = reader.map(at, "`scale`", ["by", "about", "devices"], &["by"])
@@ -251,12 +252,13 @@ fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         }
         _ => (reader.number(at, "a factor, or {by, about, devices}"), aim(reader, None, None)),
     };
-    if let Some(factor) = factor {
+    if let Some(factor) = factor.filter(|_| reader.found.len() == before) {
         affine(reader, at, tracks, &aim, (Change::Scale, factor));
     }
 }
 
 fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let before = reader.found.len();
     let aim = match at.node {
         Node::Map(_) => {
             let Some([about, devices]) = reader.map(at, "`mirror`", ["about", "devices"], &[]) else {
@@ -267,6 +269,10 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ if reader.truth(at) == Some(true) => aim(reader, None, None),
         _ => return,
     };
+    // A change that is not known as a whole would put values where nobody wants them.
+    if reader.found.len() > before {
+        return;
+    }
     affine(reader, at, tracks, &aim, (Change::Mirror, -1.0));
 }
 

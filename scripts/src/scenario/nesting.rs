@@ -230,6 +230,8 @@ pub(super) fn arguments(
                 };
                 values.push(((*parameter).to_owned(), value));
             }
+            // The parameters as a whole have a finding.
+            None if parameters.is_some_and(|at| !matches!(at.node, Node::Map(_))) => {}
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());
                 let hint = reader.did_you_mean(parameter, known());
@@ -335,6 +337,12 @@ pub(super) fn with_defaults(
 ) -> Vec<(String, Node)> {
     let declared = parameters.map(|at| reader.entries(at, "parameter to its default")).unwrap_or_default();
     let mut values = Vec::with_capacity(declared.len());
+    if let Some(Node::List(items)) = parameters.map(|at| at.node) {
+        values.extend(items.iter().filter_map(|item| match item {
+            Node::Text(name) => Some((name.clone(), Node::Null)),
+            _ => None,
+        }));
+    }
     for (parameter, default) in &declared {
         let value = match given.iter_mut().find(|(known, _)| known == parameter) {
             Some((_, Some(value))) => Some(std::mem::replace(value, Node::Null)),

@@ -12,7 +12,7 @@ use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 use crate::rows::{self, Rows, Width};
-use crate::slips::as_keyframes;
+use crate::slips::{OtherForm, as_keyframes};
 
 const TRACK_KEYS: [&str; 11] = [
     "control",
@@ -38,7 +38,7 @@ const NO_ITEM: u32 = u32::MAX;
 
 pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
     let entries = reader.entries(at, "device to its keyframes");
-    if entries.is_empty() && matches!(at.node, Node::Map(_)) {
+    if matches!(at.node, Node::Map(written) if written.is_empty()) {
         nothing(reader, at, "the cue moves no device", "at least one track");
     }
     entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
@@ -152,8 +152,8 @@ fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
 
 /// Whether this is a list of keyframes in another form, which is one fault.
 fn told_as_keyframes(reader: &mut Reader, at: &At<'_>) -> bool {
-    let Some((found, hint)) = as_keyframes(at) else { return false };
-    reader.add(Code::WrongType, at.place(), format!("found {found}"), KEYFRAMES, Some(hint));
+    let Some(OtherForm { found, hints }) = as_keyframes(at) else { return false };
+    reader.add_styled(at.place(), format!("found {found}"), KEYFRAMES, hints.map(Some));
     true
 }
 
@@ -297,7 +297,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let values: Option<Vec<f64>> = to.and_then(|at| {
             let values = reader.list(&at, "a list of finite numbers");
             let most = urrcp::CONTROL_VALUES_MAX;
-            if values.is_empty() || values.len() > most {
+            if matches!(at.node, Node::List(_)) && !(1..=most).contains(&values.len()) {
                 let message = format!("found {} values", values.len());
                 reader.add(Code::WrongType, at.place(), message, format!("1 to {most} values"), None);
             }

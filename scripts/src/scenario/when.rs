@@ -9,6 +9,7 @@ use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::{Node, shortened};
+use crate::render::counted;
 
 /// A bound on the time between two anchors: min <= to - from <= max.
 #[derive(Clone, Debug, PartialEq)]
@@ -285,6 +286,13 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
         let message = format!("the position `{}` stands in a sequence", shortened(text));
         let hint = Some("in a sequence, times count from its beginning: `at: 2 bars`".to_owned());
         reader.add(Code::Music, at.place(), message, "a time from the beginning of the sequence", hint);
+        return None;
+    }
+    if let Some((beats, meant)) = reader.music.beyond_bar(text) {
+        let message =
+            format!("`{}` is beyond its bar, which has {}", shortened(text), counted(beats.into(), "beat"));
+        let expected = format!("a beat from 1 on, below {}", beats.saturating_add(1));
+        reader.add(Code::Music, at.place(), message, expected, Some(format!("write `{meant}`")));
         return None;
     }
     match position {

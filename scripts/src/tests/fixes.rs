@@ -337,3 +337,40 @@ cues:
     let expected = "`to` makes it 160: give a value that makes it at most 90";
     assert_eq!((code, hint.as_str()), (Code::OutOfRange, expected));
 }
+
+#[test]
+fn a_size_is_to_blame_for_a_way_that_is_too_long_if_it_leads_out_of_the_limits() {
+    let fleet = fleet(6, false);
+    let text = form("circle: {radius: 300}", "form: f, over: 1s");
+    let hint = fixed(&fleet, &text, Code::OutOfRange);
+    assert!(hint.contains("radius: ") && hint.contains("over: "), "{hint}");
+}
+
+#[test]
+fn one_formation_that_is_too_large_is_one_finding() {
+    let text = "scenario: s
+formations: {f: {circle: {radius: 300}, at: [1.5, 1, 4]}}
+cues:
+  - {cue: a, robots: all, form: f, over: 9000s}
+  - {cue: b, after: a, robots: all, form: home, over: 9000s}
+  - {cue: c, after: b, robots: all, form: f, over: 9000s}
+";
+    let found = compiled(&fleet(6, false), text).findings;
+    assert_eq!(found.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::OutOfRange], "{found:#?}");
+    let text = text.replace("radius: 300", "radius: 0.05");
+    let found = compiled(&fleet(6, false), &text).findings;
+    assert_eq!(found.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NoWayPast], "{found:#?}");
+}
+
+#[test]
+fn places_that_are_as_far_apart_as_required_are_far_enough() {
+    let robots: Vec<_> = (0..12).map(|index| drone_on([0.01; 2], index, [index as f64, 0.0, 0.0])).collect();
+    let between = robots[0].body.as_ref().map_or(0.0, |body| 2.0 * body.shape.outer_radius());
+    let all = robots.iter().map(|robot| robot.id.clone()).collect();
+    let space = Space { distance: Some(0.4), ..Space::default() };
+    let fleet = Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() };
+    let spacing = |spacing: f64| format!("line: {{spacing: {spacing}}}, rotate: 7");
+    is_sound(&fleet, &form(&spacing(0.4 + between), "form: f, over: 20s"));
+    let (code, _) = fault(&fleet, &form(&spacing(0.38 + between), "form: f, over: 20s"));
+    assert_eq!(code, Code::NoWayPast);
+}

@@ -144,6 +144,9 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
         texts.push(format!("off_grid: snap\n{text}"));
         return texts;
     }
+    if hint.starts_with("`off_grid: snap`") {
+        return vec![format!("off_grid: snap\n{text}")];
+    }
     if let Some((to, from)) = hint.strip_prefix("give it ").and_then(|rest| rest.split_once(" instead of ")) {
         let (to, from) = (seconds(to), seconds(from.split(',').next().unwrap()));
         return vec![later(text, finding.line, finding.column, to.unwrap() - from.unwrap())];

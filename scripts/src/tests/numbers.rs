@@ -417,3 +417,15 @@ fn the_values_of_a_track_that_are_moved_to_the_grid_are_one_warning() {
     let expected = "keyframe 20: 9.69 becomes 9.5, 0.19 off, the most of 19 values off the grid, for position of `valve` on `bot`";
     assert_eq!(warning.message, expected);
 }
+
+#[test]
+fn the_values_of_a_track_that_are_off_the_grid_are_one_error() {
+    let keyframe = |k: i32| format!("{{at: {}ms, to: {}}}", 100 * k, f64::from(k) * 0.51);
+    let keyframes: Vec<_> = (0..4).map(keyframe).collect();
+    let track = format!("cues: [{{at: 0s, robots: bot, tracks: {{valve: [{}]}}}}]\n", keyframes.join(", "));
+    let found = compiled(&track).findings;
+    let [error] = found.as_slice() else { panic!("{found:#?}") };
+    assert_eq!(error.code, Code::OffGranularity);
+    let expected = "keyframe 4: 1.53 and 2 other values lie off the grid for position of `valve` on `bot`";
+    assert_eq!(error.message, expected);
+}

@@ -112,8 +112,147 @@ cues:
     );
     let findings = compiled_with(&text, &[]).findings;
     let [found] = findings.as_slice() else { panic!("{findings:#?}") };
-    assert_eq!((found.line, found.column), (5, 21));
-    assert_eq!(found.related.iter().map(|related| related.line).collect::<Vec<_>>(), [5, 3, 4]);
+    assert_eq!((found.line, found.column), (4, 11));
+    assert_eq!(found.related.iter().map(|related| related.line).collect::<Vec<_>>(), [4, 3]);
+    // Though nothing refers to them.
+    let unused = text.lines().take(4).collect::<Vec<_>>().join("\n");
+    check(&unused, &["4:11 several cues are called `x`"]);
+    // In another act, the name is free.
+    let acts = format!(
+        "scenario: s
+acts:
+  - {{act: a, cues: [{{cue: x, robots: left, {track}}}]}}
+  - {{act: b, wait: operator, cues: [{{cue: x, robots: left, {track}}}]}}
+"
+    );
+    check(&acts, &[]);
+}
+
+#[test]
+fn a_role_is_checked_once_whether_or_not_a_cue_uses_it() {
+    let track = "tracks: {a: [{at: 0s, to: 0}]}";
+    let text = format!(
+        "scenario: s
+roles: {{left: right, solo: lefft, both: [left, left], lead: right, all: [lead]}}
+cues:
+  - {{cue: x, robots: both, {track}}}
+  - {{cue: y, after: x, robots: both, {track}}}
+"
+    );
+    check(
+        &text,
+        &[
+            "2:9 the role `left` has the name of a robot",
+            "2:28 no robot or group `lefft` in the fleet",
+            "2:48 already in the role `both`: `left`",
+            "2:74 no robot or group `lead` in the fleet",
+        ],
+    );
+}
+
+#[test]
+fn a_beat_that_its_bar_does_not_have_is_reported_with_the_one_that_was_meant() {
+    let scenario = |at: &str| {
+        format!(
+            "scenario: s
+tempo: [{{at: bar 1, bpm: 120}}, {{at: bar 3, bpm: 90, signature: 3/4}}]
+cues: [{{at: {at}, robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}}}]
+"
+        )
+    };
+    for (at, beats, meant) in [
+        ("bar 2 beat 5", 4, "bar 3 beat 1"),
+        ("bar 3 beat 4", 3, "bar 4 beat 1"),
+        ("bar 2 beat 8.5", 4, "bar 4 beat 1.5"),
+    ] {
+        let findings = compiled_with(&scenario(at), &[]).findings;
+        let [found] = findings.as_slice() else { panic!("{findings:#?}") };
+        assert_eq!(found.message, format!("`{at}` is beyond its bar, which has {beats} beats"));
+        assert_eq!(found.hint, Some(format!("write `{meant}`")));
+        check(&scenario(meant), &[]);
+    }
+    check(&scenario("bar 2 beat 4.9"), &[]);
+}
+
+#[test]
+fn a_key_that_is_misspelt_is_read_as_what_was_meant() {
+    // Neither the parameter nor its value is unknown.
+    let text = "scenario: s
+moves: {m: {parameter: {reach: 3}, tracks: {a: [{at: 0s, to: 0}, {at: 1s, to: $reach}]}}}
+cues: [{robots: left, move: m, parameters: {reach: 4}}]
+";
+    check(text, &["2:13 unknown key `parameter` in the move `m`"]);
+    let text = text.replace("parameter: {reach: 3}", "parameters: [reach]");
+    check(&text, &["2:25 found a list"]);
+    let text = "scenario: s
+moves: {m: {tracks: {a: [{at: 0s, to 0}, {time: 1s, to: 1}]}}}
+cues: [{robots: left, moves: m}]
+";
+    check(
+        text,
+        &[
+            "2:35 unknown key `to 0` in a keyframe",
+            "2:43 unknown key `time` in a keyframe",
+            "3:23 unknown key `moves` in a cue",
+        ],
+    );
+}
+
+#[test]
+fn braces_of_a_template_are_one_finding_wherever_they_stand() {
+    for (value, meant) in
+        [("{{ x }}", "$x"), ("\"{{ x }}\"", "$x"), ("{{ $x }}", "$x"), ("{{ x + 1 }}", "$x + 1")]
+    {
+        let scenario = |value: &str| {
+            format!(
+                "scenario: s\nvariables: {{x: 3}}\ncues: [{{robots: left, tracks: {{a: [{{at: 1s, to: {value}}}]}}}}]\n"
+            )
+        };
+        let findings = compiled_with(&scenario(value), &[]).findings;
+        let [found] = findings.as_slice() else { panic!("{value}: {findings:#?}") };
+        assert_eq!(found.hint, Some(format!("write `{meant}`, without braces")), "{value}");
+        check(&scenario(meant), &[]);
+    }
+    for place in [
+        "at: {{ x }}",
+        "tracks: {{ x }}",
+        "tracks: {a: {{ x }}}",
+        "tracks: {a: [{{ x }}]}",
+        "repeat: {{ x }}",
+    ] {
+        let text = format!(
+            "scenario: s\nvariables: {{x: 3}}\ncues: [{{robots: left, tracks: {{a: [{{at: 0s, to: 0}}]}}, {place}}}]\n"
+        );
+        let text = if place.starts_with("tracks") {
+            text.replace("tracks: {a: [{at: 0s, to: 0}]}, ", "")
+        } else {
+            text
+        };
+        let found = found_with(&text, &[]);
+        assert!(found.len() == 1 && found[0].ends_with("braces around `x`"), "{place}: {found:?}");
+    }
+}
+
+#[test]
+fn a_value_of_a_variable_is_shown_where_the_variable_is_defined() {
+    let definition = |text: &str, files: &[(&'static str, &str)]| {
+        let findings = compiled_with(text, files).findings;
+        let [found] = findings.as_slice() else { panic!("{findings:#?}") };
+        let related = found.related.iter().map(|related| (related.line, related.message.clone()));
+        (found.message.clone(), related.collect::<Vec<_>>())
+    };
+    let text = "scenario: s
+variables: {far: 45deg}
+moves: {m: {parameters: {pause: 2}, tracks: {a: [{at: 0s, to: 0}, {at: $pause, to: 1}]}}}
+cues: [{robots: left, move: m}, {robots: right, tracks: {a: [{at: 0s, to: $far}]}}]
+";
+    let (_, related) = definition(&text.replace("pause: 2", "pause: 2s"), &[]);
+    assert_eq!(related[1], (2, "`far` is defined here".to_owned()));
+    let (_, related) = definition(&text.replace("45deg", "4"), &[]);
+    assert_eq!(related[1], (3, "`pause` is defined here".to_owned()));
+    let text = "scenario: s\ninclude: v.yaml\ncues: [{robots: left, tracks: {a: [{at: 0s, to: $far}]}}]\n";
+    let (message, _) = definition(text, &[("v.yaml", "variables: {far: 45deg}\n")]);
+    assert_eq!(message, "found the text `45deg` (`far` is defined here in line 1 of v.yaml)");
 }
 
 #[test]

@@ -61,6 +61,8 @@ pub(crate) struct Body {
     pub(crate) keep: f64,
     /// By how much its steps may be off, in metres.
     pub(crate) error: f64,
+    /// By how much the grids of its devices may move the place where it ends, in metres.
+    pub(crate) rounding: f64,
     /// When its time begins, in seconds.
     pub(crate) begin: f64,
     pub(crate) limits: Limits,
@@ -229,8 +231,9 @@ impl Crossing<'_> {
     fn required(&self, ways: &[Way], a: usize, b: usize) -> Required {
         let [begin, end] = ends(&ways[a], &ways[b]);
         let [least, apart] = [self.least(a, b), self.apart(a, b)];
+        let rounding = ROUNDING + self.bodies[a].rounding + self.bodies[b].rounding;
         match begin.min(end) {
-            _ if end < least - ROUNDING => Required::AtEnd { end, least },
+            _ if end < least - rounding => Required::AtEnd { end, least },
             closest if closest < apart => Required::AsAtEnds(closest),
             _ => Required::Apart(apart),
         }

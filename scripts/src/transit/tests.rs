@@ -19,7 +19,7 @@ fn cheapest(starts: &[Point], places: &[Point]) -> Assignment {
 }
 
 fn body(from: Point, keep: f64) -> Body {
-    Body { from, keep, error: 0.0, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
+    Body { from, keep, error: 0.0, rounding: 0.0, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
 }
 
 fn points(count: impl Into<prop::collection::SizeRange>) -> impl Strategy<Value = Vec<Point>> {

@@ -8,10 +8,11 @@ use urrcp::{ControlType, Device, Span};
 use super::{OnDevice, Performer, room};
 use crate::compile::ahead::{WAYS_MIN, together};
 use crate::compile::cast::{Members, Positions};
+use crate::compile::check_values;
 use crate::compile::overlap::overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
-use crate::ensemble::{self, Asked, Axis, Dancer, Moved};
+use crate::ensemble::{self, Asked, Axis, Dancer, Fault, Moved};
 use crate::exact::Exact;
 use crate::finding::{Code, Pending};
 use crate::fleet::settable_limits;
@@ -144,21 +145,11 @@ impl<'a> Performer<'_, 'a> {
                     .collect();
                 self.fit_ahead(&all);
                 all.into_iter().for_each(|dance| self.dance(cue, time, &dance));
-                let is_out = |found: &Pending| found.code == Code::OutOfRange;
-                if self.findings.found.iter().skip(before).any(is_out) {
-                    let fix = Fixes::of(cue, group, &dancers, ground).within_limits(&ways);
-                    let hint = fix.unwrap_or_else(|| {
-                        match group.action {
-                            Action::Form(_) => "make the formation smaller, or move it with `at`",
-                            Action::Sweep(_) => "make it smaller, or let the group begin elsewhere",
-                        }
-                        .to_owned()
-                    });
-                    let out = self.findings.found.iter_mut().skip(before).filter(|found| is_out(found));
-                    out.for_each(|found| found.hint = Some(hint.clone()));
-                }
-                true
+                // What follows begins where no robot can be: that has the same cause.
+                !self.hint_within_limits(grouped, &dancers, &ways, ground, before)
             }
+            // More time does not bring within the limits of the devices what leads out of them.
+            Err(fault @ Fault::TooShort { .. }) if self.leads_out(grouped, &dancers, &fault, ground) => false,
             Err(fault) => {
                 let robots: Vec<usize> = dancers.iter().map(|dancer| dancer.robot).collect();
                 let fix = Fixes::of(cue, group, &dancers, ground).hint(&fault);
@@ -166,6 +157,60 @@ impl<'a> Performer<'_, 'a> {
                 false
             }
         }
+    }
+
+    /// Reports places beyond the limits of the devices to which a group that has too little time would lead; whether there are any.
+    fn leads_out(
+        &mut self,
+        grouped: Grouped<'_>,
+        dancers: &[Dancer<'a>],
+        fault: &Fault,
+        ground: Ground<'_>,
+    ) -> bool {
+        let Fault::TooShort { seconds, .. } = fault else { return false };
+        let Grouped { cue, group, .. } = grouped;
+        let longer = Together { over: fixes::up(*seconds), ..group.clone() };
+        let asked = Asked { together: &longer, tolerance: cue.tolerance };
+        let Ok(ways) = ensemble::ways(asked, dancers, ground.of_scenario) else { return false };
+        let before = self.findings.found.len();
+        for (dancer, moved) in dancers.iter().zip(&ways) {
+            for dance in dances(cue, group, dancer, moved) {
+                let robots = [dance.robot];
+                let on = OnDevice::new(cue, (&dance.track, dance.device), &robots, self.cast);
+                if let Motion::Curve(curve) = &dance.track.motion {
+                    check_values::check(self.findings, &on, ControlType::Position, curve);
+                }
+            }
+        }
+        self.hint_within_limits(grouped, dancers, &ways, ground, before)
+    }
+
+    /// Gives all places beyond the limits that were found since then one hint; whether there are any.
+    fn hint_within_limits(
+        &mut self,
+        Grouped { cue, group, .. }: Grouped<'_>,
+        dancers: &[Dancer<'a>],
+        ways: &[Moved],
+        ground: Ground<'_>,
+        before: usize,
+    ) -> bool {
+        let is_out = |found: &Pending| found.code == Code::OutOfRange;
+        let fixes = Fixes::of(cue, group, dancers, ground);
+        if !self.findings.found.iter().skip(before).any(is_out) {
+            // They may have joined a finding about another cue that has the formation.
+            return !fixes.are_within(ways);
+        }
+        let fix = fixes.within_limits(ways);
+        let hint = fix.unwrap_or_else(|| {
+            match group.action {
+                Action::Form(_) => "make the formation smaller, or move it with `at`",
+                Action::Sweep(_) => "make it smaller, or let the group begin elsewhere",
+            }
+            .to_owned()
+        });
+        let out = self.findings.found.iter_mut().skip(before).filter(|found| is_out(found));
+        out.for_each(|found| found.hint = Some(hint.clone()));
+        true
     }
 
     /// The robots with where they are when the cue begins for each of them.

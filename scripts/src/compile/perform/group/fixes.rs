@@ -245,7 +245,8 @@ impl<'f> Fixes<'f> {
         }))
     }
 
-    fn are_within(&self, ways: &[Moved]) -> bool {
+    /// Whether all ways end within the limits of the devices.
+    pub(super) fn are_within(&self, ways: &[Moved]) -> bool {
         self.dancers.iter().zip(ways).all(|(dancer, moved)| {
             let within = |(axis, to): (&Axis<'_>, f64)| {
                 ends(axis).is_none_or(|[low, high]| to >= low - ROUNDING && to <= high + ROUNDING)
@@ -277,7 +278,7 @@ fn ends(axis: &Axis<'_>) -> Option<[f64; 2]> {
 }
 
 /// A time of two decimals that is no shorter, in seconds.
-fn up(seconds: f64) -> Span {
+pub(super) fn up(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0)
 }
 

@@ -1,7 +1,7 @@
 //! What is wrong with a group, in words.
 
 use super::Performer;
-use crate::compile::check_formations::{apart, between, differing};
+use crate::compile::check_formations::{apart, between, crowded, differing};
 use crate::compile::conflict::told;
 use crate::duration;
 use crate::ensemble::{Fault, GROUP_MAX, POINTS_MAX};
@@ -104,7 +104,7 @@ impl Performer<'_, '_> {
             Fault::TooShort { dancer, seconds } => self.tell_too_short(group, robots[*dancer], *seconds, fix),
             Fault::Blocked(blocked) => self.tell_blocked(cue, group, robots, blocked, fix),
             Fault::UnknownFormation | Fault::Count { .. } | Fault::Crowded { .. } => {
-                if let Action::Form(Form { to: Target::Formation(name), .. }) = &group.action {
+                if let Some(name) = group.formation() {
                     self.tell_of_formation(group, name, robots.len(), fault, (ground, fix));
                 }
             }
@@ -164,7 +164,7 @@ impl Performer<'_, '_> {
                 let expected = between(*distance, *required);
                 let hint = fix
                     .unwrap_or_else(|| "make the formation larger, or let fewer robots take part".to_owned());
-                self.findings.add(Code::NoWayPast, here, message, expected, Some(hint));
+                self.findings.add_once(crowded(name), Code::NoWayPast, here, message, expected, Some(hint));
             }
             _ => {}
         }
@@ -242,13 +242,19 @@ impl Performer<'_, '_> {
         mut known: Vec<&str>,
         (place, elsewhere): (Place, Option<String>),
     ) {
+        if self.findings.is_wrong(&format!("{what}s")) {
+            return;
+        }
         known.sort_unstable();
         let home = (what == "formation").then_some("home");
         let hint = match known.is_empty() && home != Some(name) {
-            true => Some(format!(
-                "define it, as in `{what}s: {{{}: {{circle: {{radius: 2}}}}}}`",
-                shortened(name)
-            )),
+            true => {
+                let written = match what {
+                    "path" => "{points: [[0, 0, 1], [2, 0, 1]]}",
+                    _ => "{circle: {radius: 2}}",
+                };
+                Some(format!("define it, as in `{what}s: {{{}: {written}}}`", shortened(name)))
+            }
             false => self.findings.did_you_mean(name, known.iter().copied().chain(home)),
         };
         let hint = elsewhere.or(hint);
