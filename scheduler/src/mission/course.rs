@@ -341,7 +341,9 @@ impl Mission {
         }
         if let Some(next) = self.acts.get_mut(index) {
             next.comes_next(now);
-            self.announce(index);
+            if self.phase == Phase::Performing {
+                self.announce(index);
+            }
         }
         let mut follow = act.follow();
         if !act.was_sent() {

@@ -215,9 +215,16 @@ impl Mission {
     fn play_home(&mut self, now: Timestamp<Server>, mut act: Written) {
         let index = self.choreography.acts.len();
         act.next = self.then.take().map_or(Way::End, Way::Act);
-        let goes = |id: &RobotId| act.plan.robots.iter().any(|planned| planned.robot == *id);
-        let stay = self.robots.iter().filter(|robot| !robot.touched.is_empty() && !goes(&robot.id));
-        let without = stay.map(|robot| robot.id.clone()).collect();
+        let states = |robot: usize| self.home.poses.get(&robot).is_some_and(|pose| pose.rests);
+        let stays = |robot: &usize| !self.robots[*robot].touched.is_empty() && !states(*robot);
+        let stay = (0..self.robots.len()).filter(stays);
+        let without = stay.map(|robot| self.robots[robot].id.clone()).collect();
+        // A robot that has nothing to move has confirmed its stop, and nothing follows.
+        let goes = |robot: &RobotState| act.plan.robots.iter().any(|planned| planned.robot == robot.id);
+        let rests = |robot: &RobotState| matches!(robot.stop, Stop::Confirmed(_)) && !goes(robot);
+        let ends = act.next == Way::End;
+        let rest: Vec<_> =
+            (0..self.robots.len()).filter(|robot| ends && rests(&self.robots[*robot])).collect();
         self.home.report = Some(HomeReport::Planned { act: act.name.clone(), without });
         self.home.stage = Stage::Planned { act: index };
         self.fates.push(ActCourse { act: act.name.clone(), ..ActCourse::default() });
@@ -227,6 +234,9 @@ impl Mission {
         let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
         self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
         self.perform_again();
+        for robot in rest {
+            self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+        }
         self.line_up_act(now, index);
         self.goes_on(now);
     }

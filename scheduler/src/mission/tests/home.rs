@@ -14,6 +14,8 @@ use crate::mission::home::{HomeReport, PlanHome};
 #[derive(Debug)]
 struct Planner {
     answer: Result<bool, &'static str>,
+    /// A robot that has nothing to move.
+    skips: Mutex<Option<&'static str>>,
     from: Mutex<Vec<Positions>>,
 }
 
@@ -27,14 +29,16 @@ impl PlanHome for Planner {
         self.from.lock().unwrap().push(from.clone());
         let mut act = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
         act.name = "home".to_owned();
-        act.plan.robots.retain(|planned| from.contains_key(&planned.robot));
+        let skips = *self.skips.lock().unwrap();
+        let skips = |robot: &RobotId| skips.is_some_and(|skipped| skipped == robot.as_str());
+        act.plan.robots.retain(|planned| from.contains_key(&planned.robot) && !skips(&planned.robot));
         self.answer.map(|moves| moves.then_some(act)).map_err(str::to_owned)
     }
 }
 
 /// Two robots play an act of 10 s, and can go home.
 fn plays(answer: Result<bool, &'static str>, on_failure: OnFailure) -> (Played, Arc<Planner>) {
-    let planner = Arc::new(Planner { answer, from: Mutex::default() });
+    let planner = Arc::new(Planner { answer, skips: Mutex::default(), from: Mutex::default() });
     let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
     choreography.acts[0].on_failure = FailurePolicy { default: on_failure, ..FailurePolicy::default() };
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
@@ -79,6 +83,17 @@ fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_po
     let from = planner.from.lock().unwrap();
     let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
     assert_eq!(stated, [&45.0, &45.0]);
+}
+
+#[test]
+fn a_robot_that_has_nothing_to_move_has_confirmed_its_stop() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    *planner.skips.lock().unwrap() = Some("r1");
+    says(&mut played, Rest::Home);
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    let planned = HomeReport::Planned { act: "home".to_owned(), without: Vec::new() };
+    assert_eq!(played.mission.home(), Some(&planned));
+    assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::InPlace)]);
 }
 
 #[test]
