@@ -15,7 +15,7 @@ use crate::robot::SetValue;
 pub enum MotionKind {
     /// The value changes at once.
     Set,
-    /// The value begins to change linearly, and arrives when the step is due.
+    /// The value begins to change linearly, and is reached when the step is due.
     Ramp,
     /// A position slows down and comes to rest, at the declared acceleration.
     Slow,

@@ -92,7 +92,7 @@ impl PlanHome for Planner {
     }
 }
 
-/// Plans the way to the default positions after a stop, as [`crate::mission::MissionOptions::home`].
+/// Returns the planner of the way home, for [`crate::mission::MissionOptions::home`].
 #[must_use]
 pub fn home(fleet: &Fleet) -> Arc<dyn PlanHome> {
     Arc::new(Planner(fleet.clone()))

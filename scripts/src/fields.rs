@@ -185,7 +185,7 @@ impl Reader {
         }
     }
 
-    /// A finding that each use of something would make: the first one is reported.
+    /// Adds a finding that each use of something would repeat. Only the first one is reported.
     pub(crate) fn add_once(
         &mut self,
         cause: String,
@@ -206,7 +206,7 @@ impl Reader {
         }
     }
 
-    /// Whether a finding of this cause is reported already.
+    /// Whether a finding with this cause has been reported.
     pub(crate) fn has(&self, code: Code, cause: &str) -> bool {
         self.alike.contains_key(&(code, cause.to_owned()))
     }
@@ -316,7 +316,8 @@ impl Reader {
         self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
     }
 
-    /// A value of the wrong type, with a hint for it between brackets and one for it on lines of its own, if that is another one.
+    /// Adds a finding about a value of the wrong type, with a hint for values in brackets, and one for values in lines if it
+    /// differs.
     pub(crate) fn add_styled(
         &mut self,
         place: Place,
@@ -331,7 +332,7 @@ impl Reader {
         }
     }
 
-    /// Whether braces of a template language stand here, as `{{ x }}`, which is then reported.
+    /// Reports braces of a template language, such as `{{ x }}`. Returns whether there are any.
     pub(crate) fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
         let Some(inner) = slips::template(at.node) else { return false };
         let message = format!("braces around `{}`", shortened(&inner));
@@ -784,7 +785,7 @@ impl Reader {
     }
 }
 
-/// Whether a variable can stand where this is expected.
+/// Whether a variable can be used where this is expected.
 fn is_scalar(expected: &str) -> bool {
     !expected.starts_with("a list") && !expected.contains("a map")
 }

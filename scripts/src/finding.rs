@@ -238,7 +238,7 @@ pub(crate) struct Pending {
     pub(crate) message: String,
     pub(crate) expected: String,
     pub(crate) hint: Option<String>,
-    /// The hint where a map or a list is written in lines, not between brackets, if it is another one.
+    /// The hint for a map or a list that is written in lines, not in brackets. `None` if it is the same hint.
     pub(crate) hint_in_block: Option<String>,
     /// Other places of the same file.
     pub(crate) related: Vec<(Place, String)>,
@@ -352,7 +352,7 @@ fn is_short_for(word: &str, name: &str) -> bool {
     begin.chars().count() >= 4 && name.starts_with(begin)
 }
 
-/// The only name that ends like this one, which stands in a file or a sequence: `lib.lift` for `lift`.
+/// Suggests the only name in a file or a sequence that ends like this one: `lib.lift` for `lift`.
 pub(crate) fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
     let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
     let only = ending.next().filter(|_| ending.next().is_none())?;

@@ -1,4 +1,4 @@
-//! An act that moves devices from where they have stopped to their default positions.
+//! Plans an act that moves devices from the positions at which they have stopped to their default positions.
 
 use std::collections::HashMap;
 
@@ -13,11 +13,11 @@ use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
 const NAME: &str = "home";
 /// The shortest duration of the act.
 const SHORTEST: Span = Span::from_millis(1_000);
-/// Its duration if it moves a device linearly whose largest speed is unknown.
+/// The shortest duration if the act moves a device linearly whose largest speed is unknown.
 const WITHOUT_LIMIT: Span = Span::from_millis(5_000);
 /// On a grid, some steps are faster than the movement by up to this fraction.
 const SLACK: f64 = 0.02;
-/// How often the duration is doubled if a device cannot move that fast.
+/// The maximum number of times that the duration is doubled if a device cannot move that fast.
 const DOUBLED_MAX: u32 = 4;
 
 impl Choreography {
@@ -49,14 +49,14 @@ impl Choreography {
         Ok(Some(act))
     }
 
-    /// The largest speeds of devices, as the acts know them.
+    /// The largest speeds of devices that the acts use.
     fn largest_speeds(&self) -> HashMap<(&RobotId, &DeviceId), f64> {
         let used = self.acts.iter().flat_map(|act| &act.devices);
         used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
     }
 }
 
-/// The movements, and the time that they take together.
+/// Returns the movements, and their common duration.
 fn ways<'a>(
     speeds: &HashMap<(&RobotId, &DeviceId), f64>,
     fleet: &Fleet,

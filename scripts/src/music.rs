@@ -156,7 +156,7 @@ impl Music {
         Ok(time().unwrap_or(Exact::ZERO))
     }
 
-    /// A position whose beat its bar does not have: the number of beats of the bar, and the position counted on into later bars.
+    /// If the bar of a position does not have its beat: the number of beats in the bar, and the equivalent position in a later bar.
     pub(crate) fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
         let (written, mut beat) = position(text)?;
         let tempo = self.tempo.as_ref()?;

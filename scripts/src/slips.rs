@@ -320,7 +320,7 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
     }
 }
 
-/// The same where the value is written in lines, if that needs other words.
+/// The hint for a value that is written in lines, if it differs.
 pub(crate) fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
@@ -382,7 +382,7 @@ pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str>
     (comments && is_known(name)).then(|| format!("a comment begins with `#`: `{name} # ...`"))
 }
 
-/// What stands within the braces of `{{ x }}`, which YAML reads as a map whose key is a map, of `"{{ x }}"` or of `{$x}`.
+/// The text within the braces of `{{ x }}`, which YAML reads as a map whose key is a map, of `"{{ x }}"` or of `{$x}`.
 pub(crate) fn template(node: &Node) -> Option<String> {
     let inner = match node {
         Node::Text(text) => text.trim().strip_prefix("{{")?.strip_suffix("}}")?,
@@ -397,7 +397,7 @@ pub(crate) fn template(node: &Node) -> Option<String> {
     (!inner.is_empty() && !inner.contains(['{', '}'])).then(|| inner.to_owned())
 }
 
-/// The same with `$` before each name that is a variable, or before all of it if that is one word.
+/// Adds `$` before each name that is a variable, or before the whole text if it is one word.
 pub(crate) fn bare(scope: &Scope, inner: &str) -> String {
     let is_part = |c: char| c.is_alphanumeric() || c == '_';
     if inner.chars().all(is_part) && !inner.starts_with(|c: char| c.is_ascii_digit()) {
@@ -433,7 +433,7 @@ fn in_a_map(expected: &str, value: f64) -> Option<String> {
     Some(format!("write `{{{key}: {value}}}`"))
 }
 
-/// `red`, `#ff8800`: red, green and blue, each up to 255.
+/// The red, green and blue values, up to 255, of a colour such as `red` or `#ff8800`.
 fn colour(text: &str) -> Option<[u8; 3]> {
     const NAMED: [(&str, [u8; 3]); 8] = [
         ("red", [255, 0, 0]),
@@ -453,7 +453,7 @@ fn colour(text: &str) -> Option<[u8; 3]> {
     Some([r, g, b])
 }
 
-/// Robots as a range, `d1-d6` or `d1..d6`, or by the beginning of their names, `d*`: as a list.
+/// A hint that lists the robots of a range, `d1-d6` or `d1..d6`, or those whose names begin alike, `d*`.
 pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let listed: Vec<&str> = match text.strip_suffix('*') {
         Some(begin) => ids.filter(|id| id.starts_with(begin)).collect(),
@@ -474,7 +474,7 @@ pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str>
     (2..=LISTED_MAX).contains(&listed.len()).then(|| format!("write a list: `[{}]`", listed.join(", ")))
 }
 
-/// Most robots that a hint lists.
+/// The largest number of robots that a hint lists.
 const LISTED_MAX: usize = 20;
 
 /// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
@@ -593,9 +593,9 @@ pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
 
 /// Times and values that a beginner writes in another form than a list of keyframes.
 pub(crate) struct OtherForm {
-    /// Which form.
+    /// A description of the form.
     pub(crate) found: &'static str,
-    /// How they become that list, between brackets and in lines.
+    /// Hints to write them as that list, in brackets and in lines.
     pub(crate) hints: [String; 2],
 }
 
@@ -652,7 +652,7 @@ pub(crate) fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     Some(OtherForm { found, hints: [format!("write `[{shown}]`"), in_lines] })
 }
 
-/// A time as the key of a map: `1s`, or `1` of someone who means seconds.
+/// A time as the key of a map: `1s`, or `1` for a second.
 fn time_of_key(key: &str) -> Option<String> {
     let is_number = key.parse::<f64>().is_ok_and(|seconds| seconds >= 0.0 && seconds.is_finite());
     if is_number { Some(format!("{key}s")) } else { parse_duration(key).map(|_| key.to_owned()) }

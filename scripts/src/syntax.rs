@@ -99,7 +99,7 @@ pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
     known.contains(&name.trim()).then(|| spaced(name, rest))
 }
 
-/// The same for `to 30`.
+/// A hint for `to 30`, where the colon is missing.
 pub(crate) fn without_colon(key: &str, value: &Node, known: &[&str]) -> Option<String> {
     let (name, rest) = key.split_once(' ').filter(|_| *value == Node::Null)?;
     known

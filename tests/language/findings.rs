@@ -364,7 +364,7 @@ fn few_of_ten_thousand_wrong_names_are_compared_with_all_ten_thousand_others() {
         session.file("test.yaml", format!("scenario: test\n{library}cues:\n{cues}"));
         let ran = session.run(&["check", "test.yaml"]);
         ran.says(1, &[code, "10000 errors,", "did you mean", "and 99"]);
-        // To compare every name with every other one took twenty seconds.
+        // Comparing every name with every other one took 20 s.
         let hints = ran.text().matches("did you mean").count();
         assert!(hints <= 200, "{code}: {hints} hints");
     }

@@ -59,8 +59,8 @@ pub(super) struct StopArgs {
     /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
-    /// Then move all robots to their default positions, in an act that is planned from where they have come to rest. A mission
-    /// whose scheduler has ended sends each robot there on its own.
+    /// Then move all robots to their default positions, in an act that is planned from the positions at which they rest. If the
+    /// scheduler of the mission has ended, each robot goes there on its own.
     #[arg(long)]
     home: bool,
     #[command(flatten)]

@@ -18,7 +18,7 @@ use crate::report::Report;
 pub struct Watched {
     /// Scripts that it began, by the number of their act.
     pub begun: BTreeMap<u32, usize>,
-    /// How each device moved last.
+    /// The last kind of motion of each device.
     pub last: BTreeMap<DeviceId, MotionKind>,
     /// It still had something to do when the longest lease and the longest act were over.
     pub still_moves: bool,

@@ -94,7 +94,7 @@ impl Mission {
         if let [_, act] = self.acts.as_mut_slice() {
             act.is_not_started(outcome);
             let number = act.number();
-            // Robots that play the act before may have heard nothing for some time.
+            // Robots that play the previous act may have received nothing for some time.
             self.next_round = Some(now);
             return self.record(Record::Lapsing { number });
         }

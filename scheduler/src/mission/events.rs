@@ -279,7 +279,7 @@ pub enum Progress {
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
-    /// The devices stay where they came to rest, although they were to move to their default positions.
+    /// The devices stay where they came to rest, instead of moving to their default positions.
     NotHome {
         /// The reason, for people.
         reason: String,

@@ -1,5 +1,5 @@
-//! The way home after a stop: once all robots rest, an act moves their devices to their default positions. It is planned from the
-//! positions that the robots state, and is prepared, committed and watched like any other act.
+//! The way home after a stop: once all robots rest, an act moves their devices to their default positions. The mission plans it
+//! from the positions that the robots state, and prepares, commits and watches it like any other act.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -15,13 +15,13 @@ use super::robot_state::{Rest, RobotState, Standing, Stop};
 use super::script::Script;
 use super::{Mission, Outcome, Progress};
 
-/// Plans the way home. The compiler does, for the scheduler that has the fleet file.
+/// Plans the way home. A scheduler that has the fleet file uses the compiler for this.
 pub trait PlanHome: fmt::Debug + Send + Sync {
     /// Plans an act that moves devices from these positions to their default positions. Leases and tolerances are those of the act
     /// `like`. Returns `None` if nothing has to move.
     ///
     /// # Errors
-    /// The reason, for people, why there is no such act.
+    /// If there is no such act, the reason, for people.
     fn plan(
         &self,
         choreography: &Choreography,
@@ -30,7 +30,7 @@ pub trait PlanHome: fmt::Debug + Send + Sync {
     ) -> Result<Option<Written>, String>;
 }
 
-/// What became of the way home.
+/// The outcome of the way home.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HomeReport {
@@ -51,13 +51,13 @@ pub enum HomeReport {
     },
 }
 
-/// The way home of a mission.
+/// The state of the way home.
 #[derive(Debug, Default)]
 pub(super) struct Home {
     stage: Stage,
-    /// By robot: the positions that it last stated.
+    /// The positions that each robot stated last, by its index in the mission.
     poses: HashMap<usize, Pose>,
-    /// Robots that have done all their steps on the way home.
+    /// Indices of the robots that have done all their steps on the way home.
     there: Vec<usize>,
     pub(super) report: Option<HomeReport>,
 }
@@ -66,9 +66,9 @@ pub(super) struct Home {
 enum Stage {
     #[default]
     Unwanted,
-    /// Robots come to rest first. The act has the settings of this one.
+    /// Robots come to rest first. The act takes its settings from the act with this index.
     Wanted { like: usize },
-    /// The index of the act.
+    /// The way home is the act with this index.
     Planned { act: usize },
 }
 
@@ -76,12 +76,12 @@ enum Stage {
 #[derive(Debug, Default)]
 struct Pose {
     stated: Option<BTreeMap<DeviceId, f64>>,
-    /// It stated the same positions twice.
+    /// Whether it stated the same positions twice.
     rests: bool,
 }
 
 impl Mission {
-    /// How robots have to be stopped first. If the way home can be planned, they come to rest where they are.
+    /// Returns how robots are stopped first. If the mission can plan the way home, they come to rest where they are.
     pub(super) fn rest_first(&mut self, rest: Rest) -> Rest {
         let plans = self.options.home.is_some();
         let like = self.acts.first().map_or(self.options.first_act, Act::index);
@@ -92,7 +92,6 @@ impl Mission {
         if plans { Rest::InPlace } else { rest }
     }
 
-    /// Whether robots are on their way home.
     pub(super) const fn is_on_its_way_home(&self) -> bool {
         matches!(self.home.stage, Stage::Planned { .. })
     }
@@ -101,7 +100,7 @@ impl Mission {
         matches!(self.home.stage, Stage::Wanted { .. })
     }
 
-    /// The reason of a stop, and what follows it.
+    /// Adds to the reason of a stop that the way home follows.
     pub(super) fn with_home(&self, reason: String) -> String {
         if self.wants_home() { format!("{reason}; then home") } else { reason }
     }
@@ -133,7 +132,7 @@ impl Mission {
         known
     }
 
-    /// Asks robots again whose positions are unknown or still changed.
+    /// Asks robots again if their positions are unknown or still change.
     pub(super) fn ask_poses_again(&mut self, now: Timestamp<Server>) {
         let moving = |(robot, pose): (&usize, &Pose)| (!pose.rests).then_some(*robot);
         let moving: Vec<_> = self.home.poses.iter().filter_map(moving).collect();
@@ -150,7 +149,7 @@ impl Mission {
         self.ask_positions_of(now, robot, &devices);
     }
 
-    /// A robot has answered. Its positions count once it has stated all of them.
+    /// Handles an answer of a robot. Its positions count once it has stated all of them.
     pub(super) fn pose_stated(&mut self, robot: usize) {
         let state = &self.robots[robot];
         let Some(pose) = self.home.poses.get_mut(&robot).filter(|_| state.positions_owed == 0) else {
@@ -160,13 +159,13 @@ impl Mission {
         pose.stated = Some(state.commanded.clone());
     }
 
-    /// Ends a stop with the way home. Returns whether the mission continues.
+    /// Begins the way home at the end of a stop. Returns whether the mission continues.
     pub(super) fn sets_out_for_home(&mut self, now: Timestamp<Server>) -> bool {
         let Stage::Wanted { like } = self.home.stage else { return false };
         self.home.stage = Stage::Unwanted;
         match self.plan_home(now, like) {
             Err(reason) => {
-                // An act that follows expects devices at their default positions.
+                // The next act expects devices at their default positions.
                 self.then = None;
                 self.tell(Progress::NotHome { reason: reason.clone() });
                 self.home.report = Some(HomeReport::NotPlanned { reason });
@@ -219,7 +218,7 @@ impl Mission {
         let stays = |robot: &usize| !self.robots[*robot].touched.is_empty() && !states(*robot);
         let stay = (0..self.robots.len()).filter(stays);
         let without = stay.map(|robot| self.robots[robot].id.clone()).collect();
-        // A robot that has nothing to move has confirmed its stop, and nothing follows.
+        // If no act follows, the confirmed stop of a robot that has nothing to move remains valid.
         let goes = |robot: &RobotState| act.plan.robots.iter().any(|planned| planned.robot == robot.id);
         let rests = |robot: &RobotState| matches!(robot.stop, Stop::Confirmed(_)) && !goes(robot);
         let ends = act.next == Way::End;
@@ -241,7 +240,7 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// Notes the robots that have done all their steps, if this act was the way home.
+    /// If this act was the way home, notes the robots that have done all their steps.
     pub(super) fn note_arrivals(&mut self, act: &Act) {
         if self.home.stage == (Stage::Planned { act: act.index() }) {
             let arrived = act.members().iter().filter(|member| {
@@ -253,7 +252,7 @@ impl Mission {
         }
     }
 
-    /// Robots that have done all their steps on the way home are in their default state when the mission ends there.
+    /// If the mission ends with the way home, the robots that have done all their steps are in their default state.
     pub(super) fn arrive_home(&mut self) {
         for robot in std::mem::take(&mut self.home.there) {
             let state = &mut self.robots[robot];

@@ -392,7 +392,7 @@ impl Mission {
         self.because.as_deref()
     }
 
-    /// What became of the way home, if the mission was to go home.
+    /// The outcome of the way home. `None` if no way home was requested.
     pub(crate) const fn home(&self) -> Option<&HomeReport> {
         self.home.report.as_ref()
     }

@@ -188,7 +188,7 @@ impl Mission {
         now: Timestamp<Server>,
     ) -> Self {
         let choreography = Choreography { scenario, acts: Vec::new(), requirements: Requirements::default() };
-        // Without the acts, no way home can be planned: robots go there on their own.
+        // The way home cannot be planned without the acts, so each robot goes home on its own.
         let options = MissionOptions { home: None, ..options };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);

@@ -572,8 +572,7 @@ impl RobotState {
         }
     }
 
-    /// Whether something that this mission sent may still move it: its stop is not confirmed, it is not gone, and a lease has not
-    /// ended.
+    /// Whether a script of this mission may still move it: its stop is not confirmed, it is not gone, and a lease has not ended.
     pub(crate) fn may_move_at(&self, now: Timestamp<Server>) -> bool {
         let ended = |lease: &Option<Timestamp<Server>>| lease.is_some_and(|ends| ends <= now);
         let rests = !self.left.is_empty() && self.left.iter().all(ended);

@@ -87,7 +87,7 @@ pub struct Report {
     pub robots: Vec<RobotReport>,
     /// The failures of each robot, in order; of a robot that fails again and again the first ones.
     pub failures: Vec<Failure>,
-    /// What became of the way home, if the mission was to go home.
+    /// The outcome of the way home. `None` if no way home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub home: Option<HomeReport>,
     /// Robots driven in this process whose hardware may not be at rest, each with the reason.

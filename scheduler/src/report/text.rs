@@ -289,7 +289,7 @@ pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
     text
 }
 
-/// What the list of acts does not say of the way home.
+/// The facts about the way home that the list of acts does not contain.
 fn home_sentence(home: &HomeReport) -> Option<String> {
     match home {
         HomeReport::Planned { without, .. } if without.is_empty() => None,

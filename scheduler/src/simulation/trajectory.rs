@@ -1,4 +1,4 @@
-//! Judges the log of a robot: every movement has one reason. The simulation and the tests with real processes share this judge.
+//! Checks that every movement in the log of a robot has one reason. The simulation and the tests with real processes use it.
 
 use std::collections::HashMap;
 
@@ -45,8 +45,8 @@ impl Movement {
     }
 }
 
-/// Describes the movements of one process of a robot that have no reason. `promised` returns the script that a request id names.
-/// `goes_home` tells whether an entry follows from a request for the default state.
+/// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id
+/// names. `goes_home` returns whether an entry follows from a request for the default state.
 pub fn unexplained<'a>(
     log: impl IntoIterator<Item = &'a LogEntry>,
     promised: impl Fn(&str) -> Option<Promised<'a>>,

@@ -4,7 +4,7 @@
 //! It keeps a connection to every robot, knows which of their devices were sent anything (`sent.rs`), and sends nothing but
 //! stops. It hears the signals and the mission's socket (`words.rs`), stops the robots first and hands the word on to the
 //! mission, which stops them in its own way: it asks for confirmations, decides and reports. Once the operator has said stop,
-//! nothing that moves leaves this process any more, except the way home that the operator has requested.
+//! nothing that moves leaves this process, except the way home if the operator requests it.
 
 mod connection;
 mod sent;
@@ -38,7 +38,7 @@ enum Alarm {
     Quiet,
     /// It is said; the latest word says how the robots come to rest.
     Ringing(Rest),
-    /// The operator's latest word was home, all robots rest, and the mission moves them to their default positions.
+    /// The operator's latest command was home. All robots rest, and the mission moves them to their default positions.
     GoingHome,
 }
 
@@ -175,7 +175,7 @@ impl StopLane {
         self.voice.turned();
     }
 
-    /// The mission sets out for home. If the operator has stopped it in another way meanwhile, nothing passes.
+    /// Lets the way home pass, unless the operator has stopped the mission in another way meanwhile.
     pub(crate) fn goes_home(&self) {
         self.voice.goes_home();
     }

@@ -85,8 +85,8 @@ impl Sent {
         self.session.clone_from(&request.session);
     }
 
-    /// A stop of every device that was sent anything, each under a name of its own. Devices come to rest where they are, also before
-    /// the mission moves them home.
+    /// A stop for each device that was sent anything, each with its own name. Devices come to rest where they are, even if the
+    /// mission moves them home afterwards.
     pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let name = |session: &SessionId| format!("{}/", session::name_of(session));
         let session = self.session.as_ref().map(name).unwrap_or_default();

@@ -90,12 +90,13 @@ impl Guard {
         }
     }
 
-    /// Stops the robot, and stops it again whenever the operator says something else: the mission may have moved it home meanwhile.
+    /// Stops the robot. At each different command of the operator, stops it again, because the mission may have moved it home
+    /// meanwhile.
     async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
         loop {
             self.stop_once(&mut connection, &mut known, &mut rest).await;
             let mut otherwise = pin!(rings(self.alarm.clone(), Some(rest)));
-            // What the robot says of its scripts may come here, as the place where it last heard this session.
+            // The robot may report its scripts here, because it last received this session on this connection.
             rest = loop {
                 let Some(stands) = &mut connection else { break otherwise.await };
                 tokio::select! {

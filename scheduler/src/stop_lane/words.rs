@@ -85,7 +85,7 @@ impl Voice {
         }
     }
 
-    /// The mission sets out for home, if that is still the operator's latest word.
+    /// Lets the way home pass if home is still the operator's latest command.
     pub(super) fn goes_home(&self) {
         self.alarm.send_if_modified(|alarm| {
             let wanted = *alarm == Alarm::Ringing(Rest::Home);

@@ -134,7 +134,7 @@ impl<'a> Cast<'a> {
         }
     }
 
-    /// `None` if it is neither a robot nor a group.
+    /// `None` if the name is neither that of a robot nor that of a group.
     fn robots_of_fleet(&self, name: &Name) -> Option<Vec<usize>> {
         if let Some(&index) = self.index_of.get(composed(&name.text).as_ref()) {
             return Some(vec![index]);

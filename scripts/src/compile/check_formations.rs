@@ -13,7 +13,7 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     written.sort_unstable_by_key(|(name, _)| name.as_str());
     for (name, written) in written {
         let Some(formation) = &written.formation else { continue };
-        // An error about a cue that has it says the same.
+        // An error about a cue with this formation reports the same.
         if findings.has(Code::NoWayPast, &crowded(name)) {
             continue;
         }
@@ -24,7 +24,7 @@ pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
     }
 }
 
-/// The cause of findings about places of a formation that are too near for any two of its robots.
+/// The cause of findings about places of a formation that are too close for any two of its robots.
 pub(super) fn crowded(name: &str) -> String {
     format!("places of {name}")
 }

@@ -72,14 +72,14 @@ impl Rate {
         self.limit.is_some_and(|limit| self.found > limit * DUST)
     }
 
-    /// How many times as long the movement has to be.
+    /// The factor by which the movement has to be longer.
     fn longer(&self) -> f64 {
         let over = self.limit.map_or(1.0, |limit| self.found / limit);
         if self.code == Code::TooFast { over } else { over.sqrt() }
     }
 }
 
-/// One finding for all limits that a way between two knots breaks, with a time that satisfies each of them.
+/// Reports all limits that a way between two knots breaks in one finding, with a time that satisfies each of them.
 fn too_much(
     findings: &mut Reader,
     on: &OnDevice<'_>,

@@ -77,7 +77,7 @@ impl Lines<'_> {
     }
 
     fn tell(&self, findings: &mut Reader, refill: &Refill, queue: Option<u32>) {
-        // Which act follows, and when, is only known of a scenario without faults.
+        // The next act and its time are known only if the scenario has no errors.
         if refill.kind == RefillKind::First && findings.errors() > 0 {
             return;
         }

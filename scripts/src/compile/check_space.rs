@@ -127,8 +127,8 @@ impl Stage<'_> {
         self.cast.id(robot).as_str()
     }
 
-    /// How much closer, in metres, the grids of their devices may bring two bodies that move into one formation: half a step of each
-    /// device for its place, and half for its steps. Ways into a formation are kept apart by all else.
+    /// The distance, in metres, by which the grids of their devices may bring two bodies closer that move into one formation: half
+    /// a step of each device for its place, and half for its steps. The ways into a formation already allow for everything else.
     fn by_grids(&self, cues: [Option<usize>; 2], robots: [usize; 2]) -> f64 {
         let [Some(cue), Some(other)] = cues else { return 0.0 };
         let group = self.act.cues[cue].group.as_ref().filter(|_| cue == other);

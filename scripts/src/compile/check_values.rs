@@ -250,7 +250,7 @@ impl Moved {
     }
 }
 
-/// Whether a value is further off the grid than max_error allows, which is an error by itself.
+/// Reports a value that is further off the grid than max_error allows. Returns whether it is.
 fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, moved: Moved) -> bool {
     let allowed = on.track.tolerance.unwrap_or(moved.allowed).max(0.0);
     if moved.off() <= allowed {
@@ -265,7 +265,7 @@ fn is_too_far(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlTyp
     true
 }
 
-/// The values of a track that are off the grid: one finding, however many there are.
+/// The values of a track that are off the grid. They are one finding.
 #[derive(Default)]
 struct OffGrid {
     furthest: Option<Moved>,
@@ -280,7 +280,7 @@ impl OffGrid {
         }
     }
 
-    /// A warning: they are moved to the grid.
+    /// Warns that the values are moved to the grid.
     fn report(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType) {
         let Some(furthest) = self.furthest else { return };
         let others = match self.count {
@@ -290,7 +290,7 @@ impl OffGrid {
         on.add(findings, control_type, furthest.fault(on, Code::Snapped, &others));
     }
 
-    /// An error.
+    /// Reports the values as an error.
     fn refuse(self, findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, limits: &[&Limits]) {
         let Some(furthest) = self.furthest else { return };
         let Moved { item, from, granularity, .. } = furthest;

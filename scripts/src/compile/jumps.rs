@@ -47,7 +47,7 @@ impl Mover<'_> {
     pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) {
         let Steps::One(values) = &segment.part.steps else { return };
         let Some(first) = values.first() else { return };
-        // A segment that overlaps the previous one is reported already, and so is a value that the device cannot take.
+        // Segments that overlap the previous one, and values that the device cannot take, are already reported.
         let is_settable =
             |value| limits_of(self.device, ControlType::Position).all(|own| own.contains(value));
         if segment.start() < from.since || !is_settable(from.value) || !is_settable(first.to) {

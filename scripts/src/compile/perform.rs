@@ -112,7 +112,7 @@ impl<'p> OnDevice<'p> {
     /// Adds a fault of these robots.
     pub(super) fn add(&self, findings: &mut Reader, control_type: ControlType, fault: Fault) {
         let Fault { code, place, size, said, expected, hint } = fault;
-        // What a group does is one thing for all of its coordinates, and a formation for all cues that have it.
+        // All coordinates of a group share one cause, and so do all cues with the same formation.
         let cause = match self.cue.group.as_ref().filter(|group| group.place == place) {
             Some(group) => group.formation().map_or_else(|| format!("{place:?}"), str::to_owned),
             None => format!("{place:?} {} {expected}", self.device.id),

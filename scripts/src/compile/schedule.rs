@@ -116,7 +116,7 @@ struct Shared {
     cues: Vec<usize>,
 }
 
-/// In a sequence, names are those of the sequence: what stands ahead of them, such as `greet.`.
+/// The prefix of a name in a sequence, such as `greet.`.
 fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
     &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
 }
@@ -249,7 +249,7 @@ impl<'a> Timetable<'a> {
 
     fn cue(&self, findings: &mut Reader, name: &Name) -> Option<usize> {
         match self.by_name.get(name.text.as_str()) {
-            // A name of several cues is reported where the cues are.
+            // `ambiguous` reports names of several cues.
             Some(index) => *index,
             None => {
                 let (prefix, text) = name.text.split_at(sequence_of(&name.text, &name.place).len());
@@ -269,7 +269,7 @@ impl<'a> Timetable<'a> {
         }
     }
 
-    /// Names of several cues: each is reported once, at the second of them.
+    /// Reports each name of several cues once, at the second of these cues.
     fn ambiguous(&self, findings: &mut Reader) {
         let mut cues_of: HashMap<&str, Vec<&Cue>> = HashMap::new();
         for cue in &self.act.cues {

@@ -28,7 +28,7 @@ pub(super) fn is_one(document: &Node) -> bool {
     matches!(value(document, "devices"), Some(Node::Map(_)))
 }
 
-/// Whether its devices are those of an initialization block, which are a list there.
+/// Whether its devices are those of an initialization block, which lists them.
 pub(super) fn is_block(document: &Node) -> bool {
     let Some(Node::Map(devices)) = value(document, "devices") else { return false };
     devices.iter().any(|(_, device)| value(device, "available_control_types").is_some())

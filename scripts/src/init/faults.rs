@@ -57,7 +57,7 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
     locate(std::slice::from_ref(source), findings.finish())
 }
 
-/// Devices as a map from their ids.
+/// Reports devices that are written as a map from their ids.
 fn by_id(findings: &mut Reader, devices: &Mapping) {
     let first = devices.keys().find_map(Value::as_str).unwrap_or("elbow");
     let place = Place::default().of_key("devices");

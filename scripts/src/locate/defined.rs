@@ -1,4 +1,4 @@
-//! Where the variables are defined that stand at the place of a finding: that is what has to be edited.
+//! Finds the definitions of variables that are used at the place of a finding, because these definitions have to be edited.
 
 use std::borrow::Borrow;
 
@@ -6,10 +6,10 @@ use super::{LineStarts, Wanted};
 use crate::finding::{Code, Part, Pending, Place};
 use crate::source::Source;
 
-/// Most definitions that are shown for one finding.
+/// The largest number of definitions that one finding shows.
 const SHOWN_MAX: usize = 2;
 
-/// Adds to each finding about a value the definitions of its variables.
+/// Adds the definitions of its variables to each finding about a value.
 pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) {
     let mut named: Vec<(usize, Vec<String>)> = Vec::new();
     for (file, source) in sources.iter().enumerate() {
@@ -27,7 +27,7 @@ pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) 
     let mut is_there = existing(sources, &wanted).into_iter();
     for (index, names) in named {
         let found = &mut pending[index];
-        // An expression that cannot be evaluated is at fault itself.
+        // If an expression cannot be evaluated, the expression itself has to be edited.
         let is_alone = names.len() == 1
             && found.place.within.as_ref().is_none_or(|part| *part.text == *format!("${}", names[0]));
         let mut definitions: Vec<(Place, String)> = Vec::new();
@@ -44,7 +44,7 @@ pub(super) fn relate<S: Borrow<Source>>(sources: &[S], pending: &mut [Pending]) 
     }
 }
 
-/// Whether a finding is about a value that another one would resolve.
+/// Whether another value would resolve the finding.
 fn is_about_value(found: &Pending) -> bool {
     let is_value = matches!(
         found.code,
@@ -63,7 +63,7 @@ fn is_about_value(found: &Pending) -> bool {
     is_value && found.related.is_empty() && !found.place.key
 }
 
-/// The names of the variables that stand at places of one file; places without any are left out.
+/// The names of the variables that are used at places of one file. Places without variables are left out.
 fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -> Vec<(usize, Vec<String>)> {
     let mut wanted = Wanted::default();
     let places: Vec<(usize, usize)> = places.map(|(index, place)| (index, wanted.add(place))).collect();
@@ -90,7 +90,7 @@ fn variables<'p>(text: &str, places: impl Iterator<Item = (usize, &'p Place)>) -
     places.into_iter().filter_map(names).collect()
 }
 
-/// The places at which variables may be defined, for each those that count first ahead.
+/// The places at which each variable may be defined, in order of precedence.
 fn candidates(used: &Place, names: &[String], files: usize) -> Vec<Place> {
     let own = match used.path.as_slice() {
         [Part::Key(kind, _), Part::Key(name, _), ..] if kind == "moves" || kind == "sequences" => {

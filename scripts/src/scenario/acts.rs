@@ -32,7 +32,7 @@ pub(super) struct Defaults<'a> {
 struct Shared {
     zones: Arc<[(String, Order)]>,
     rules: Arc<[(Name, OnFailure)]>,
-    /// In the zones.
+    /// The number of faults in the zones.
     faults: usize,
 }
 

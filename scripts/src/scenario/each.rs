@@ -38,7 +38,7 @@ impl<'a> Roster<'a> {
         all.filter(|robot| seen.insert(*robot)).collect()
     }
 
-    /// A role that hides a robot or a group of the fleet.
+    /// Reports a role that hides a robot or a group of the fleet.
     pub(super) fn check_role(&self, reader: &mut Reader, at: &At<'_>, name: &str) {
         let whose = match self.index_of.contains_key(composed(name).as_ref()) {
             true => "robot",

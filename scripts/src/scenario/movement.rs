@@ -269,7 +269,7 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         _ if reader.truth(at) == Some(true) => aim(reader, None, None),
         _ => return,
     };
-    // A change that is not known as a whole would put values where nobody wants them.
+    // An incomplete change would lead to wrong values.
     if reader.found.len() > before {
         return;
     }

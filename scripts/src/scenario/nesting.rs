@@ -230,7 +230,7 @@ pub(super) fn arguments(
                 };
                 values.push(((*parameter).to_owned(), value));
             }
-            // The parameters as a whole have a finding.
+            // There is a finding about the parameters as a whole.
             None if parameters.is_some_and(|at| !matches!(at.node, Node::Map(_))) => {}
             None => {
                 let known = || declared(parameters).map(|(known, _)| known.as_str());

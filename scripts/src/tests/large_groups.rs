@@ -22,7 +22,7 @@ fn compiled(count: usize, movement: &str) -> Compiled {
     compile(&Source { name: "s.yaml".into(), text }, &fleet(count), &NoFiles)
 }
 
-/// Compiles a movement of as many drones as a group may have.
+/// Compiles a movement of the largest group of drones.
 #[track_caller]
 fn check(movement: &str) {
     let compiled = compiled(MOST, movement);

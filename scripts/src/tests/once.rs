@@ -114,10 +114,10 @@ cues:
     let [found] = findings.as_slice() else { panic!("{findings:#?}") };
     assert_eq!((found.line, found.column), (4, 11));
     assert_eq!(found.related.iter().map(|related| related.line).collect::<Vec<_>>(), [4, 3]);
-    // Though nothing refers to them.
+    // The name is reported even if nothing refers to it.
     let unused = text.lines().take(4).collect::<Vec<_>>().join("\n");
     check(&unused, &["4:11 several cues are called `x`"]);
-    // In another act, the name is free.
+    // Cues of different acts may have the same name.
     let acts = format!(
         "scenario: s
 acts:

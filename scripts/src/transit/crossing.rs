@@ -61,7 +61,7 @@ pub(crate) struct Body {
     pub(crate) keep: f64,
     /// By how much its steps may be off, in metres.
     pub(crate) error: f64,
-    /// By how much the grids of its devices may move the place where it ends, in metres.
+    /// By how much the grids of its devices may move its last place, in metres.
     pub(crate) rounding: f64,
     /// When its time begins, in seconds.
     pub(crate) begin: f64,

@@ -6,7 +6,7 @@ use std::time::Duration;
 pub const STEPS: usize = 4;
 /// Values that one act has to itself.
 pub const VALUES: usize = 20;
-/// The device `arm` arrives at a value that is higher by this, half a step after `d` is set.
+/// The device `arm` reaches a value that is higher by this, half a step after `d` is set.
 pub const ARM: f64 = 0.5;
 /// Largest delay that a robot adds to each message, each way.
 pub const DELAY_MS: u64 = 20;

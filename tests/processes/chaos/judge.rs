@@ -335,11 +335,11 @@ impl Judge<'_> {
         self.say(robot == 0 && self.played.strangers > 0, || "(stranger) another robot was moved".to_owned());
     }
 
-    /// Every movement has a reason.
+    /// Checks that every movement has a reason.
     fn movements(&mut self, robot: usize) {
         let promised = |id: &str| {
             let (act, script) = self.promises.iter().find_map(|p| Some((p.act, p.scripts.get(id)?)))?;
-            // The way home is planned in the course of the mission.
+            // The mission plans the way home while it plays.
             let acts = self.played.choreography.acts.get(act);
             let planned = acts.into_iter().flat_map(|act| &act.plan.robots);
             let of_robot = planned.filter(|planned| planned.robot == script.robot);
@@ -632,7 +632,7 @@ impl Judge<'_> {
     }
 }
 
-/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None`: the way home.
+/// Index of an act in the scenario. Its number in the mission is higher if an act was prepared again. `None` for the way home.
 fn place_of(act: &Value) -> Option<usize> {
     act["act"].as_str().and_then(|name| name.strip_prefix("act-")?.parse().ok())
 }

@@ -35,7 +35,7 @@ pub(super) enum Phase {
     Greeting,
     /// Acts wait, are prepared and play.
     Performing,
-    /// All robots are stopped, and why.
+    /// All robots are stopped, for this reason.
     Stopping(String),
 }
 

@@ -82,8 +82,8 @@ impl Approach {
         now <= self.commit_by(timing) && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
-    /// Whether this process took the act up after the last instant at which it may ask robots, so that no robot can answer. It would
-    /// be silent until it is too late to commit the act, and other acts that play would end by their leases.
+    /// Whether this process took up the act after the last instant at which it may ask robots, so that no robot can answer. It
+    /// would send nothing until it is too late to commit the act, and the leases of acts that play would end.
     fn was_taken_up_too_late(&self, timing: &Timing) -> bool {
         self.on_disk == OnDisk::Nothing && self.taken_up.is_some_and(|at| at >= timing.critical())
     }

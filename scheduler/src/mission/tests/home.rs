@@ -61,7 +61,7 @@ fn homes_sent(played: &Played) -> usize {
     played.sent.iter().filter(|(.., message)| home(message)).count()
 }
 
-/// How robots have confirmed their stops.
+/// The kind of rest that each robot has confirmed.
 fn rests(played: &Played) -> Vec<Option<Rest>> {
     let rest = |robot: &RobotState| match robot.stop {
         Stop::Confirmed(rest) => Some(rest),
@@ -148,7 +148,7 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason }));
 }
 
-/// Until the way home has started.
+/// Runs until the way home has started.
 fn runs_home(played: &mut Played) {
     while !played.mission.is_on_its_way_home() {
         played.run_until(played.now + ms(10));

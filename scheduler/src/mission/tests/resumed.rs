@@ -129,7 +129,7 @@ fn an_act_that_is_taken_up_too_late_to_ask_its_robots_lapses_at_once() {
     let played = chained(true);
     let mut resumed = resumed_after(&played, 200);
     resumed.run_until(resumed.now + ms(5));
-    // As long as the act approached its start, its robots would hear nothing, and the leases of the first act would end.
+    // While the act approached its start, its robots would receive nothing, and the leases of the first act would end.
     assert!(resumed.mission.acts[1].is_lapsing());
     let asks = |message: &Message| matches!(message, Message::Inquiry(_));
     assert!(resumed.sent.iter().any(|(.., message)| asks(message)));

@@ -59,8 +59,9 @@ impl Drawn {
     }
 }
 
-/// In one of this many missions, the operator sends the robots home: those whose seed leaves this remainder.
+/// In one of this many missions, the operator sends the robots home.
 const SENT_HOME_ONE_IN: u64 = 50;
+/// The remainder of the seeds of these missions.
 const SENT_HOME: u64 = 37;
 
 /// In one of this many missions, devices may begin at a position other than that of the first act.
@@ -120,7 +121,7 @@ pub fn draw(seed: u64) -> Drawn {
     }
 }
 
-/// The operator sends all robots home while acts play, and perhaps says something else soon afterwards.
+/// The operator sends all robots home while acts play, and may give a second command soon afterwards.
 fn send_home(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     for device in drawn.robots.iter_mut().flat_map(|robot| robot.block.devices.iter_mut()) {
         device.default_value.get_or_insert(BEGINS_AT);

@@ -145,10 +145,10 @@ impl<'a> Performer<'_, 'a> {
                     .collect();
                 self.fit_ahead(&all);
                 all.into_iter().for_each(|dance| self.dance(cue, time, &dance));
-                // What follows begins where no robot can be: that has the same cause.
+                // Later movements begin where no robot can be. Their findings would have the same cause.
                 !self.hint_within_limits(grouped, &dancers, &ways, ground, before)
             }
-            // More time does not bring within the limits of the devices what leads out of them.
+            // More time does not help a movement that leaves the limits of the devices.
             Err(fault @ Fault::TooShort { .. }) if self.leads_out(grouped, &dancers, &fault, ground) => false,
             Err(fault) => {
                 let robots: Vec<usize> = dancers.iter().map(|dancer| dancer.robot).collect();
@@ -159,7 +159,8 @@ impl<'a> Performer<'_, 'a> {
         }
     }
 
-    /// Reports places beyond the limits of the devices to which a group that has too little time would lead; whether there are any.
+    /// Reports places beyond the limits of the devices to which a group with too little time would lead. Returns whether there are
+    /// any.
     fn leads_out(
         &mut self,
         grouped: Grouped<'_>,
@@ -185,7 +186,7 @@ impl<'a> Performer<'_, 'a> {
         self.hint_within_limits(grouped, dancers, &ways, ground, before)
     }
 
-    /// Gives all places beyond the limits that were found since then one hint; whether there are any.
+    /// Gives one hint to all places beyond the limits that were found since `before`. Returns whether there are any.
     fn hint_within_limits(
         &mut self,
         Grouped { cue, group, .. }: Grouped<'_>,
@@ -197,7 +198,7 @@ impl<'a> Performer<'_, 'a> {
         let is_out = |found: &Pending| found.code == Code::OutOfRange;
         let fixes = Fixes::of(cue, group, dancers, ground);
         if !self.findings.found.iter().skip(before).any(is_out) {
-            // They may have joined a finding about another cue that has the formation.
+            // They may have joined a finding about another cue with the same formation.
             return !fixes.are_within(ways);
         }
         let fix = fixes.within_limits(ways);
