@@ -92,6 +92,16 @@ impl Mission {
         if plans { Rest::InPlace } else { rest }
     }
 
+    /// Nothing more may be promised, so the robots stay where they are.
+    pub(super) fn stays(&mut self) {
+        if self.wants_home() {
+            self.home.stage = Stage::Unwanted;
+            let reason = "the journal can no longer be written".to_owned();
+            self.tell(Progress::NotHome { reason: reason.clone() });
+            self.home.report = Some(HomeReport::NotPlanned { reason });
+        }
+    }
+
     pub(super) const fn is_on_its_way_home(&self) -> bool {
         matches!(self.home.stage, Stage::Planned { .. })
     }

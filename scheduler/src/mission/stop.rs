@@ -79,7 +79,10 @@ impl Mission {
         match self.phase {
             Phase::Greeting { .. } => self.refuse(outcome),
             Phase::Performing => self.abort(now, outcome, Rest::InPlace, None),
-            Phase::Stopping { .. } => self.then = None,
+            Phase::Stopping { .. } => {
+                self.then = None;
+                self.stays();
+            }
             Phase::Ended => {}
         }
     }

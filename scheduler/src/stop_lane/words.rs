@@ -112,7 +112,7 @@ pub(super) async fn hear(mut signals: Signals, voice: Voice) {
     let mut before = None;
     loop {
         let asked = signals.next().await;
-        let word = word_of(asked, before.replace(asked));
+        let word = word_of(asked, before.replace(asked), voice.latest_is(Rest::Home));
         if matches!(word, Operator::Leave) || voice.is_over() {
             // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
             tokio::spawn(die_soon(asked));
@@ -128,11 +128,12 @@ async fn die_soon(asked: Asked) {
 }
 
 /// Every signal stops, but a Ctrl-C after another signal leaves. Any other may come twice by itself, as when a terminal
-/// closes.
-const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
+/// closes. While robots may be on their way home, a Ctrl-C stops them first.
+const fn word_of(asked: Asked, before: Option<Asked>, goes_home: bool) -> Operator {
     match (before, asked) {
         (_, Asked::Home) => Operator::Stop { rest: Rest::Home, by: None },
-        (Some(_), Asked::Interrupt) => Operator::Leave,
+        (Some(Asked::Home), _) => Operator::Stop { rest: Rest::InPlace, by: None },
+        (Some(_), Asked::Interrupt) if !goes_home => Operator::Leave,
         _ => Operator::Stop { rest: Rest::InPlace, by: None },
     }
 }
@@ -143,11 +144,22 @@ mod tests {
 
     #[test]
     fn only_a_second_ctrl_c_leaves() {
-        let leaves = |asked, before| matches!(word_of(asked, before), Operator::Leave);
+        let leaves = |asked, before| matches!(word_of(asked, before, false), Operator::Leave);
         assert!(!leaves(Asked::Interrupt, None));
         assert!(leaves(Asked::Interrupt, Some(Asked::Interrupt)));
         assert!(!leaves(Asked::HangUp, Some(Asked::HangUp)));
         assert!(!leaves(Asked::Terminate, Some(Asked::Interrupt)));
+    }
+
+    #[test]
+    fn a_ctrl_c_stops_robots_on_their_way_home_before_another_one_leaves() {
+        let stops = |before, goes_home| {
+            let word = word_of(Asked::Interrupt, before, goes_home);
+            matches!(word, Operator::Stop { rest: Rest::InPlace, .. })
+        };
+        assert!(stops(Some(Asked::Interrupt), true), "Ctrl-C, then the key H");
+        assert!(stops(Some(Asked::Home), false), "the signal for home has not reached the mission yet");
+        assert!(!stops(Some(Asked::Interrupt), false));
     }
 
     #[test]

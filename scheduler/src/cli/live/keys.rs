@@ -133,7 +133,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
     });
 }
 
-const LINES: &str = "Enter or go begins the act that waits, stop stops all robots where they are, home sends them to their default state, Ctrl-C stops";
+const LINES: &str = "Enter or go begins the act that waits, stop stops all robots where they are, home stops them and then moves them to their default positions, Ctrl-C stops";
 
 /// As Ctrl-C does, by the same way.
 fn stop() {

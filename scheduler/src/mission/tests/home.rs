@@ -148,6 +148,17 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason }));
 }
 
+#[test]
+fn without_a_journal_the_robots_stay_where_they_are() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    says(&mut played, Rest::Home);
+    played.happens(Event::JournalLost { reason: "full".to_owned() });
+    played.run_to_the_end();
+    assert!(planner.from.lock().unwrap().is_empty());
+    assert!(matches!(played.mission.home(), Some(HomeReport::NotPlanned { .. })));
+    assert_eq!(rests(&played), [Some(Rest::InPlace), Some(Rest::InPlace)]);
+}
+
 /// Runs until the way home has started.
 fn runs_home(played: &mut Played) {
     while !played.mission.is_on_its_way_home() {
