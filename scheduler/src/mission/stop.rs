@@ -200,6 +200,8 @@ impl Mission {
                 self.repeat_stop(now, robot);
             }
         }
+        // Robots that rest do not wait for the confirmations of others, which may never come.
+        let _all = self.poses_are_known(now);
         self.ask_poses_again(now);
         self.stop_progress(now);
     }

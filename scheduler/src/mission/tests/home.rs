@@ -149,6 +149,18 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
 }
 
 #[test]
+fn a_robot_that_is_gone_does_not_keep_the_others_from_home() {
+    let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+    played.mute = vec![1];
+    says(&mut played, Rest::Home);
+    played.happens(Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    let without = vec![RobotId::new("r1").unwrap()];
+    assert_eq!(played.mission.home(), Some(&HomeReport::Planned { act: "home".to_owned(), without }));
+    assert_eq!(rests(&played), [Some(Rest::Home), None]);
+}
+
+#[test]
 fn without_a_journal_the_robots_stay_where_they_are() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     says(&mut played, Rest::Home);
