@@ -27,7 +27,7 @@ const WATCHED_MAX: Span = Span::from_millis(3_000);
 const STAIRS_MAX: u32 = 20;
 /// The median is known to within this: then the trials that were asked for are enough.
 const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
-/// More trials than asked for, until it is.
+/// More trials than asked for, until it is, and until as many as asked for can be judged.
 const TRIALS_FACTOR: usize = 3;
 /// If so many movements cannot be judged, and none can, there is no use in more.
 const UNCLEAR_MAX: usize = 3;
@@ -169,7 +169,8 @@ impl Mover<'_> {
             let found;
             (trials, found) = estimated(trials, readable).await;
             let known = found.latencies.is_some_and(|known| known.median_error <= MEDIAN_ERROR_MAX);
-            if known || trials.len() >= wanted * TRIALS_FACTOR {
+            let clear = found.onsets.iter().flatten().count();
+            if known && clear >= wanted || trials.len() >= wanted * TRIALS_FACTOR {
                 return Ok(found);
             }
         }
@@ -278,7 +279,7 @@ fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
 
 fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured> {
     // A quarter may be spoilt, by a reading that took too long.
-    let unclear = unclear(estimate, (estimate.onsets.len() / 4).max(1))?;
+    let unclear = unclear(estimate, estimate.onsets.len() / 4 + 1)?;
     let too_few = Unclear::TooSparse { before: 0, after: 0, least: 1 };
     let Some(latencies) = estimate.latencies else {
         return Err(NotMeasured::Unclear { of: unclear, trials: estimate.onsets.len(), why: too_few });

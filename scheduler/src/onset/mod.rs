@@ -104,6 +104,14 @@ pub enum Unclear {
         /// How much earlier.
         early: Span,
     },
+    /// Motion seems to begin before the command because a reading took long.
+    #[error(
+        "a reading took so long that its instant is known only to +-{uncertainty}, and the begin of the motion no better"
+    )]
+    LateReading {
+        /// Of the reading.
+        uncertainty: Span,
+    },
     /// The device still moved at the last reading.
     #[error("the device still moved {watched} after the movement was commanded, as long as it was watched")]
     NotSettled {

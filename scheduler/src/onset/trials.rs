@@ -198,7 +198,12 @@ impl Readable {
             return Err(Unclear::TooSlow { least: Span::from_millis_f64(fit::TIME_CONSTANT_MAX) });
         }
         if latency < -EARLY_MAX - 4.0 * standard_error {
-            return Err(Unclear::MovedBefore { early: Span::from_millis_f64(-latency) });
+            let early = Span::from_millis_f64(-latency);
+            let uncertainty = uncertainty_at(trial, Span::from_millis_f64(latency));
+            return Err(match early > uncertainty + Span::from_millis_f64(EARLY_MAX) {
+                true => Unclear::MovedBefore { early },
+                false => Unclear::LateReading { uncertainty },
+            });
         }
         let (_, last) = readings.span();
         if last - latency < readings.commanded.shown_ms() + SETTLED * lag.constant {
@@ -215,4 +220,13 @@ impl Readable {
             noise,
         })
     }
+}
+
+/// The uncertainty of the readings next to an instant: the last one before it and the first one after it.
+fn uncertainty_at(trial: &Trial, instant: Span) -> Span {
+    let (before, after): (Vec<&Sample>, Vec<&Sample>) =
+        trial.samples.iter().partition(|sample| sample.at <= instant);
+    let last = before.into_iter().max_by_key(|sample| sample.at);
+    let first = after.into_iter().min_by_key(|sample| sample.at);
+    last.into_iter().chain(first).map(|sample| sample.uncertainty).max().unwrap_or_default()
 }
