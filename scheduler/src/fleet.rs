@@ -14,7 +14,7 @@ use downbeat_scripts::{
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
 use crate::link::{Endpoint, LinkEncoding, Site};
-use crate::mission::{Greeting, Participant, PlanHome};
+use crate::mission::{Destination, Greeting, Participant, PlanTransfer};
 
 /// A robot cannot be simulated.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -71,18 +71,23 @@ pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a F
     fleet.robots.iter().filter(|robot| all.contains(robot.id.as_str())).collect()
 }
 
-/// Plans the way home for the robots of a fleet file.
+/// Plans acts after a stop for the robots of a fleet file.
 #[derive(Debug)]
 struct Planner(Fleet);
 
-impl PlanHome for Planner {
+impl PlanTransfer for Planner {
     fn plan(
         &self,
         choreography: &Choreography,
+        to: Destination,
         like: usize,
         from: &Positions,
     ) -> Result<Option<Act>, String> {
-        choreography.home(like, &self.0, from).map_err(|errors| {
+        let planned = match to {
+            Destination::Home => choreography.home(like, &self.0, from),
+            Destination::Act(act) => choreography.approach(act, &self.0, from),
+        };
+        planned.map_err(|errors| {
             let first = errors.first().map(|error| error.message.clone()).unwrap_or_default();
             match errors.len() {
                 0 | 1 => first,
@@ -92,9 +97,9 @@ impl PlanHome for Planner {
     }
 }
 
-/// Returns the planner of the way home, for [`crate::mission::MissionOptions::home`].
+/// Returns the planner of acts after a stop, for [`crate::mission::MissionOptions::transfer`].
 #[must_use]
-pub fn home(fleet: &Fleet) -> Arc<dyn PlanHome> {
+pub fn transfer(fleet: &Fleet) -> Arc<dyn PlanTransfer> {
     Arc::new(Planner(fleet.clone()))
 }
 

@@ -1,4 +1,4 @@
-//! An act ahead of a choreography that moves devices to the positions that its first act expects.
+//! Acts that move devices to the positions that another act expects: ahead of a choreography, and after a stop.
 
 use std::collections::HashSet;
 
@@ -7,7 +7,7 @@ use urrcp::{Interpolation, Span};
 
 use crate::finding::Finding;
 use crate::fleet::Fleet;
-use crate::plan::{Act, Choreography, Way};
+use crate::plan::{Act, Choreography, Wait, Way};
 use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
 
 /// How devices are moved to their first positions.
@@ -45,7 +45,7 @@ impl Choreography {
         approach: &Approach,
     ) -> Result<(Self, usize), Vec<Finding>> {
         let Some(act) = self.acts.get(first) else { return Ok((self, first)) };
-        let ways = ways(act, fleet, approach);
+        let ways = ways(act, fleet, &approach.from);
         if ways.is_empty() {
             return Ok((self, first));
         }
@@ -64,14 +64,30 @@ impl Choreography {
         self.acts.insert(0, ahead);
         Ok((self, 0))
     }
+
+    /// Plans an act that moves devices from these positions to the first positions of the act `to`. The act is planned like that
+    /// of [`home`](Self::home), and its settings are those of `to`. If `to` waits for the operator, the act waits in its place.
+    ///
+    /// Returns `None` if no device has to move.
+    ///
+    /// # Errors
+    /// The errors in the act, for example a collision.
+    pub fn approach(&self, to: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
+        let Some(act) = self.acts.get(to) else { return Ok(None) };
+        let mut ahead = self.transfer(NAME, (to, ways(act, fleet, from)), fleet, from)?;
+        if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
+            ahead.wait = Wait::Operator;
+        }
+        Ok(ahead)
+    }
 }
 
-fn ways<'a>(act: &'a Act, fleet: &Fleet, approach: &Approach) -> Vec<DeviceWay<'a>> {
+fn ways<'a>(act: &'a Act, fleet: &Fleet, from: &Positions) -> Vec<DeviceWay<'a>> {
     let mut ways: Vec<DeviceWay<'_>> = Vec::new();
     let limited = act.devices.iter().filter(|used| used.speed_max.is_some());
     let limited: HashSet<_> = limited.map(|used| (&used.robot, &used.device)).collect();
     for planned in &act.plan.robots {
-        let Some(from) = approach.from.get(&planned.robot) else { continue };
+        let Some(from) = from.get(&planned.robot) else { continue };
         let listed = fleet.robots.iter().find(|robot| robot.id == planned.robot);
         let robot = &planned.robot;
         for (device, to) in planned.first_positions() {
@@ -147,6 +163,20 @@ acts:
             let first = show.acts[0].plan.robots[0].first_positions().next().unwrap().1;
             assert!((first - from).abs() < 1e-9, "{rests_at}: {first}");
         }
+    }
+
+    #[test]
+    fn after_a_stop_devices_move_to_the_first_positions_of_another_act_as_fast_as_they_may() {
+        let (mut show, fleet) = show();
+        show.acts[1].wait = Wait::Operator;
+        let ahead = show.approach(1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
+        assert_eq!((ahead.name.as_str(), &ahead.wait, ahead.next), ("approach", &Wait::Operator, Way::End));
+        let [script] = ahead.plan.robots[0].scripts.as_slice() else { panic!("only the joint moves") };
+        let steps = script.script.steps();
+        assert_eq!([steps[0].setpoint.value, steps[steps.len() - 1].setpoint.value], [80.0, 30.0]);
+        // 1.875 * 50 / 60 = 1.5625 s, and 2 %.
+        assert_eq!(script.script.duration().as_millis_f64().round(), 1_594.0);
+        assert_eq!(show.approach(1, &fleet, &approach(0, 30.0).from).unwrap(), None);
     }
 
     #[test]

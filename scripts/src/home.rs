@@ -1,4 +1,4 @@
-//! Plans an act that moves devices from the positions at which they have stopped to their default positions.
+//! Plans acts that move devices from the positions at which they have stopped: to their default positions, or to others.
 
 use std::collections::HashMap;
 
@@ -31,22 +31,55 @@ impl Choreography {
     /// # Errors
     /// The errors in the act, for example a collision.
     pub fn home(&self, like: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
-        let speeds = self.largest_speeds();
-        let (ways, mut over) = ways(&speeds, fleet, from);
+        let mut act = self.transfer(NAME, (like, ways(fleet, from)), fleet, from)?;
+        if let Some(act) = &mut act {
+            act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
+        }
+        Ok(act)
+    }
+
+    /// Plans an act with these movements and the settings of the act `like`.
+    pub(crate) fn transfer(
+        &self,
+        name: &str,
+        (like, ways): (usize, Vec<DeviceWay<'_>>),
+        fleet: &Fleet,
+        from: &Positions,
+    ) -> Result<Option<Act>, Vec<Finding>> {
         let Some(like) = self.acts.get(like).filter(|_| !ways.is_empty()) else { return Ok(None) };
+        let mut over = self.shortest(&ways, fleet);
         let standing = poses::standing(fleet, from);
-        let mut act = poses::compiled("home", &ways, &standing, over);
+        let mut act = poses::compiled(name, &ways, &standing, over);
         for _ in 0..DOUBLED_MAX {
             if act.is_ok() {
                 break;
             }
             over = over * 2;
-            act = poses::compiled("home", &ways, &standing, over);
+            act = poses::compiled(name, &ways, &standing, over);
         }
         let mut act = act?;
-        poses::name_like(&mut act, unused_name(NAME, &self.acts), &self.scenario, like);
-        act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
+        poses::name_like(&mut act, unused_name(name, &self.acts), &self.scenario, like);
         Ok(Some(act))
+    }
+
+    /// The common duration of movements that the largest speeds of their devices demand.
+    fn shortest(&self, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
+        let speeds = self.largest_speeds();
+        let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {
+            let seconds = |speed| Easing::Smooth.slope_max() * (to - from).abs() / speed * (1.0 + SLACK);
+            let is_linear = || {
+                let listed = fleet.robots.iter().find(|listed| listed.id == **robot);
+                let block = listed.and_then(|listed| listed.init.as_ref());
+                let described = block.and_then(|block| block.device(device.as_str()));
+                described.is_some_and(|described| described.interpolation == Interpolation::Linear)
+            };
+            match speeds.get(&(*robot, *device)) {
+                Some(speed) => Span::from_millis_f64(seconds(speed) * 1_000.0),
+                None if is_linear() => WITHOUT_LIMIT,
+                None => SHORTEST,
+            }
+        });
+        shortest.max().unwrap_or_default().max(SHORTEST)
     }
 
     /// The largest speeds of devices that the acts use.
@@ -56,13 +89,8 @@ impl Choreography {
     }
 }
 
-/// Returns the movements, and their common duration.
-fn ways<'a>(
-    speeds: &HashMap<(&RobotId, &DeviceId), f64>,
-    fleet: &Fleet,
-    from: &'a Positions,
-) -> (Vec<DeviceWay<'a>>, Span) {
-    let (mut ways, mut over) = (Vec::new(), SHORTEST);
+fn ways<'a>(fleet: &Fleet, from: &'a Positions) -> Vec<DeviceWay<'a>> {
+    let mut ways = Vec::new();
     for (robot, devices) in from {
         let listed = fleet.robots.iter().find(|listed| listed.id == *robot);
         let Some(block) = listed.and_then(|listed| listed.init.as_ref()) else { continue };
@@ -70,20 +98,12 @@ fn ways<'a>(
             let Some(described) = block.device(device.as_str()) else { continue };
             let Some(to) = described.default_value else { continue };
             let from = settable(described, *position);
-            if from == to {
-                continue;
+            if from != to {
+                ways.push(DeviceWay { robot, device, from, to });
             }
-            let seconds =
-                |speed: &f64| Easing::Smooth.slope_max() * (to - from).abs() / speed * (1.0 + SLACK);
-            over = over.max(match speeds.get(&(robot, device)) {
-                Some(speed) => Span::from_millis_f64(seconds(speed) * 1_000.0),
-                None if described.interpolation == Interpolation::Linear => WITHOUT_LIMIT,
-                None => SHORTEST,
-            });
-            ways.push(DeviceWay { robot, device, from, to });
         }
     }
-    (ways, over)
+    ways
 }
 
 #[cfg(test)]

@@ -244,7 +244,7 @@ fn rehearse(
     let options = MissionOptions {
         greeting: fleet::greeting(fleet),
         first_act,
-        home: Some(fleet::home(fleet)),
+        transfer: Some(fleet::transfer(fleet)),
         ..MissionOptions::default()
     };
     let rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)

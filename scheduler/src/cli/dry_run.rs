@@ -209,7 +209,7 @@ pub(super) fn rehearse(
     let options = MissionOptions {
         greeting: fleet::greeting(fleet),
         zone: ZONE,
-        home: Some(fleet::home(fleet)),
+        transfer: Some(fleet::transfer(fleet)),
         ..MissionOptions::default()
     };
     let played = play(&whole, choreography, options, fleet, &mut viewers);
@@ -353,7 +353,7 @@ fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions
         first_act,
         acts_max: args.acts,
         zone: ZONE,
-        home: Some(fleet::home(fleet)),
+        transfer: Some(fleet::transfer(fleet)),
         ..MissionOptions::default()
     }
 }

@@ -187,7 +187,7 @@ impl<'a> Resumption<'a> {
             session: Some(self.found.opened.drives_as()),
             fixed: self.found.opened.fixed,
             zone: ZONE,
-            home: Some(fleet::home(&self.fleet)),
+            transfer: Some(fleet::transfer(&self.fleet)),
             ..MissionOptions::default()
         };
         let participants = fleet::participants(&robots);

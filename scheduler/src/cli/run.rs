@@ -458,7 +458,7 @@ impl Work<'_> {
             verify_motion: self.verify_motion,
             preflight_only: self.preflight_only,
             zone: ZONE,
-            home: Some(fleet::home(fleet)),
+            transfer: Some(fleet::transfer(fleet)),
         }
     }
 

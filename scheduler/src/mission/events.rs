@@ -279,6 +279,23 @@ pub enum Progress {
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
+    /// All robots rest, and this act moves devices to the first positions of the act that follows the failure.
+    Approaching {
+        /// The name of the act.
+        act: String,
+        /// The act that follows.
+        to: String,
+        /// The choreography with this act.
+        #[serde(skip)]
+        choreography: Arc<Choreography>,
+    },
+    /// The act that was to follow the failure is not played, because devices cannot move to its first positions.
+    NotApproached {
+        /// The act.
+        act: String,
+        /// The reason, for people.
+        reason: String,
+    },
     /// The devices stay where they came to rest, instead of moving to their default positions.
     NotHome {
         /// The reason, for people.

@@ -25,7 +25,6 @@ mod fates;
 #[cfg(feature = "metrics")]
 pub(crate) mod figures;
 mod greet;
-mod home;
 mod identity;
 mod latency;
 mod lead;
@@ -47,6 +46,7 @@ mod script;
 mod seize;
 mod skew;
 mod stop;
+mod transfer;
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -60,7 +60,6 @@ pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
 pub use failure_kind::{Failure, FailureKind, Slow};
 pub use fates::{ActCourse, ActFate};
-pub use home::{HomeReport, PlanHome};
 pub use latency::{LatencyDiffers, OtherLatency};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use motion::{MotionReport, MotionSpread};
@@ -70,6 +69,7 @@ pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};
+pub use transfer::{Destination, PlanTransfer, TransferReport};
 
 use crate::server_clock::NtpState;
 use act::Act;
@@ -130,7 +130,7 @@ pub struct Mission {
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
     /// The way to the default positions after a stop.
-    home: home::Home,
+    transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,
     /// The act with the start that the operator fixes has been lined up.
@@ -230,7 +230,7 @@ impl Mission {
             bounded: false,
             detour: None,
             then: None,
-            home: home::Home::default(),
+            transfer: transfer::Transfer::default(),
             again: None,
             start_was_fixed: false,
             hold_up: Span::ZERO,
@@ -393,8 +393,12 @@ impl Mission {
     }
 
     /// The outcome of the way home. `None` if no way home was requested.
-    pub(crate) const fn home(&self) -> Option<&HomeReport> {
-        self.home.report.as_ref()
+    pub(crate) const fn home(&self) -> Option<&TransferReport> {
+        self.transfer.home.as_ref()
+    }
+
+    pub(crate) const fn approach(&self) -> Option<&TransferReport> {
+        self.transfer.approach.as_ref()
     }
 
     /// How many acts were to begin at most, where another would have followed.

@@ -6,7 +6,7 @@ use downbeat_scripts::MissionSettings;
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::home::PlanHome;
+use super::transfer::PlanTransfer;
 use crate::session::Session;
 use crate::zone::Zone;
 
@@ -92,8 +92,9 @@ pub struct MissionOptions {
     pub preflight_only: bool,
     /// The time zone of the times of day for which acts wait.
     pub zone: Zone,
-    /// Plans the way to the default positions after a stop. Without it, each robot goes there on its own.
-    pub home: Option<Arc<dyn PlanHome>>,
+    /// Plans acts after a stop. Without it, each robot goes to its default positions on its own, and the act that follows a failure
+    /// begins only if its robots happen to have come to rest at their first positions.
+    pub transfer: Option<Arc<dyn PlanTransfer>>,
 }
 
 /// The starts at fixed times: by the operator, or by acts that wait for a time.
@@ -149,7 +150,7 @@ impl Default for MissionOptions {
             verify_motion: false,
             preflight_only: false,
             zone: Zone::UTC,
-            home: None,
+            transfer: None,
         }
     }
 }

@@ -139,7 +139,10 @@ impl Mission {
             if asked.is_none() {
                 let member = self.acts[index].member(robot);
                 let devices = member.into_iter().flat_map(|member| member.firsts());
-                let devices: Vec<_> = devices.map(|script| script.plan.device.clone()).collect();
+                let adrift = &self.robots[robot].adrift;
+                let devices = devices.map(|script| &script.plan.device);
+                let devices = devices.filter(|device| adrift.is_empty() || adrift.contains(*device));
+                let devices: Vec<_> = devices.cloned().collect();
                 self.robots[robot].forget_positions();
                 self.robots[robot].positions_asked = Some((number, now));
                 self.ask_positions_of(now, robot, &devices);
@@ -166,7 +169,8 @@ impl Mission {
         due
     }
 
-    /// Members that were asked and would have to jump at their first step. Unknown positions do not count.
+    /// Members that were asked and would have to jump at their first step. An unknown position counts only where a stop has left its
+    /// device.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
@@ -179,21 +183,34 @@ impl Mission {
             let kind = FailureKind::Position { device, reading, expected: expected.position };
             ((reading - expected.position).abs() > expected.within).then_some((robot, kind))
         };
-        let members = self.unplaced(act).into_iter().filter_map(|robot| act.member(robot));
+        let unplaced = self.unplaced(act);
+        let members = unplaced.iter().filter_map(|robot| act.member(*robot));
         let firsts = members.flat_map(|member| member.firsts().map(|script| (member.robot, &script.plan)));
-        firsts.filter_map(|(robot, script)| jump(robot, script)).collect()
+        let jumping = firsts.filter_map(|(robot, script)| jump(robot, script));
+        jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(*robot))).collect()
     }
 
-    /// Members of an act whose positions the greeting has not checked: robots that joined late and, in the first act, robots on
-    /// a new link. They have not been sent anything that moves a device. With `handshake: skip`, there are none.
+    /// A robot that is adrift surely jumps somewhere, unless it states where its devices are.
+    fn hides_its_pose(&self, robot: usize) -> Option<(usize, FailureKind)> {
+        let state = &self.robots[robot];
+        let hides = !state.adrift.is_empty() && state.positions_owed > 0;
+        let within = lead::counted(state.round_trip()) * 3 + STATED_WITHIN;
+        let kind = || FailureKind::Silent { awaited: "positions of its devices".to_owned(), within };
+        hides.then(|| (robot, kind()))
+    }
+
+    /// Members of an act whose positions have to be asked for. The greeting has not checked those of robots that joined late and, in
+    /// the first act, of robots on a new link; these have not been sent anything that moves a device, and with `handshake: skip`
+    /// there are none. Robots that are adrift have come to rest anywhere.
     fn unplaced(&self, act: &Act) -> Vec<usize> {
+        let asks = self.options.greeting == Greeting::Full;
         let counts = |robot: &usize| {
             let robot = &self.robots[*robot];
             let is_unplaced = robot.unplaced && (robot.joined_late || act.number() == 0);
-            is_unplaced && robot.touched.is_empty() && robot.takes_inquiries()
+            let is_untouched = asks && is_unplaced && robot.touched.is_empty();
+            (is_untouched || !robot.adrift.is_empty()) && robot.takes_inquiries()
         };
-        let asks = self.options.greeting == Greeting::Full;
-        act.present().filter(|_| asks).map(|member| member.robot).filter(counts).collect()
+        act.present().map(|member| member.robot).filter(counts).collect()
     }
 
     /// Devices that would have to jump at their first step.

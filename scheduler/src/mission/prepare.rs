@@ -344,7 +344,9 @@ impl Mission {
             self.robots[robot].requests.insert(id, script);
         }
         for member in self.acts[index].members() {
-            self.robots[member.robot].shift = member.shift();
+            let robot = &mut self.robots[member.robot];
+            robot.shift = member.shift();
+            member.scripts().iter().for_each(|script| _ = robot.adrift.remove(&script.plan.device));
         }
         let number = self.acts[index].number();
         self.carry_out(now, number, actions);

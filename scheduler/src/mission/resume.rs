@@ -189,7 +189,7 @@ impl Mission {
     ) -> Self {
         let choreography = Choreography { scenario, acts: Vec::new(), requirements: Requirements::default() };
         // The way home cannot be planned without the acts, so each robot goes home on its own.
-        let options = MissionOptions { home: None, ..options };
+        let options = MissionOptions { transfer: None, ..options };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in 0..mission.robots.len() {

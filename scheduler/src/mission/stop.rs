@@ -111,6 +111,9 @@ impl Mission {
         let reason = self.with_home(reason);
         self.tell(Progress::Stopping { reason, rest });
         self.then = then;
+        if let Some(act) = then.filter(|_| self.again.is_none()) {
+            self.approaches(act);
+        }
         self.next_round = None;
         self.next_silence = None;
         self.deferred.clear();
@@ -294,14 +297,14 @@ impl Mission {
             return self.line_up_again(now);
         }
         self.close_all(now);
-        if self.sets_out_for_home(now) {
+        // A robot that is gone does not keep the others from what follows.
+        let rests = !self.robots.iter().any(|robot| robot.may_move_at(now));
+        if self.begins_transfer(now, rests) {
             return;
         }
-        match self.then.take().filter(|_| confirmed) {
+        match self.then.take().filter(|_| rests) {
             Some(act) => {
-                let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
-                self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
-                self.perform_again();
+                self.continue_after_stop();
                 self.go_way(now, Way::Act(act));
                 self.goes_on(now);
             }

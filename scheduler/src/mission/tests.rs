@@ -4,7 +4,6 @@ mod again;
 mod clocks;
 mod course;
 mod greeting;
-mod home;
 mod hostile;
 mod lost;
 mod motions;
@@ -12,6 +11,7 @@ mod played;
 mod resumed;
 mod stops;
 mod table;
+mod transfer;
 
 use std::sync::Arc;
 

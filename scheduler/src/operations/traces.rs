@@ -344,6 +344,10 @@ impl Watch for MissionTrace {
             Progress::Reattached { robot } => self.happened(at, "reattached", Some(robot), None),
             Progress::Dropped { robot } => self.happened(at, "dropped", Some(robot), None),
             Progress::GoingHome { act, .. } => self.happened(at, "going home", None, Some(act)),
+            Progress::Approaching { act, .. } => self.happened(at, "approaching", None, Some(act)),
+            Progress::NotApproached { reason, .. } => {
+                self.happened(at, "not approached", None, Some(reason));
+            }
             Progress::NotHome { reason } => self.happened(at, "not home", None, Some(reason)),
             Progress::AtRest { robot } => self.happened(at, "at rest", Some(robot), None),
             Progress::NtpLost { .. } => self.happened(at, "ntp lost", None, None),

@@ -24,7 +24,7 @@ use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::mission::{
     ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Greeting, Outcome,
 };
-use crate::mission::{ClockMode, Failure, HomeReport, LatencyDiffers, LeadTime, Mission, Preflight};
+use crate::mission::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight, TransferReport};
 use crate::recording::Recorded;
 use crate::requirements::Judged;
 use crate::server_clock::NtpState;
@@ -89,7 +89,10 @@ pub struct Report {
     pub failures: Vec<Failure>,
     /// The outcome of the way home. `None` if no way home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub home: Option<HomeReport>,
+    pub home: Option<TransferReport>,
+    /// The outcome of the approach to the act that followed the last failure. `None` if none followed from anywhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub approach: Option<TransferReport>,
     /// Robots driven in this process whose hardware may not be at rest, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub not_at_rest: Vec<String>,
@@ -215,6 +218,7 @@ impl Report {
             outcome,
             because: mission.because().map(str::to_owned),
             home: mission.home().cloned(),
+            approach: mission.approach().cloned(),
             journal_written_again: mission.journal_written_again(),
             acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),

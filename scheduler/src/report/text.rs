@@ -13,7 +13,7 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
-use crate::mission::HomeReport;
+use crate::mission::TransferReport;
 use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
     Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow, SkewBudget,
@@ -282,23 +282,25 @@ pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
     if let Some(because) = &report.because {
         say(&mut text, columns, &format!("  {because}"));
     }
-    let home = report.home.as_ref().and_then(home_sentence);
-    if let Some(sentence) = home {
+    let home = report.home.as_ref().and_then(|home| transfer_sentence(home, "default position"));
+    let approach = report.approach.as_ref();
+    let approach = approach.and_then(|approach| transfer_sentence(approach, "first position"));
+    for sentence in home.into_iter().chain(approach) {
         say(&mut text, columns, &format!("  {sentence}"));
     }
     text
 }
 
-/// The facts about the way home that the list of acts does not contain.
-fn home_sentence(home: &HomeReport) -> Option<String> {
-    match home {
-        HomeReport::Planned { without, .. } if without.is_empty() => None,
-        HomeReport::Planned { act, without } => {
+/// The facts about a transfer after a stop that the list of acts does not contain.
+fn transfer_sentence(transfer: &TransferReport, position: &str) -> Option<String> {
+    match transfer {
+        TransferReport::Planned { without, .. } if without.is_empty() => None,
+        TransferReport::Planned { act, without } => {
             let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
             Some(format!("without a part in `{act}`: {}", stayed.join(", ")))
         }
-        HomeReport::NothingToMove => Some("no device was away from its default position".to_owned()),
-        HomeReport::NotPlanned { reason } => {
+        TransferReport::NothingToMove => Some(format!("no device was away from its {position}")),
+        TransferReport::NotPlanned { reason } => {
             Some(format!("the robots stayed where they came to rest: {reason}"))
         }
     }

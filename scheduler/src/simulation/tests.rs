@@ -1,6 +1,6 @@
 use super::check::LEAD_LEAST;
 use super::*;
-use crate::mission::{ActCourse, ActFate, Failure, FailureKind, HomeReport, Progress};
+use crate::mission::{ActCourse, ActFate, Failure, FailureKind, Progress, TransferReport};
 use crate::report::Outcome;
 
 #[test]
@@ -318,18 +318,22 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
 }
 
 #[test]
-fn missions_go_home_together_or_report_why_they_stay() {
-    let (mut arrived, mut on_the_way, mut stayed) = (0, 0, 0);
+fn after_stops_missions_move_robots_together_or_report_why_they_stay() {
+    let (mut arrived, mut on_the_way, mut stayed) = ([0; 2], [0; 2], [0; 2]);
     for seed in 0..2_000 {
         let Some(report) = run(seed).report else { continue };
-        match &report.home {
-            Some(HomeReport::Planned { act, .. }) => {
-                let played = report.course.iter().any(|course| course.act == *act && course.played == 1);
-                *if played { &mut arrived } else { &mut on_the_way } += 1;
+        for (to, transfer) in [&report.home, &report.approach].into_iter().enumerate() {
+            match transfer {
+                Some(TransferReport::Planned { act, .. }) => {
+                    let played = report.course.iter().any(|course| course.act == *act && course.played == 1);
+                    *if played { &mut arrived[to] } else { &mut on_the_way[to] } += 1;
+                }
+                Some(TransferReport::NotPlanned { .. }) => stayed[to] += 1,
+                Some(TransferReport::NothingToMove) | None => {}
             }
-            Some(HomeReport::NotPlanned { .. }) => stayed += 1,
-            Some(HomeReport::NothingToMove) | None => {}
         }
     }
-    assert!(arrived >= 10 && on_the_way >= 1 && stayed >= 5, "{arrived}, {on_the_way}, {stayed}");
+    let [home, approach] = arrived;
+    let seldom = (on_the_way, stayed);
+    assert!(home >= 10 && approach >= 3 && on_the_way[0] >= 1 && stayed[0] >= 5, "{arrived:?}, {seldom:?}");
 }

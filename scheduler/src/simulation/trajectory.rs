@@ -8,6 +8,9 @@ use urrcp::{ControlType, DeviceId, Robot, Script, Span, Timestamp};
 /// The largest relative difference, by rounding, between two computations of the same value.
 const ROUNDING: f64 = 1e-6;
 
+/// Distance from the first value above which a device jumps to it: twice its granularity.
+pub const JUMP: f64 = 2.0;
+
 /// The longest time in which a device slows down, or goes home at its own speed.
 const SLOWS_DOWN_MAX: Span = Span::from_millis(600_000);
 
@@ -43,6 +46,27 @@ impl Movement {
         let part = (at - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
         Some(from + (self.to - from) * part)
     }
+}
+
+/// The entries in the log of one process that set a position at once, away from the position at which a stop has left the device.
+/// Only the stop of a device that moves has an entry.
+pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec<&'a LogEntry> {
+    let mut stopped: HashMap<&DeviceId, f64> = HashMap::new();
+    let mut jumps = Vec::new();
+    for entry in log {
+        if entry.control_type != ControlType::Position.to_string() {
+            continue;
+        }
+        let rested = stopped.remove(&entry.device);
+        match entry.motion {
+            MotionKind::Rest | MotionKind::Slow => _ = stopped.insert(&entry.device, entry.value),
+            MotionKind::Set if rested.is_some_and(|rested| (entry.value - rested).abs() > JUMP) => {
+                jumps.push(entry);
+            }
+            MotionKind::Set | MotionKind::Ramp | MotionKind::Default => {}
+        }
+    }
+    jumps
 }
 
 /// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id

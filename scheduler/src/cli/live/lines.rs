@@ -39,6 +39,10 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
         }
         Progress::Reattached { robot } => format!("{robot}: back"),
         Progress::GoingHome { act, .. } => format!("all robots rest; `{act}` moves them to their default positions"),
+        Progress::Approaching { act, to, .. } => {
+            format!("all robots rest; `{act}` moves them to the first positions of `{to}`")
+        }
+        Progress::NotApproached { act, reason } => format!("`{act}` is not played: {reason}"),
         Progress::NotHome { reason } => format!("the robots stay where they are: {reason}"),
         Progress::Dropped { robot } => format!("going on without {robot}"),
         Progress::NtpLost { since } => format!(

@@ -213,6 +213,7 @@ impl Model {
                 self.home = Some(act.clone());
                 self.choreography = Arc::clone(choreography);
             }
+            Progress::Approaching { choreography, .. } => self.choreography = Arc::clone(choreography),
             Progress::Stopping { reason, .. } => {
                 self.acts.retain(|act| !act.is_waiting());
                 let again = matches!(self.phase, Phase::Stopping(_));

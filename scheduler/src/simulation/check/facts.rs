@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::{Choreography, DeviceScript};
+use downbeat_scripts::{Act, Choreography, DeviceScript};
 use urrcp::{Command, Message, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
@@ -16,8 +16,6 @@ const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A run as the invariants look at it.
 pub(super) struct Facts<'a> {
     pub(super) ran: &'a Ran,
-    /// The choreography, with the way home if one was planned.
-    pub(super) choreography: &'a Choreography,
     /// The acts that were sent, in order.
     pub(super) acts: Vec<SentAct<'a>>,
     /// What went wrong, in order.
@@ -28,11 +26,14 @@ pub(super) struct Facts<'a> {
     pub(super) stopping: Vec<Timestamp<Server>>,
     /// From when on the clock of the scheduler's process was ahead of the true time by how much.
     ahead: Vec<(Timestamp<Server>, Span)>,
+    planned: Vec<(Timestamp<Server>, &'a Choreography)>,
 }
 
 /// An act that was sent.
 pub(super) struct SentAct<'a> {
     pub(super) promise: &'a Promise,
+    /// As its scheduler had planned it.
+    pub(super) written: &'a Act,
     /// When it was promised.
     pub(super) at: Timestamp<Server>,
     /// The clock by which it was promised minus the true time. The promise is by the true time.
@@ -75,15 +76,18 @@ pub(super) struct SentScript<'a> {
     pub(super) log: Vec<&'a LogEntry>,
 }
 
-fn choreography_of(ran: &Ran) -> &Choreography {
-    for (_, happened) in ran.history.iter().rev() {
-        if let Happened::Told(told) = happened
-            && let Progress::GoingHome { choreography, .. } = &**told
-        {
-            return choreography;
+/// The choreographies with acts that were planned after stops, and the times at which they were reported.
+fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
+    let planned = ran.history.iter().filter_map(|(at, happened)| {
+        let Happened::Told(told) = happened else { return None };
+        match &**told {
+            Progress::GoingHome { choreography, .. } | Progress::Approaching { choreography, .. } => {
+                Some((*at, &**choreography))
+            }
+            _ => None,
         }
-    }
-    &ran.drawn.choreography
+    });
+    planned.collect()
 }
 
 impl<'a> Facts<'a> {
@@ -96,18 +100,18 @@ impl<'a> Facts<'a> {
         }
         let mut facts = Self {
             ran,
-            choreography: choreography_of(ran),
             acts: Vec::new(),
             hits: hits_of(ran),
             dropped: vec![None; ran.drawn.robots.len()],
             stopping: Vec::new(),
             ahead: ahead_of(ran),
+            planned: planned_after_stops(ran),
         };
         for (at, record) in &ran.records {
             facts.take(*at, record, &logs);
         }
         facts.take_words();
-        facts.take_shifts();
+        facts.take_shifts(&logs);
         facts
     }
 
@@ -117,9 +121,11 @@ impl<'a> Facts<'a> {
                 // Numbers ascend, unless the disk of a process that died has lost promises.
                 let before = self.acts.iter_mut().filter(|act| act.promise.number >= promise.number);
                 before.for_each(|act| act.superseded = true);
-                let scripts = promise.scripts.iter().filter_map(|script| self.sent(promise, script, logs));
+                let Some(written) = self.choreography_at(at).acts.get(promise.act) else { return };
+                let scripts = promise.scripts.iter().filter_map(|script| self.sent(written, script, logs));
                 self.acts.push(SentAct {
                     promise,
+                    written,
                     at,
                     ahead: self.ahead_at(at),
                     superseded: false,
@@ -153,14 +159,23 @@ impl<'a> Facts<'a> {
         }
     }
 
+    /// The choreography with all acts that were planned after stops.
+    pub(super) fn choreography(&self) -> &'a Choreography {
+        self.planned.last().map_or(&self.ran.drawn.choreography, |(_, choreography)| choreography)
+    }
+
+    fn choreography_at(&self, at: Timestamp<Server>) -> &'a Choreography {
+        let planned = self.planned.iter().rfind(|(planned_at, _)| *planned_at <= at);
+        planned.map_or(&self.ran.drawn.choreography, |(_, choreography)| choreography)
+    }
+
     fn sent(
         &self,
-        promise: &Promise,
+        act: &'a Act,
         promised: &'a PromisedScript,
         logs: &HashMap<&str, Vec<&'a LogEntry>>,
     ) -> Option<SentScript<'a>> {
-        let plan = &self.choreography.acts.get(promise.act)?.plan;
-        let of_robot = plan.robots.iter().find(|robot| robot.robot == promised.robot);
+        let of_robot = act.plan.robots.iter().find(|robot| robot.robot == promised.robot);
         let scripts = of_robot.map(|robot| robot.scripts.as_slice()).unwrap_or_default();
         let same = |written: &&DeviceScript| {
             written.device == promised.device && written.start.get() == promised.start.get()
@@ -181,13 +196,21 @@ impl<'a> Facts<'a> {
     }
 
     /// The offsets with which scripts first arrived, where they may differ from that of their act: of the later ones of a device.
-    fn take_shifts(&mut self) {
+    fn take_shifts(&mut self, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         let mut sent: HashMap<_, _> = HashMap::new();
-        for (_, happened) in &self.ran.history {
-            if let Happened::AtRobot(_, Message::ControlRequest(request)) = happened
-                && let Some((id, timestamp)) = request.request_id.as_ref().zip(request.timestamp)
-            {
-                sent.entry(id).or_insert(timestamp);
+        for (at, happened) in &self.ran.history {
+            match happened {
+                Happened::AtRobot(robot, Message::ControlRequest(request)) => {
+                    if let Some((id, timestamp)) = request.request_id.as_ref().zip(request.timestamp) {
+                        sent.entry(id).or_insert((*robot, timestamp));
+                    }
+                }
+                // A new process of a robot knows no script that has not begun.
+                Happened::Back(back) => sent.retain(|id, (robot, _)| {
+                    let began = |entry: &&LogEntry| entry.true_ns < at.as_nanos();
+                    robot != back || logs.get(id.as_str()).is_some_and(|log| log.iter().any(began))
+                }),
+                _ => {}
             }
         }
         for act in &mut self.acts {
@@ -199,7 +222,7 @@ impl<'a> Facts<'a> {
                     continue;
                 }
                 let timestamp = sent.get(&script.promised.request_id);
-                script.arrived_shift = timestamp.map(|at| *at - act.promise.timestamp.assume_clock());
+                script.arrived_shift = timestamp.map(|(_, at)| *at - act.promise.timestamp.assume_clock());
             }
         }
     }

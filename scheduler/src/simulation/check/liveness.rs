@@ -270,10 +270,10 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         // the process that sends it.
         let ahead = before(facts, act).is_some_and(|before| {
             let clocks = (act.ahead - before.ahead).abs();
-            gap(facts, before, act).is_some_and(|gap| gap <= DRIFT + clocks)
+            gap(before, act) <= DRIFT + clocks
         });
         let allowed = without * TIMES + lead_allowed(facts, act);
-        if with > allowed && !ahead && Some(with) != asked_for(facts, act) {
+        if with > allowed && !ahead && Some(with) != asked_for(act) {
             let what = format!("act {number} had a lead of {with}, without faults it has {without}");
             verdict.violated('h', what);
         }
@@ -282,8 +282,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         if before.promise.act != other_before.promise.act {
             continue;
         }
-        let gaps = gap(facts, before, act).zip(gap(undisturbed, other_before, other));
-        let Some((gap, other_gap)) = gaps else { continue };
+        let (gap, other_gap) = (gap(before, act), gap(other_before, other));
         // An act is sent as soon as its devices have room. What its lead is longer by, which is bounded above, it starts later.
         // After a stop the whole lead comes after it and no longer overlaps the act before.
         let longer = match was_stopped(facts, before, act) {
@@ -305,7 +304,7 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     let long = facts.acts.iter().filter(|act| {
         let late = |before: &SentAct<'_>| {
             let longer = if was_stopped(facts, before, act) { lead(act) } else { Span::ZERO };
-            gap(facts, before, act).is_some_and(|gap| gap > longer + gap_allowed(facts, before, act))
+            gap(before, act) > longer + gap_allowed(facts, before, act)
         };
         lead(act) > LEAD_LEAST * TIMES + lead_allowed(facts, act) || before(facts, act).is_some_and(late)
     });
@@ -317,15 +316,13 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
 /// that starts at its own time: after a fault it is sent sooner than without, if those before it do not play, and no later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
-    let ahead = if starts_at_its_time(facts, act) { AHEAD } else { Span::ZERO };
+    let ahead = if starts_at_its_time(act) { AHEAD } else { Span::ZERO };
     MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow + ahead
 }
 
 /// It waits for an instant, and is not late for it.
-fn starts_at_its_time(facts: &Facts<'_>, act: &SentAct<'_>) -> bool {
-    let written = facts.choreography.acts.get(act.promise.act);
-    let waits_for = written.map(|written| &written.wait);
-    matches!(waits_for, Some(Wait::Instant(at)) if act.promise.start + act.ahead <= *at)
+fn starts_at_its_time(act: &SentAct<'_>) -> bool {
+    matches!(act.written.wait, Wait::Instant(at) if act.promise.start + act.ahead <= at)
 }
 
 /// How much a gap may exceed its share of a gap without faults and the excess of the lead: an act is sent later by the amount by
@@ -405,8 +402,8 @@ fn lead(act: &SentAct<'_>) -> Span {
 }
 
 /// The lead that the scenario asks for: it is kept where no act before it still plays.
-fn asked_for(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
-    facts.choreography.acts.get(act.promise.act)?.plan.lead
+const fn asked_for(act: &SentAct<'_>) -> Option<Span> {
+    act.written.plan.lead
 }
 
 /// For how long the disk stood still before an act was sent.
@@ -416,18 +413,17 @@ fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 }
 
 /// From the planned end of the act before to the start of this one.
-fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Span> {
+fn gap(before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // As written: what a robot would have played that was left out leaves a gap of its own.
-    let written = facts.choreography.acts.get(before.promise.act)?;
-    Some(act.promise.start - (before.promise.start + written.plan.duration()))
+    act.promise.start - (before.promise.start + before.written.plan.duration())
 }
 
 /// For how long something was wrong with the scheduler or a robot since the act before was sent: the later one waits for that.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
-    let waited_for = match facts.choreography.acts.get(act.promise.act).map(|written| &written.wait) {
-        Some(Wait::Sensor { robot, .. }) => {
+    let waited_for = match &act.written.wait {
+        Wait::Sensor { robot, .. } => {
             facts.drawn().robots.iter().position(|drawn| drawn.block.id.as_str() == robot)
         }
         _ => None,

@@ -9,18 +9,18 @@ use urrcp::{DeviceId, Interpolation, Message, Server, Span, Timestamp};
 use super::Verdict;
 use super::facts::{Facts, SentScript};
 use crate::simulation::draw::{BEGINS_AT, Hands};
-use crate::simulation::trajectory::{Promised, unexplained};
-use crate::simulation::{Fault, Happened};
+use crate::simulation::trajectory::{JUMP, Promised, jumps_after_stops, unexplained};
+use crate::simulation::{DrawnRobot, Fault, Happened};
 
-/// Distance from the first value above which a device jumps to it: twice its granularity.
-const JUMP: f64 = 2.0;
+const fn states_positions(drawn: &DrawnRobot) -> bool {
+    drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
+}
 
 /// The devices that would have to jump at the start of an act if their robot has not moved before. Includes only devices that
 /// move linearly, are not behind an edge, and have a position that the robot states.
 pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: usize) -> Vec<DeviceId> {
     let (choreography, drawn) = (&facts.drawn().choreography, &facts.drawn().robots[robot]);
-    let states_positions = drawn.block.inquiry && drawn.hands == Hands::Own;
-    let act = choreography.acts.get(act).filter(|_| states_positions).into_iter();
+    let act = choreography.acts.get(act).filter(|_| states_positions(drawn)).into_iter();
     let planned = act.flat_map(|act| &act.plan.robots).filter(|planned| planned.robot == drawn.block.id);
     let mut devices = Vec::new();
     let mut jumping = Vec::new();
@@ -89,7 +89,12 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
                 |id| scripts.get(id).copied(),
                 |entry| homes.contains(&(&entry.device, entry.true_ns)),
             );
-            unexplained.into_iter().for_each(|what| verdict.violated('m', format!("r{robot} {what}")));
+            let states = states_positions(&facts.drawn().robots[robot]);
+            let jumps = jumps_after_stops(process).into_iter().filter(|_| states);
+            let jumps = jumps.map(|jump| format!("jumped from where a stop had left it: {jump:?}"));
+            for what in unexplained.into_iter().chain(jumps) {
+                verdict.violated('m', format!("r{robot} {what}"));
+            }
         }
     }
 }

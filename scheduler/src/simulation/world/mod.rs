@@ -3,11 +3,11 @@
 //! `operator` is the person at the terminal.
 
 mod faults;
-mod home;
 mod network;
 mod operator;
 mod robots;
 mod scheduler;
+mod transfer;
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -23,7 +23,7 @@ use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
 use crate::drive::{at_once, drive};
 use crate::dry_run::BEGIN;
-use crate::mission::{Event, Mission, MissionOptions, Participant, PlanHome, Record};
+use crate::mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
 use crate::session::Session;
 
 /// A mission that lasts longer hangs.
@@ -153,13 +153,14 @@ fn options(drawn: &Drawn) -> MissionOptions {
         patience: PATIENCE,
         session: session().map(Session::named),
         join: drawn.join,
-        home: goes_home_together(drawn.seed).then(|| Arc::new(home::Planner::of(drawn)) as Arc<dyn PlanHome>),
+        transfer: plans_transfers(drawn.seed)
+            .then(|| Arc::new(transfer::Planner::of(drawn)) as Arc<dyn PlanTransfer>),
         ..MissionOptions::default()
     }
 }
 
-/// Whether the mission can plan the way home. Otherwise each robot goes there on its own.
-const fn goes_home_together(seed: u64) -> bool {
+/// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
+const fn plans_transfers(seed: u64) -> bool {
     !seed.is_multiple_of(4)
 }
 

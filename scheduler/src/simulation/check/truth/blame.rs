@@ -1,5 +1,6 @@
 //! Who is said to have failed, and why: no robot is blamed for what it and its link had no part in.
 
+use downbeat_robot::set_log::{LogEntry, MotionKind};
 use downbeat_scripts::{RefillKind, refills_of_robots};
 use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
@@ -7,6 +8,7 @@ use super::Said;
 use crate::mission::{FailureKind, Progress};
 use crate::simulation::check::movements::jumps_of;
 use crate::simulation::draw::BEGINS_AT;
+use crate::simulation::trajectory::JUMP;
 use crate::simulation::{Happened, Network};
 
 impl Said<'_> {
@@ -44,7 +46,9 @@ impl Said<'_> {
             let measured =
                 matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
-            if self.had_no_time(robot, &failure.kind) || self.would_jump(robot, &failure.kind) {
+            let jumps =
+                self.would_jump(robot, &failure.kind) || self.was_left_elsewhere(robot, &failure.kind);
+            if jumps || self.had_no_time(robot, &failure.kind) {
                 continue;
             }
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
@@ -64,6 +68,16 @@ impl Said<'_> {
         *reading == BEGINS_AT && (0..acts).any(jumps)
     }
 
+    /// Whether the robot was stopped while a device was at this position, or slowed down.
+    fn was_left_elsewhere(&self, robot: usize, kind: &FailureKind) -> bool {
+        let FailureKind::Position { device, reading, expected } = kind else { return false };
+        let mut log = self.facts.ran.logs[robot].iter().filter(|entry| entry.device == *device);
+        let was_there =
+            |entry: &LogEntry| entry.motion == MotionKind::Slow || (entry.value - reading).abs() <= JUMP;
+        let was_there = *reading == BEGINS_AT || log.any(was_there);
+        (reading - expected).abs() > JUMP && was_there && !self.facts.stopping.is_empty()
+    }
+
     /// A script came late for which its device has room for a shorter time than an exchange may take on this link: the few of the
     /// greeting did not show that.
     fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {
@@ -77,7 +91,7 @@ impl Said<'_> {
             let described = drawn.block.device(device.as_str()).filter(|_| *id == drawn.block.id);
             described.map(|device| device.script_queue)
         };
-        let refills = refills_of_robots(&self.facts.drawn().choreography, queue, Span::ZERO);
+        let refills = refills_of_robots(self.facts.choreography(), queue, Span::ZERO);
         refills.iter().any(|refill| {
             refill.kind == RefillKind::Later && refill.device == *device && refill.time < longest
         })

@@ -45,7 +45,7 @@ impl Said<'_> {
             wrong.push(format!("done, and r{robot} set {set} of {written} steps of {name}"));
         }
         let Some(first) = script.log.first() else { return };
-        let tolerance = self.facts.choreography.acts[act.promise.act].plan.start_tolerance;
+        let tolerance = act.written.plan.start_tolerance;
         let error = error_by_its_clock(act, script, first);
         if error.abs() > tolerance {
             wrong.push(format!("done, and r{robot} started {name} {error} from its plan"));
@@ -170,7 +170,7 @@ impl Said<'_> {
             };
             row.is_none_or(|row| row.standing == "in") && self.facts.index_of(robot).is_some_and(there)
         };
-        !self.facts.choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
+        !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
 
     /// Not all robots of an act had been left out when it ended: at one instant the order of the records tells.

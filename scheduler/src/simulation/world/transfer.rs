@@ -1,11 +1,12 @@
-//! Plans the way home of a simulated mission: each device moves linearly to its default position.
+//! Plans acts after the stops of a simulated mission: each device moves linearly to its destination.
 
 use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, Positions, RobotPlan};
 use urrcp::{
-    ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Setpoint, Span, Step, StopCondition,
+    ControlType, DeviceId, InitializationBlock, Interpolation, Millis, RobotId, Script, Setpoint, Span, Step,
+    StopCondition,
 };
 
-use crate::mission::PlanHome;
+use crate::mission::{Destination, PlanTransfer};
 use crate::simulation::Drawn;
 
 const TAKES: Span = Span::from_millis(400);
@@ -21,10 +22,18 @@ impl Planner {
     fn script(
         &self,
         (robot, device, from): (&RobotId, &DeviceId, f64),
+        next: Option<&Act>,
         stop_condition: StopCondition,
     ) -> Option<DeviceScript> {
         let device = self.0.iter().find(|block| block.id == *robot)?.device(device.as_str())?;
-        let to = device.default_value?;
+        let to = match next {
+            None => device.default_value?,
+            Some(act) => {
+                let planned = act.plan.robots.iter().find(|planned| planned.robot == *robot)?;
+                let (_, first) = planned.first_positions().find(|(id, _)| **id == device.id)?;
+                Some(first).filter(|_| device.interpolation == Interpolation::Linear)?
+            }
+        };
         let from = device.available_control_types.limits(ControlType::Position)?.nearest_settable(from);
         let step = |offset, value| Step {
             offset: Millis::from_span(offset),
@@ -39,18 +48,23 @@ impl Planner {
     }
 }
 
-impl PlanHome for Planner {
+impl PlanTransfer for Planner {
     fn plan(
         &self,
         choreography: &Choreography,
+        to: Destination,
         like: usize,
         from: &Positions,
     ) -> Result<Option<Act>, String> {
         let like = &choreography.acts[like];
+        let (name, next) = match to {
+            Destination::Home => ("home", None),
+            Destination::Act(act) => ("approach", choreography.acts.get(act)),
+        };
         let stop_condition = like.plan.stop_condition;
         let robots = from.iter().map(|(robot, devices)| {
             let script =
-                |(device, from): (&DeviceId, &f64)| self.script((robot, device, *from), stop_condition);
+                |(device, from): (&DeviceId, &f64)| self.script((robot, device, *from), next, stop_condition);
             RobotPlan { robot: robot.clone(), scripts: devices.iter().filter_map(script).collect() }
         });
         let robots: Vec<_> = robots.filter(|robot| !robot.scripts.is_empty()).collect();
@@ -58,8 +72,8 @@ impl PlanHome for Planner {
             return Ok(None);
         }
         let plan = Plan { lead: None, robots, ..like.plan.clone() };
-        let mut home = Choreography::of_plan(plan).acts.remove(0);
-        home.name = "home".to_owned();
-        Ok(Some(home))
+        let mut act = Choreography::of_plan(plan).acts.remove(0);
+        act.name = name.to_owned();
+        Ok(Some(act))
     }
 }

@@ -8,7 +8,7 @@ use super::course::{broken, fates};
 use super::played::Played;
 use super::*;
 use crate::mission::bench::ms;
-use crate::mission::home::{HomeReport, PlanHome};
+use crate::mission::transfer::{Destination, PlanTransfer, TransferReport};
 
 /// Plans an act of 400 ms for the robots that take part, and keeps the positions from which it starts.
 #[derive(Debug)]
@@ -19,10 +19,11 @@ struct Planner {
     from: Mutex<Vec<Positions>>,
 }
 
-impl PlanHome for Planner {
+impl PlanTransfer for Planner {
     fn plan(
         &self,
         _: &Choreography,
+        _: Destination,
         _: usize,
         from: &Positions,
     ) -> Result<Option<downbeat_scripts::Act>, String> {
@@ -43,8 +44,8 @@ fn plays(answer: Result<bool, &'static str>, on_failure: OnFailure) -> (Played, 
     choreography.acts[0].on_failure = FailurePolicy { default: on_failure, ..FailurePolicy::default() };
     let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
     let participants = ["r0", "r1"].map(participant).to_vec();
-    let home: Option<Arc<dyn PlanHome>> = Some(planner.clone());
-    let options = MissionOptions { greeting: Greeting::Skip, home, ..MissionOptions::default() };
+    let transfer: Option<Arc<dyn PlanTransfer>> = Some(planner.clone());
+    let options = MissionOptions { greeting: Greeting::Skip, transfer, ..MissionOptions::default() };
     let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
     let mut played = Played::begun(mission);
     played.positions = [("a".parse().unwrap(), 45.0)].into();
@@ -77,7 +78,7 @@ fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_po
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(homes_sent(&played), 0, "no robot goes home on its own");
     assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
-    let planned = HomeReport::Planned { act: "home".to_owned(), without: Vec::new() };
+    let planned = TransferReport::Planned { act: "home".to_owned(), without: Vec::new() };
     assert_eq!(played.mission.home(), Some(&planned));
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
     let from = planner.from.lock().unwrap();
@@ -91,7 +92,7 @@ fn a_robot_that_has_nothing_to_move_has_confirmed_its_stop() {
     *planner.skips.lock().unwrap() = Some("r1");
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
-    let planned = HomeReport::Planned { act: "home".to_owned(), without: Vec::new() };
+    let planned = TransferReport::Planned { act: "home".to_owned(), without: Vec::new() };
     assert_eq!(played.mission.home(), Some(&planned));
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::InPlace)]);
 }
@@ -117,7 +118,7 @@ fn without_a_plan_the_robots_stay_where_they_are_and_the_reason_is_reported() {
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     let reason = "a and b collide".to_owned();
-    assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason: reason.clone() }));
+    assert_eq!(played.mission.home(), Some(&TransferReport::NotPlanned { reason: reason.clone() }));
     assert!(
         played.told.iter().any(|told| matches!(told, Progress::NotHome { reason: told } if *told == reason))
     );
@@ -129,7 +130,7 @@ fn devices_at_their_default_positions_are_home() {
     let (mut played, _) = plays(Ok(false), OnFailure::Stop);
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
-    assert_eq!(played.mission.home(), Some(&HomeReport::NothingToMove));
+    assert_eq!(played.mission.home(), Some(&TransferReport::NothingToMove));
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
 }
 
@@ -145,7 +146,7 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     assert!(planner.from.lock().unwrap().is_empty());
     let reason = "`r0` has failed or does not state its positions".to_owned();
-    assert_eq!(played.mission.home(), Some(&HomeReport::NotPlanned { reason }));
+    assert_eq!(played.mission.home(), Some(&TransferReport::NotPlanned { reason }));
 }
 
 #[test]
@@ -156,7 +157,7 @@ fn a_robot_that_is_gone_does_not_keep_the_others_from_home() {
     played.happens(Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() });
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     let without = vec![RobotId::new("r1").unwrap()];
-    assert_eq!(played.mission.home(), Some(&HomeReport::Planned { act: "home".to_owned(), without }));
+    assert_eq!(played.mission.home(), Some(&TransferReport::Planned { act: "home".to_owned(), without }));
     assert_eq!(rests(&played), [Some(Rest::Home), None]);
 }
 
@@ -167,7 +168,7 @@ fn without_a_journal_the_robots_stay_where_they_are() {
     played.happens(Event::JournalLost { reason: "full".to_owned() });
     played.run_to_the_end();
     assert!(planner.from.lock().unwrap().is_empty());
-    assert!(matches!(played.mission.home(), Some(HomeReport::NotPlanned { .. })));
+    assert!(matches!(played.mission.home(), Some(TransferReport::NotPlanned { .. })));
     assert_eq!(rests(&played), [Some(Rest::InPlace), Some(Rest::InPlace)]);
 }
 
@@ -217,7 +218,7 @@ fn after_a_failure_the_others_go_home_and_the_robot_that_failed_stays() {
     played.carry_out(actions);
     assert_eq!(played.run_to_the_end(), Outcome::Failed);
     let without = vec![RobotId::new("r1").unwrap()];
-    assert_eq!(played.mission.home(), Some(&HomeReport::Planned { act: "home".to_owned(), without }));
+    assert_eq!(played.mission.home(), Some(&TransferReport::Planned { act: "home".to_owned(), without }));
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::InPlace)]);
 }
 
@@ -232,26 +233,61 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
     played.run_until(played.now + ms(60_000));
     assert!(planner.from.lock().unwrap().is_empty());
     assert!(
-        matches!(played.mission.home(), Some(HomeReport::NotPlanned { .. })),
+        matches!(played.mission.home(), Some(TransferReport::NotPlanned { .. })),
         "{:?}",
         played.mission.home()
     );
 }
 
+/// Fails while it plays, so that robots come to rest so and another act follows.
+fn fails_towards_another_act(played: &mut Played, rest: Rest) {
+    let then = Arc::make_mut(&mut played.mission.choreography);
+    let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
+    after.name = "after".to_owned();
+    then.acts.push(after);
+    played.mission.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
+    let failed = (Outcome::Failed, "broken".to_owned());
+    played.mission.abort_because(played.now, failed, rest, Some(1));
+    let actions = std::mem::take(&mut played.mission.actions);
+    played.carry_out(actions);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+}
+
 #[test]
-fn an_act_that_follows_a_failure_begins_once_the_robots_are_home() {
-    for (answer, fate) in [(Ok(true), ActFate::Played), (Err("a and b collide"), ActFate::NotReached)] {
-        let (mut played, _) = plays(answer, OnFailure::Home);
-        let then = Arc::make_mut(&mut played.mission.choreography);
-        let mut after = choreography(&[&[("a", 0, 400)]]).acts.remove(0);
-        after.name = "after".to_owned();
-        then.acts.push(after);
-        played.mission.fates.push(ActCourse { act: "after".to_owned(), ..ActCourse::default() });
-        let failed = (Outcome::Failed, "broken".to_owned());
-        played.mission.abort_because(played.now, failed, Rest::Home, Some(1));
-        let actions = std::mem::take(&mut played.mission.actions);
-        played.carry_out(actions);
-        assert_eq!(played.run_to_the_end(), Outcome::Failed);
-        assert_eq!(fates(&played)[1], fate);
+fn an_act_that_follows_a_failure_begins_once_the_robots_are_at_their_first_positions() {
+    for rest in [Rest::Home, Rest::InPlace] {
+        for (answer, fate) in [(Ok(true), ActFate::Played), (Err("a and b collide"), ActFate::NotReached)] {
+            let (mut played, planner) = plays(answer, OnFailure::Stop);
+            fails_towards_another_act(&mut played, rest);
+            assert_eq!(fates(&played)[1], fate);
+            let from = planner.from.lock().unwrap();
+            let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
+            assert_eq!(stated, [&45.0, &45.0]);
+            let mission = &played.mission;
+            let report = if rest == Rest::Home { mission.home() } else { mission.approach() };
+            assert_eq!(matches!(report, Some(TransferReport::Planned { .. })), answer.is_ok(), "{report:?}");
+            let refused =
+                |told: &&Progress| matches!(told, Progress::NotApproached { act, .. } if act == "after");
+            let refused = played.told.iter().filter(refused).count();
+            assert_eq!(refused, usize::from(rest == Rest::InPlace && answer.is_err()));
+        }
+    }
+}
+
+#[test]
+fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_act_after_a_failure() {
+    for (rests_at, plays_it) in [(0.0, false), (45.0, true)] {
+        let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+        played.mission.options.transfer = None;
+        for robot in &mut played.mission.robots {
+            let devices = robot.block.iter_mut().flat_map(|block| block.devices.iter_mut());
+            devices.for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+        }
+        played.positions = [("a".parse().unwrap(), rests_at)].into();
+        fails_towards_another_act(&mut played, Rest::InPlace);
+        assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "from {rests_at}");
+        let jumps = |told: &Progress| matches!(told, Progress::Failed(failure) if matches!(failure.kind, FailureKind::Position { .. }));
+        let jumped = played.told.iter().any(jumps);
+        assert_eq!(jumped, !plays_it, "from {rests_at}");
     }
 }

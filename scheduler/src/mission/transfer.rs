@@ -1,0 +1,387 @@
+//! Acts that are planned after a stop. Once all robots rest, such an act moves their devices to their default positions, or to the
+//! first positions of the act that follows a failure. The mission plans it from the positions that the robots state, and prepares,
+//! commits and watches it like any other act.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt;
+use std::sync::Arc;
+
+use downbeat_scripts::{Act as Written, Choreography, Positions, RobotPlan, Way};
+use serde::Serialize;
+use urrcp::{DeviceId, RobotId, Server, Timestamp};
+
+use super::act::Act;
+use super::fates::ActCourse;
+use super::robot_state::{Rest, RobotState, Standing, Stop};
+use super::script::Script;
+use super::{Mission, Outcome, Progress};
+
+/// The destination of an act that is planned after a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// The default positions of devices.
+    Home,
+    /// The first positions of the act with this index.
+    Act(usize),
+}
+
+/// Plans acts after a stop. A scheduler that has the fleet file uses the compiler for this.
+pub trait PlanTransfer: fmt::Debug + Send + Sync {
+    /// Plans an act that moves devices from these positions to their destination. Leases and tolerances are those of the act
+    /// `like`. Returns `None` if nothing has to move.
+    ///
+    /// # Errors
+    /// If there is no such act, the reason, for people.
+    fn plan(
+        &self,
+        choreography: &Choreography,
+        to: Destination,
+        like: usize,
+        from: &Positions,
+    ) -> Result<Option<Written>, String>;
+}
+
+/// The outcome of a transfer after a stop.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TransferReport {
+    /// An act was planned. `course` and `acts` contain it.
+    Planned {
+        /// The name of the act.
+        act: String,
+        /// Robots that stayed where they came to rest, because they have failed or do not state their positions.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        without: Vec<RobotId>,
+    },
+    /// All devices were there already.
+    NothingToMove,
+    /// All robots stayed where they came to rest.
+    NotPlanned {
+        /// The reason, for people.
+        reason: String,
+    },
+}
+
+/// The state of the transfer.
+#[derive(Debug, Default)]
+pub(super) struct Transfer {
+    stage: Stage,
+    /// The positions that each robot stated last, by its index in the mission.
+    poses: HashMap<usize, Pose>,
+    /// Indices of the robots that have done all their steps on the way home.
+    there: Vec<usize>,
+    pub(super) home: Option<TransferReport>,
+    pub(super) approach: Option<TransferReport>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Stage {
+    #[default]
+    Unwanted,
+    /// Robots come to rest first. The act takes its settings from the act with the index `like`.
+    Wanted { to: Destination, like: usize },
+    /// The way home is the act with this index.
+    GoingHome { act: usize },
+}
+
+/// The positions that a robot stated last.
+#[derive(Debug, Default)]
+struct Pose {
+    stated: Option<BTreeMap<DeviceId, f64>>,
+    /// Whether it stated the same positions twice.
+    rests: bool,
+}
+
+impl Transfer {
+    fn note(&mut self, to: Destination, report: TransferReport) {
+        match to {
+            Destination::Home => self.home = Some(report),
+            Destination::Act(_) => self.approach = Some(report),
+        }
+    }
+}
+
+impl Mission {
+    /// Returns how robots are stopped first. If the mission can plan the way home, they come to rest where they are.
+    pub(super) fn rest_first(&mut self, rest: Rest) -> Rest {
+        let plans = self.options.transfer.is_some();
+        let like = self.acts.first().map_or(self.options.first_act, Act::index);
+        self.transfer.poses.clear();
+        self.transfer.stage = match rest {
+            Rest::Home if plans => Stage::Wanted { to: Destination::Home, like },
+            Rest::Home | Rest::InPlace => Stage::Unwanted,
+        };
+        if plans { Rest::InPlace } else { rest }
+    }
+
+    /// After the robots have come to rest anywhere, this act follows.
+    pub(super) fn approaches(&mut self, act: usize) {
+        if self.transfer.stage == Stage::Unwanted && self.options.transfer.is_some() {
+            self.transfer.stage = Stage::Wanted { to: Destination::Act(act), like: act };
+        }
+    }
+
+    /// Nothing more may be promised, so the robots stay where they are.
+    pub(super) fn stays(&mut self) {
+        if self.wants_home() {
+            let reason = "the journal can no longer be written".to_owned();
+            self.not_planned(Destination::Home, reason);
+        }
+        self.transfer.stage = Stage::Unwanted;
+    }
+
+    fn not_planned(&mut self, to: Destination, reason: String) {
+        self.tell(match to {
+            Destination::Home => Progress::NotHome { reason: reason.clone() },
+            Destination::Act(act) => {
+                let act = self.choreography.acts[act].called().to_owned();
+                Progress::NotApproached { act, reason: reason.clone() }
+            }
+        });
+        self.transfer.note(to, TransferReport::NotPlanned { reason });
+    }
+
+    pub(super) const fn is_on_its_way_home(&self) -> bool {
+        matches!(self.transfer.stage, Stage::GoingHome { .. })
+    }
+
+    pub(super) const fn wants_home(&self) -> bool {
+        matches!(self.transfer.stage, Stage::Wanted { to: Destination::Home, .. })
+    }
+
+    /// Adds to the reason of a stop that the way home follows.
+    pub(super) fn with_home(&self, reason: String) -> String {
+        if self.wants_home() { format!("{reason}; then home") } else { reason }
+    }
+
+    /// Whether a robot at rest states its positions for the transfer.
+    fn takes_part(&self, robot: usize) -> bool {
+        let Stage::Wanted { to, .. } = self.transfer.stage else { return false };
+        let state = &self.robots[robot];
+        let can = state.standing == Standing::In && state.takes_inquiries();
+        let devices = !state.touched.is_empty() || !self.first_devices(to, robot).is_empty();
+        can && state.is_up() && state.is_settled() && devices
+    }
+
+    /// The devices of a robot for which the act at the destination has first positions.
+    fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+        let Destination::Act(act) = to else { return BTreeSet::new() };
+        let id = &self.robots[robot].id;
+        let planned = self.choreography.acts[act].plan.robots.iter().find(|planned| planned.robot == *id);
+        let firsts = planned.into_iter().flat_map(RobotPlan::first_positions);
+        firsts.map(|(device, _)| device.clone()).collect()
+    }
+
+    /// The devices of a robot that rest away from positions that an act knows, once the transfer has ended.
+    fn left_adrift(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+        let state = &self.robots[robot];
+        if !self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests) {
+            return &state.touched | &self.first_devices(to, robot);
+        }
+        match to {
+            Destination::Act(_) => &state.touched - &self.first_devices(to, robot),
+            Destination::Home => state.devices_without_home(),
+        }
+    }
+
+    /// Asks robots at rest for the positions of their devices. Returns whether all of them have stated positions that no longer
+    /// change: a device slows down for some time after its robot has confirmed the stop.
+    pub(super) fn poses_are_known(&mut self, now: Timestamp<Server>) -> bool {
+        let mut known = true;
+        for robot in 0..self.robots.len() {
+            match self.transfer.poses.get(&robot) {
+                _ if !self.takes_part(robot) => {}
+                Some(pose) => known &= pose.rests,
+                None => {
+                    known = false;
+                    self.transfer.poses.insert(robot, Pose::default());
+                    self.ask_pose(now, robot);
+                }
+            }
+        }
+        known
+    }
+
+    /// Asks robots again if their positions are unknown or still change.
+    pub(super) fn ask_poses_again(&mut self, now: Timestamp<Server>) {
+        let moving = |(robot, pose): (&usize, &Pose)| (!pose.rests).then_some(*robot);
+        let moving: Vec<_> = self.transfer.poses.iter().filter_map(moving).collect();
+        for robot in moving {
+            if self.takes_part(robot) {
+                self.ask_pose(now, robot);
+            }
+        }
+    }
+
+    fn ask_pose(&mut self, now: Timestamp<Server>, robot: usize) {
+        let Stage::Wanted { to, .. } = self.transfer.stage else { return };
+        // Bodies evade devices that stay, too.
+        let devices = &self.robots[robot].touched | &self.first_devices(to, robot);
+        self.robots[robot].forget_positions();
+        self.ask_positions_of(now, robot, &Vec::from_iter(devices));
+    }
+
+    /// Handles an answer of a robot. Its positions count once it has stated all of them.
+    pub(super) fn pose_stated(&mut self, robot: usize) {
+        let state = &self.robots[robot];
+        let Some(pose) = self.transfer.poses.get_mut(&robot).filter(|_| state.positions_owed == 0) else {
+            return;
+        };
+        pose.rests = pose.stated.as_ref() == Some(&state.commanded);
+        pose.stated = Some(state.commanded.clone());
+    }
+
+    /// Begins the transfer at the end of a stop. Returns whether the mission continues with it.
+    pub(super) fn begins_transfer(&mut self, now: Timestamp<Server>, rests: bool) -> bool {
+        let stage = std::mem::take(&mut self.transfer.stage);
+        let Stage::Wanted { to, like } = stage else {
+            self.robots.iter_mut().for_each(RobotState::is_left_adrift);
+            return false;
+        };
+        if to != Destination::Home && !rests {
+            // No act follows.
+            return false;
+        }
+        let planned = self.plan_transfer(now, to, like);
+        for robot in 0..self.robots.len() {
+            self.robots[robot].adrift = self.left_adrift(to, robot);
+        }
+        match planned {
+            Err(reason) => {
+                // The next act expects devices where the transfer would have moved them.
+                self.then = None;
+                self.not_planned(to, reason);
+                false
+            }
+            Ok(None) => {
+                self.transfer.note(to, TransferReport::NothingToMove);
+                if to == Destination::Home {
+                    self.transfer.there = self.transfer.poses.keys().copied().collect();
+                    if self.then.is_none() {
+                        self.arrive_home();
+                    }
+                }
+                false
+            }
+            Ok(Some(act)) => {
+                self.play_transfer(now, to, act);
+                true
+            }
+        }
+    }
+
+    fn plan_transfer(
+        &self,
+        now: Timestamp<Server>,
+        to: Destination,
+        like: usize,
+    ) -> Result<Option<Written>, String> {
+        let Some(planner) = &self.options.transfer else { return Ok(None) };
+        let moves = |robot: &&RobotState| robot.may_move_at(now);
+        if let Some(moving) = self.robots.iter().find(moves) {
+            return Err(format!("`{}` has not confirmed its stop and may still move", moving.id));
+        }
+        let mut from = Positions::new();
+        let states = self.transfer.poses.iter().map(|(robot, pose)| (&self.robots[*robot], pose));
+        for (state, pose) in states.filter(|(state, _)| state.standing == Standing::In) {
+            match pose.stated.as_ref().filter(|_| pose.rests) {
+                Some(stated) => _ = from.insert(state.id.clone(), stated.clone()),
+                None if state.is_up() && state.is_settled() => {
+                    return Err(format!("`{}` has not stated where its devices came to rest", state.id));
+                }
+                None => {}
+            }
+        }
+        let stays = self.robots.iter().find(|robot| !robot.touched.is_empty());
+        if let Some(stays) = stays.filter(|_| from.is_empty() && to == Destination::Home) {
+            return Err(format!("`{}` has failed or does not state its positions", stays.id));
+        }
+        planner.plan(&self.choreography, to, like, &from)
+    }
+
+    fn play_transfer(&mut self, now: Timestamp<Server>, to: Destination, mut act: Written) {
+        let index = self.choreography.acts.len();
+        act.next = self.then.take().map_or(Way::End, Way::Act);
+        let states = |robot: usize| self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests);
+        let has_part = |robot: usize| match to {
+            Destination::Home => !self.robots[robot].touched.is_empty(),
+            Destination::Act(_) => !self.first_devices(to, robot).is_empty(),
+        };
+        let stay = (0..self.robots.len()).filter(|robot| has_part(*robot) && !states(*robot));
+        let without = stay.map(|robot| self.robots[robot].id.clone()).collect();
+        // If no act follows, the confirmed stop of a robot that has nothing to move remains valid.
+        let goes = |robot: &RobotState| act.plan.robots.iter().any(|planned| planned.robot == robot.id);
+        let rests = |robot: &RobotState| matches!(robot.stop, Stop::Confirmed(_)) && !goes(robot);
+        let ends = act.next == Way::End;
+        let rest: Vec<_> =
+            (0..self.robots.len()).filter(|robot| ends && rests(&self.robots[*robot])).collect();
+        let name = act.name.clone();
+        self.transfer.note(to, TransferReport::Planned { act: name.clone(), without });
+        self.fates.push(ActCourse { act: name.clone(), ..ActCourse::default() });
+        Arc::make_mut(&mut self.choreography).acts.push(act);
+        let choreography = Arc::clone(&self.choreography);
+        let told = match to {
+            Destination::Home => {
+                self.transfer.stage = Stage::GoingHome { act: index };
+                Progress::GoingHome { act: name, choreography }
+            }
+            Destination::Act(to) => {
+                let to = choreography.acts[to].called().to_owned();
+                Progress::Approaching { act: name, to, choreography }
+            }
+        };
+        self.tell(told);
+        self.continue_after_stop();
+        for robot in rest {
+            self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
+        }
+        self.line_up_act(now, index);
+        self.goes_on(now);
+    }
+
+    /// The mission continues after a stop. It can no longer end as done.
+    pub(super) fn continue_after_stop(&mut self) {
+        let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
+        self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
+        self.perform_again();
+    }
+
+    /// If this act was the way home, notes the robots that have done all their steps.
+    pub(super) fn note_arrivals(&mut self, act: &Act) {
+        if self.transfer.stage == (Stage::GoingHome { act: act.index() }) {
+            let arrived = act.members().iter().filter(|member| {
+                let mut scripts = member.scripts().iter();
+                scripts.len() > 0 && scripts.all(Script::has_completed)
+            });
+            self.transfer.there = arrived.map(|member| member.robot).collect();
+            self.transfer.stage = Stage::Unwanted;
+        }
+    }
+
+    /// If the mission ends with the way home, the robots that have done all their steps are in their default state.
+    pub(super) fn arrive_home(&mut self) {
+        for robot in std::mem::take(&mut self.transfer.there) {
+            let state = &mut self.robots[robot];
+            if matches!(state.stop, Stop::None | Stop::Confirmed(_)) {
+                (state.stop, state.rest_reported) = (Stop::Confirmed(Rest::Home), true);
+            }
+        }
+    }
+}
+
+impl RobotState {
+    /// Each robot was stopped on its own.
+    fn is_left_adrift(&mut self) {
+        self.adrift = match self.stop {
+            Stop::Confirmed(Rest::Home) => self.devices_without_home(),
+            Stop::Confirmed(Rest::InPlace) | Stop::Sent(_) | Stop::None => self.touched.clone(),
+        };
+    }
+
+    /// The devices that the mission has moved and that have no default position.
+    fn devices_without_home(&self) -> BTreeSet<DeviceId> {
+        let described = |device: &DeviceId| self.block.as_ref()?.device(device.as_str());
+        let has_home = |device: &DeviceId| described(device)?.default_value;
+        self.touched.iter().filter(|device| has_home(device).is_none()).cloned().collect()
+    }
+}
