@@ -81,11 +81,14 @@ pub struct FailurePolicy {
 }
 
 impl FailurePolicy {
+    /// The policies of all robots.
+    pub fn policies(&self) -> impl Iterator<Item = OnFailure> {
+        std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
+    }
+
     /// Whether all robots go to their default state, whichever of them fails.
     pub(crate) fn sends_home(&self) -> bool {
-        std::iter::once(&self.default)
-            .chain(self.robots.iter().map(|(_, rule)| rule))
-            .all(|rule| *rule == OnFailure::Home)
+        self.policies().all(|rule| rule == OnFailure::Home)
     }
 }
 

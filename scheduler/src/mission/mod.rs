@@ -65,7 +65,7 @@ pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use motion::{MotionReport, MotionSpread};
 pub use options::{FixedStart, FixedStarts, Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;
-pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
+pub use preflight::{AfterFailure, Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use downbeat_scripts::counted;
+use downbeat_scripts::{Choreography, OnFailure, counted};
 use serde::Serialize;
 use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
@@ -130,6 +130,39 @@ pub struct Preflight {
     /// How far apart the motions of the first act may begin, by what is known so far.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skew: Option<SkewBudget>,
+    /// The movements that failures may cause. A failure in any other act only stops robots where they are.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub after_failures: Vec<AfterFailure>,
+}
+
+/// The movements that a failure in some acts may cause.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AfterFailure {
+    /// The names of the acts.
+    pub acts: Vec<String>,
+    /// Whether robots move to their default positions.
+    pub home: bool,
+    /// The act that follows. Unless robots have moved home, they first move to its first positions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub then: Option<String>,
+}
+
+pub(super) fn after_failures(choreography: &Choreography) -> Vec<AfterFailure> {
+    let mut found: Vec<AfterFailure> = Vec::new();
+    for act in &choreography.acts {
+        let policy = &act.on_failure;
+        let home = policy.policies().any(|policy| policy == OnFailure::Home);
+        let then = policy.then.map(|then| choreography.acts[then].called().to_owned());
+        if !home && then.is_none() {
+            continue;
+        }
+        let name = act.called().to_owned();
+        match found.iter_mut().find(|known| known.home == home && known.then == then) {
+            Some(known) => known.acts.push(name),
+            None => found.push(AfterFailure { acts: vec![name], home, then }),
+        }
+    }
+    found
 }
 
 pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
@@ -142,7 +175,12 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         PreflightRow { robot, checks: checks.to_vec(), clock_offset, positions, readings }
     };
     let rows = (0..mission.robots.len()).map(row).collect();
-    Preflight { greeting: mission.options.greeting, rows, skew: mission.skew_of_first_act(now) }
+    Preflight {
+        greeting: mission.options.greeting,
+        rows,
+        skew: mission.skew_of_first_act(now),
+        after_failures: after_failures(&mission.choreography),
+    }
 }
 
 /// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.

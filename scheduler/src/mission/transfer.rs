@@ -43,6 +43,7 @@ pub trait PlanTransfer: fmt::Debug + Send + Sync {
 
 /// The outcome of a transfer after a stop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[serde(rename_all = "snake_case")]
 pub enum TransferReport {
     /// An act was planned. `course` and `acts` contain it.

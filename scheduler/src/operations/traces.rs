@@ -432,7 +432,8 @@ mod tests {
     }
 
     fn greeted() -> Progress {
-        let preflight = Preflight { greeting: Greeting::Full, rows: Vec::new(), skew: None };
+        let preflight =
+            Preflight { greeting: Greeting::Full, rows: Vec::new(), skew: None, after_failures: Vec::new() };
         Progress::Greeted { clock_offset_max: None, preflight }
     }
 

@@ -11,7 +11,7 @@ use super::{DeviceState, Outcome, SCHEMA, StopState};
 use crate::cli::InsideWhat;
 use crate::mission::robot_state::Standing;
 use crate::mission::{
-    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, Verdict,
+    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, TransferReport, Verdict,
 };
 use crate::requirements::Judgement;
 
@@ -32,6 +32,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
         (at("failure/properties/slow"), Slow::VARIANTS),
         (at("preflight/properties/greeting"), Greeting::VARIANTS),
         (at("course/properties/fate"), ActFate::VARIANTS),
+        (at("transfer"), TransferReport::VARIANTS),
         (at("judged/properties/result"), Judgement::VARIANTS),
         (format!("{CHECKS}/0"), Check::VARIANTS),
         (format!("{CHECKS}/1/properties/verdict"), Verdict::VARIANTS),

@@ -16,8 +16,8 @@ use super::{
 use crate::mission::TransferReport;
 use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
-    Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow, SkewBudget,
-    Verdict,
+    AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow,
+    SkewBudget, Verdict,
 };
 
 /// Removed by the printing end where that is no terminal.
@@ -220,11 +220,24 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
             say(&mut text, columns, &budget_text(skew));
         }
     }
+    for after in preflight.after_failures.iter().filter(|_| told) {
+        say(&mut text, columns, &after_failure_text(after));
+    }
     if preflight.greeting == Greeting::Skip {
         let asks = "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks";
         say(&mut text, columns, asks);
     }
     text
+}
+
+fn after_failure_text(after: &AfterFailure) -> String {
+    let acts: Vec<_> = after.acts.iter().map(|act| format!("`{act}`")).collect();
+    let positions = match after.home {
+        true => "their default positions",
+        false => "the first positions of the act that follows",
+    };
+    let then = after.then.as_ref().map(|then| format!(", and then play `{then}`")).unwrap_or_default();
+    format!("after a failure in {}, robots may move to {positions}{then}", acts.join(", "))
 }
 
 fn checks_table(preflight: &Preflight, checks: &[Check], columns: usize) -> String {

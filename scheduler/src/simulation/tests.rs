@@ -319,9 +319,14 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
 
 #[test]
 fn after_stops_missions_move_robots_together_or_report_why_they_stay() {
+    let schema = serde_json::from_str(crate::report::SCHEMA).unwrap();
+    let schema = jsonschema::validator_for(&schema).unwrap();
     let (mut arrived, mut on_the_way, mut stayed) = ([0; 2], [0; 2], [0; 2]);
     for seed in 0..2_000 {
         let Some(report) = run(seed).report else { continue };
+        if let Err(error) = schema.validate(&serde_json::to_value(&report).unwrap()) {
+            panic!("seed {seed}: {error} at {}", error.instance_path);
+        }
         for (to, transfer) in [&report.home, &report.approach].into_iter().enumerate() {
             match transfer {
                 Some(TransferReport::Planned { act, .. }) => {

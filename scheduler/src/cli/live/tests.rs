@@ -76,7 +76,8 @@ fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
         positions: std::collections::BTreeMap::new(),
         readings: Vec::new(),
     };
-    let preflight = Preflight { greeting: Greeting::Full, rows: vec![row], skew: None };
+    let preflight =
+        Preflight { greeting: Greeting::Full, rows: vec![row], skew: None, after_failures: Vec::new() };
     model.tell(at(10), &Progress::Greeted { clock_offset_max: None, preflight });
     let text = drawn(&model, 20, 100, 20);
     check(&text, &["ready", "+1.25 ms"]);

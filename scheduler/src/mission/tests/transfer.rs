@@ -291,3 +291,23 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
         assert_eq!(jumped, !plays_it, "from {rests_at}");
     }
 }
+
+#[test]
+fn movements_that_failures_may_cause_are_announced_before_a_mission() {
+    let mut show = choreography(&[&[("a", 0, 400)]]);
+    for name in ["second", "third", "bow"] {
+        let mut act = show.acts[0].clone();
+        act.name = name.to_owned();
+        show.acts.push(act);
+    }
+    show.acts[0].name = "first".to_owned();
+    for act in 0..2 {
+        show.acts[act].on_failure.then = Some(3);
+    }
+    show.acts[2].on_failure.robots = vec![(RobotId::new("r0").unwrap(), OnFailure::Home)];
+    let announced = crate::mission::preflight::after_failures(&show);
+    let announced: Vec<_> =
+        (announced.iter()).map(|after| (after.acts.join(" "), after.home, after.then.as_deref())).collect();
+    let expected = [("first second".to_owned(), false, Some("bow")), ("third".to_owned(), true, None)];
+    assert_eq!(announced, expected);
+}
