@@ -1,9 +1,9 @@
-//! Acts that move devices to the positions that another act expects: ahead of a choreography, and after a stop.
+//! Acts that move devices to the positions that other acts expect: ahead of a choreography, and after a stop.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
-use urrcp::{Interpolation, Span};
+use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
 use crate::finding::Finding;
 use crate::fleet::Fleet;
@@ -32,8 +32,8 @@ impl Approach {
 const NAME: &str = "approach";
 
 impl Choreography {
-    /// Adds an act ahead of `first` that moves devices to their first positions. Returns the choreography and the index of its
-    /// first act. The new act is compiled like any other: within the limits of the devices and, as far as bodies are known,
+    /// Adds an act ahead of `first` that moves devices to their first positions, in that act or in those that follow it. Returns the
+    /// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as far as bodies are known,
     /// without collisions. Lamps, and devices that are there already, are not moved. If no device has to move, no act is added.
     ///
     /// # Errors
@@ -45,7 +45,9 @@ impl Choreography {
         approach: &Approach,
     ) -> Result<(Self, usize), Vec<Finding>> {
         let Some(act) = self.acts.get(first) else { return Ok((self, first)) };
-        let ways = ways(act, fleet, &approach.from);
+        let uses = self.first_uses(first);
+        let firsts = uses.iter().filter_map(|first| self.first_position(*first));
+        let ways = self.ways_to(firsts, fleet, &approach.from);
         if ways.is_empty() {
             return Ok((self, first));
         }
@@ -74,35 +76,40 @@ impl Choreography {
     /// The errors in the act, for example a collision.
     pub fn approach(&self, to: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
         let Some(act) = self.acts.get(to) else { return Ok(None) };
-        let mut ahead = self.transfer(NAME, (to, ways(act, fleet, from)), fleet, from)?;
+        let firsts = act.plan.robots.iter().flat_map(|planned| {
+            planned.first_positions().map(|(device, position)| (&planned.robot, device, position))
+        });
+        let mut ahead = self.transfer(NAME, (to, self.ways_to(firsts, fleet, from)), fleet, from)?;
         if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
             ahead.wait = Wait::Operator;
         }
         Ok(ahead)
     }
-}
 
-fn ways<'a>(act: &'a Act, fleet: &Fleet, from: &Positions) -> Vec<DeviceWay<'a>> {
-    let mut ways: Vec<DeviceWay<'_>> = Vec::new();
-    let limited = act.devices.iter().filter(|used| used.speed_max.is_some());
-    let limited: HashSet<_> = limited.map(|used| (&used.robot, &used.device)).collect();
-    for planned in &act.plan.robots {
-        let Some(from) = from.get(&planned.robot) else { continue };
-        let listed = fleet.robots.iter().find(|robot| robot.id == planned.robot);
-        let robot = &planned.robot;
-        for (device, to) in planned.first_positions() {
-            let block = listed.and_then(|robot| robot.init.as_ref());
+    /// The movements to these positions. Lamps, and devices whose position is unknown, stay.
+    fn ways_to<'a>(
+        &'a self,
+        positions: impl Iterator<Item = (&'a RobotId, &'a DeviceId, f64)>,
+        fleet: &Fleet,
+        from: &Positions,
+    ) -> Vec<DeviceWay<'a>> {
+        let speeds = self.largest_speeds();
+        let listed: HashMap<_, _> = fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
+        let mut ways = Vec::new();
+        for (robot, device, to) in positions {
+            let block = listed.get(robot).and_then(|listed| listed.init.as_ref());
             let described = block.and_then(|block| block.device(device.as_str()));
-            let (Some(described), Some(&from)) = (described, from.get(device)) else { continue };
+            let from = from.get(robot).and_then(|devices| devices.get(device));
+            let (Some(described), Some(&from)) = (described, from) else { continue };
             let moves =
-                described.interpolation == Interpolation::Linear || limited.contains(&(robot, device));
+                described.interpolation == Interpolation::Linear || speeds.contains_key(&(robot, device));
             let from = settable(described, from);
             if moves && from != to {
                 ways.push(DeviceWay { robot, device, from, to });
             }
         }
+        ways
     }
-    ways
 }
 
 #[cfg(test)]
@@ -146,6 +153,26 @@ acts:
         let steps = script.script.steps();
         let ends = [steps[0].setpoint.value, steps[steps.len() - 1].setpoint.value];
         assert_eq!((ends, script.script.duration()), ([80.0, 0.0], Span::from_millis(5_000)));
+    }
+
+    #[test]
+    fn a_device_that_first_moves_in_a_later_act_is_moved_to_the_position_that_this_act_expects() {
+        let (mut show, fleet) = show();
+        let cue = &mut show.acts[1].plan.robots[0].scripts[0];
+        cue.device = "still".parse().unwrap();
+        let mut approach = approach(5, 0.0);
+        let devices = approach.from.values_mut().next().unwrap();
+        devices.insert("still".parse().unwrap(), 10.0);
+        let mut linear = fleet.clone();
+        let block = linear.robots[0].init.as_mut().unwrap();
+        block.devices.iter_mut().for_each(|device| device.interpolation = Interpolation::Linear);
+        let (show, _) = show.approached(0, &linear, &approach).unwrap();
+        let ends = |device: &str| {
+            let mut scripts = show.acts[0].plan.robots[0].scripts.iter();
+            let script = scripts.rfind(|script| script.device.as_str() == device).unwrap();
+            script.script.steps().last().unwrap().setpoint.value
+        };
+        assert_eq!((show.acts[0].name.as_str(), ends("still"), ends("lamp")), ("approach", 30.0, 50.0));
     }
 
     #[test]

@@ -83,7 +83,7 @@ impl Choreography {
     }
 
     /// The largest speeds of devices that the acts use.
-    fn largest_speeds(&self) -> HashMap<(&RobotId, &DeviceId), f64> {
+    pub(crate) fn largest_speeds(&self) -> HashMap<(&RobotId, &DeviceId), f64> {
         let used = self.acts.iter().flat_map(|act| &act.devices);
         used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
     }

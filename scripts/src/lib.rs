@@ -94,9 +94,9 @@ pub use init::{init_of, init_text, read_init};
 pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
-    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure,
-    Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
-    is_rate,
+    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor, OnDoubt,
+    OnFailure, Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share,
+    Wait, Way, is_rate,
 };
 pub use poses::Positions;
 pub use project::Project;

@@ -138,6 +138,52 @@ pub struct DeviceUse {
     pub is_unlimited: bool,
 }
 
+/// The first script of a device on the way through the acts, by indices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FirstUse {
+    /// Of the act.
+    pub act: usize,
+    /// Of the robot in the plan of the act.
+    pub robot: usize,
+    /// Of the script among those of the robot.
+    pub script: usize,
+}
+
+impl Choreography {
+    /// The first script of each device on the way from this act on, if each act follows the one before it as `next` says. Acts that
+    /// follow only a failure or a wait that has timed out are not on this way.
+    #[must_use]
+    pub fn first_uses(&self, first: usize) -> Vec<FirstUse> {
+        let mut uses = Vec::new();
+        let (mut known, mut visited) = (HashSet::new(), HashSet::new());
+        let mut next = Some(first);
+        while let Some(index) = next.filter(|index| visited.insert(*index)) {
+            let Some(act) = self.acts.get(index) else { break };
+            for (robot, planned) in act.plan.robots.iter().enumerate() {
+                for (script, written) in planned.scripts.iter().enumerate() {
+                    if known.insert((&planned.robot, &written.device)) {
+                        uses.push(FirstUse { act: index, robot, script });
+                    }
+                }
+            }
+            next = match act.next {
+                Way::Act(act) => Some(act),
+                Way::End | Way::Fail => None,
+            };
+        }
+        uses
+    }
+
+    /// The position that a first use expects; `None` of a device that is not driven by position.
+    pub(crate) fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
+        let planned = self.acts.get(first.act)?.plan.robots.get(first.robot)?;
+        let script = planned.scripts.get(first.script)?;
+        let setpoint = &script.script.steps().first()?.setpoint;
+        let is_position = setpoint.control_type == ControlType::Position;
+        is_position.then_some((&planned.robot, &script.device, setpoint.value))
+    }
+}
+
 impl RobotPlan {
     /// The first value of each device that is driven by position.
     pub fn first_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {

@@ -48,10 +48,10 @@ mod skew;
 mod stop;
 mod transfer;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, DeviceUse, Plan};
+use downbeat_scripts::{Choreography, FirstUse, Plan};
 use urrcp::{ControlError, DeviceId, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub use claim::Claim;
@@ -115,8 +115,8 @@ pub struct Mission {
     robots: Vec<RobotState>,
     /// The index of each robot of the first act, in the order of its plan.
     first_robots: Vec<Option<usize>>,
-    /// The largest speeds of devices that the first act drives. Devices without a limit are absent.
-    first_speeds: HashMap<(usize, DeviceId), f64>,
+    /// The first script of each device of a robot on the way from the first act on, and the largest speed of the device in it.
+    first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     phase: Phase,
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
@@ -212,17 +212,13 @@ impl Mission {
             participants.iter().enumerate().map(|(index, participant)| (&participant.id, index)).collect();
         let first = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.plan.robots);
         let first_robots = first.map(|planned| index_of.get(&planned.robot).copied()).collect();
-        let used = choreography.acts.get(options.first_act).into_iter().flat_map(|act| &act.devices);
-        let speed = |used: &DeviceUse| {
-            Some(((index_of.get(&used.robot).copied()?, used.device.clone()), used.speed_max?))
-        };
-        let first_speeds = used.filter_map(speed).collect();
+        let first_uses = poses::first_uses(&choreography, options.first_act, &index_of);
         Self {
             choreography,
             options,
             robots: participants.into_iter().map(RobotState::new).collect(),
             first_robots,
-            first_speeds,
+            first_uses,
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
             acts_begun: 0,

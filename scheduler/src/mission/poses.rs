@@ -1,12 +1,12 @@
-//! Start poses: the positions of devices before the first act that their robot plays, and the positions that the first steps
-//! of that act expect.
+//! Start poses: the positions of devices before the first act that moves them, and the positions that the first steps of that act
+//! expect.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
-use downbeat_scripts::{DeviceScript, DeviceUse, RobotPlan};
+use downbeat_scripts::{Choreography, DeviceScript, DeviceUse, FirstUse};
 use urrcp::{
-    ControlType, DeviceId, DeviceReport, InitializationBlock, Inquiry, Interpolation, Message, Server, Span,
-    Timestamp,
+    ControlType, DeviceId, DeviceReport, InitializationBlock, Inquiry, Interpolation, Message, RobotId,
+    Server, Span, Timestamp,
 };
 
 use super::act::Act;
@@ -60,9 +60,9 @@ impl RobotState {
 }
 
 impl Mission {
-    /// Asks for the positions of devices before the first act: the readings of their sensors, and the commanded positions.
+    /// Asks for the positions of devices before the mission: the readings of their sensors, and the commanded positions.
     pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
-        let mut devices = self.devices_of_first_act(robot);
+        let mut devices = self.used_devices(robot);
         let state = &self.robots[robot];
         let Some(block) = &state.block else { return };
         devices.retain(|id| {
@@ -85,7 +85,7 @@ impl Mission {
         if self.options.greeting == Greeting::Skip || !state.takes_inquiries() || state.is_of_another() {
             return;
         }
-        self.ask_positions_of(now, robot, &self.devices_of_first_act(robot));
+        self.ask_positions_of(now, robot, &self.used_devices(robot));
     }
 
     pub(super) fn ask_positions_of(&mut self, now: Timestamp<Server>, robot: usize, devices: &[DeviceId]) {
@@ -229,7 +229,7 @@ impl Mission {
     pub(super) fn unknown_positions(&self, index: usize) -> Vec<DeviceId> {
         let robot = &self.robots[index];
         let is_known = |device: &DeviceId| robot.known_positions().any(|(known, _)| known == device);
-        let devices = self.devices_of_first_act(index).into_iter();
+        let devices = self.used_devices(index).into_iter();
         devices.filter(|id| !is_known(id) && self.expected_position(index, id).is_some()).collect()
     }
 
@@ -246,18 +246,9 @@ impl Mission {
         positions
     }
 
-    /// The devices of a robot that the first act drives.
-    fn devices_of_first_act(&self, robot: usize) -> Vec<DeviceId> {
-        let scripts = self.first_plan(robot).into_iter().flat_map(|planned| &planned.scripts);
-        let mut devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
-        devices.dedup();
-        devices
-    }
-
-    /// The plan of a robot in the first act.
-    fn first_plan(&self, robot: usize) -> Option<&RobotPlan> {
-        let place = self.first_robots.iter().position(|index| *index == Some(robot))?;
-        self.choreography.acts[self.options.first_act].plan.robots.get(place)
+    /// The devices of a robot that acts on the way from the first one on drive.
+    fn used_devices(&self, robot: usize) -> Vec<DeviceId> {
+        self.first_uses[robot].keys().cloned().collect()
     }
 
     /// The position that the first step expects of a device that moves linearly or has a largest speed. `None` if the device may
@@ -266,8 +257,9 @@ impl Mission {
     /// The tolerance is twice the granularity or `max_error`, whichever is larger, plus the distance that the device can cover
     /// before its first step.
     pub(super) fn expected_position(&self, index: usize, device: &DeviceId) -> Option<Expected> {
-        let script = self.first_plan(index)?.scripts.iter().find(|script| script.device == *device)?;
-        self.expected_of(index, script, || self.first_speeds.get(&(index, device.clone())).copied())
+        let (first, speed) = self.first_uses.get(index)?.get(device)?;
+        let script = &self.choreography.acts[first.act].plan.robots[first.robot].scripts[first.script];
+        self.expected_of(index, script, || *speed)
     }
 
     /// The same for the first script of a device in an act, in which the device has this largest speed.
@@ -291,6 +283,29 @@ impl Mission {
         };
         Some(Expected { position: step.setpoint.value, within: error + way })
     }
+}
+
+/// The first uses of devices by each robot of a mission. `index_of` has the index of each robot.
+pub(super) fn first_uses(
+    choreography: &Choreography,
+    first_act: usize,
+    index_of: &HashMap<&RobotId, usize>,
+) -> Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>> {
+    let mut uses = vec![BTreeMap::new(); index_of.len()];
+    let mut speeds = HashMap::new();
+    for (act, written) in choreography.acts.iter().enumerate() {
+        for used in &written.devices {
+            speeds.insert((act, &used.robot, &used.device), used.speed_max);
+        }
+    }
+    for first in choreography.first_uses(first_act) {
+        let planned = &choreography.acts[first.act].plan.robots[first.robot];
+        let Some(robot) = index_of.get(&planned.robot) else { continue };
+        let device = &planned.scripts[first.script].device;
+        let speed = speeds.get(&(first.act, &planned.robot, device)).copied().flatten();
+        uses[*robot].insert(device.clone(), (first, speed));
+    }
+    uses
 }
 
 /// Devices with sensors whose readings are only shown.

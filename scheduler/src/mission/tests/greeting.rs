@@ -649,6 +649,30 @@ fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
 }
 
 #[test]
+fn a_device_that_first_moves_in_a_later_act_may_not_jump_either() {
+    let mut show = choreography(&[&[("a", 0, 400)]]);
+    let mut second = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
+    second.next = Way::Act(0);
+    show.acts.push(second);
+    for (next, misplaced) in [(Way::Act(1), 1), (Way::End, 0)] {
+        show.acts[0].next = next;
+        let block = robot("r0", Everything, 2).block.map(|mut block| {
+            block.devices.iter_mut().for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+            block
+        });
+        let participant = Participant::new(RobotId::new("r0").unwrap(), block);
+        let show = Arc::new(show.clone());
+        let mut mission = Mission::new(show, vec![participant], MissionOptions::default(), at(0)).unwrap();
+        let stated = [("a", 45.0), ("b", 10.0)];
+        let stated = stated.map(|(device, position)| (device.parse().unwrap(), position));
+        mission.robots[0].commanded = stated.into();
+        let found = mission.misplaced(0);
+        let is_b = |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
+        assert_eq!((found.len(), found.iter().all(is_b)), (misplaced, true), "{next:?}: {found:?}");
+    }
+}
+
+#[test]
 fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
     let mut played = waits_for_nobody(Greeting::Full);
     played.mission.robots[1].link = super::super::robot_state::Link::Connecting;

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::{FailurePolicy, OnFailure};
+use downbeat_scripts::{Choreography, DeviceScript, FirstUse, OnFailure};
 use urrcp::{DeviceId, Interpolation, Message, Server, Span, Timestamp};
 
 use super::Verdict;
@@ -16,29 +16,32 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// The devices that would have to jump at the start of an act if their robot has not moved before. Includes only devices that
-/// move linearly, are not behind an edge, and have a position that the robot states.
-pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: usize) -> Vec<DeviceId> {
+/// The devices that would have to jump to their first value if their robot has not moved before: in this act, or on the way through
+/// all acts. Includes only devices that move linearly, are not behind an edge, and have a position that the robot states.
+pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: Option<usize>) -> HashSet<DeviceId> {
     let (choreography, drawn) = (&facts.drawn().choreography, &facts.drawn().robots[robot]);
-    let act = choreography.acts.get(act).filter(|_| states_positions(drawn)).into_iter();
-    let planned = act.flat_map(|act| &act.plan.robots).filter(|planned| planned.robot == drawn.block.id);
-    let mut devices = Vec::new();
-    let mut jumping = Vec::new();
-    for script in planned.flat_map(|planned| &planned.scripts) {
-        if devices.contains(&script.device) {
-            continue;
+    let firsts: Vec<_> = match act {
+        Some(act) => {
+            let alone = Choreography::of_plan(choreography.acts[act].plan.clone());
+            let firsts = alone.first_uses(0).into_iter();
+            firsts.map(|first| FirstUse { act, ..first }).collect()
         }
-        devices.push(script.device.clone());
+        None => choreography.first_uses(0),
+    };
+    let scripts = firsts.into_iter().filter_map(|first| {
+        let planned = &choreography.acts[first.act].plan.robots[first.robot];
+        (planned.robot == drawn.block.id).then(|| &planned.scripts[first.script])
+    });
+    let jumps = |script: &&DeviceScript| {
         let device = drawn.block.device(script.device.as_str());
         let linear = device.is_some_and(|device| {
             device.interpolation == Interpolation::Linear && device.default_value.is_some()
         });
         let at_once = script.script.steps().first().filter(|step| step.offset.span() == Span::ZERO);
-        if linear && at_once.is_some_and(|step| (step.setpoint.value - BEGINS_AT).abs() > JUMP) {
-            jumping.push(script.device.clone());
-        }
-    }
-    jumping
+        linear && at_once.is_some_and(|step| (step.setpoint.value - BEGINS_AT).abs() > JUMP)
+    };
+    let jumping = scripts.filter(|_| states_positions(drawn)).filter(jumps);
+    jumping.map(|script| script.device.clone()).collect()
 }
 
 /// Index, in the choreography, of the first act in which a robot moved.
@@ -50,8 +53,7 @@ fn first_act_of(facts: &Facts<'_>, robot: usize) -> Option<usize> {
 /// Checks that no robot that states its positions jumps at the start of a mission or when it joins one.
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
-        let act = if facts.drawn().joins(robot) { first_act_of(facts, robot) } else { Some(0) };
-        let Some(act) = act else { continue };
+        let act = first_act_of(facts, robot).filter(|_| facts.drawn().joins(robot));
         let jumping = jumps_of(facts, robot, act);
         // If a robot is absent at first, its first process starts when it arrives.
         let comes_later = facts.drawn().robots[robot].there_from > Span::ZERO;
@@ -115,10 +117,8 @@ fn processes<'a>(facts: &'a Facts<'_>, robot: usize) -> Vec<&'a [LogEntry]> {
 /// Whether a policy of this mission, or its operator, sends robots to their default state.
 fn may_go_home(facts: &Facts<'_>) -> bool {
     let drawn = facts.drawn();
-    let sends_home = |policy: &FailurePolicy| {
-        policy.default == OnFailure::Home || policy.robots.iter().any(|(_, own)| *own == OnFailure::Home)
-    };
-    drawn.choreography.acts.iter().any(|act| sends_home(&act.on_failure))
+    let mut acts = drawn.choreography.acts.iter();
+    acts.any(|act| act.on_failure.policies().any(|policy| policy == OnFailure::Home))
         || drawn.faults.iter().any(|(_, fault)| matches!(fault, Fault::Home))
 }
 

@@ -1,7 +1,5 @@
 //! What is played: acts with chains of scripts, what they wait for, and what a failure does.
 
-use std::collections::HashSet;
-
 use downbeat_scripts::{
     Act, Choreography, DeviceScript, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedReading, Requirements,
     RobotPlan, SensorRange, Wait, Way,
@@ -52,25 +50,22 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
     Choreography { scenario: "soak".to_owned(), acts: acts.collect(), requirements: Requirements::default() }
 }
 
-/// Changes the first act so that devices that move linearly begin it at the initial position of simulated robots.
+/// Changes the first script of each device that moves linearly so that it begins at the initial position of simulated robots.
 pub(super) fn begin_where_devices_are(choreography: &mut Choreography, robots: &[DrawnRobot]) {
-    let Some(act) = choreography.acts.first_mut() else { return };
-    for planned in &mut act.plan.robots {
+    for first in choreography.first_uses(0) {
+        let planned = &mut choreography.acts[first.act].plan.robots[first.robot];
         let Some(robot) = robots.iter().find(|robot| robot.block.id == planned.robot) else { continue };
-        let mut known = HashSet::new();
-        for script in &mut planned.scripts {
-            let device = robot.block.device(script.device.as_str());
-            let linear = device.is_some_and(|device| device.interpolation == Interpolation::Linear);
-            if !known.insert(script.device.clone()) || !linear {
-                continue;
-            }
-            let mut steps = script.script.steps().to_vec();
-            if let Some(first) = steps.first_mut() {
-                first.setpoint.value = BEGINS_AT;
-            }
-            if let Ok(begins_there) = Script::new(steps) {
-                script.script = begins_there;
-            }
+        let script = &mut planned.scripts[first.script];
+        let device = robot.block.device(script.device.as_str());
+        if device.is_none_or(|device| device.interpolation != Interpolation::Linear) {
+            continue;
+        }
+        let mut steps = script.script.steps().to_vec();
+        if let Some(first) = steps.first_mut() {
+            first.setpoint.value = BEGINS_AT;
+        }
+        if let Ok(begins_there) = Script::new(steps) {
+            script.script = begins_there;
         }
     }
 }

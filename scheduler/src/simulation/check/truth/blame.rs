@@ -58,14 +58,14 @@ impl Said<'_> {
         }
     }
 
-    /// Whether the robot states its positions, and a device is not at its first position in the first act, or in another act at
-    /// which the robot may join.
+    /// Whether the robot states its positions, and a device is not at its first position, or at that in an act at which the robot may
+    /// join.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, .. } = kind else { return false };
         let drawn = self.facts.drawn();
-        let acts = if drawn.joins(robot) { drawn.choreography.acts.len() } else { 1 };
-        let jumps = |act: usize| jumps_of(self.facts, robot, act).contains(device);
-        *reading == BEGINS_AT && (0..acts).any(jumps)
+        let acts = if drawn.joins(robot) { drawn.choreography.acts.len() } else { 0 };
+        let jumps = |act| jumps_of(self.facts, robot, act).contains(device);
+        *reading == BEGINS_AT && (0..acts).map(Some).chain([None]).any(jumps)
     }
 
     /// Whether the robot was stopped while a device was at this position, or slowed down.
