@@ -1,4 +1,4 @@
-//! Acts that move devices to the positions that other acts expect: ahead of a choreography, and after a stop.
+//! Acts that move devices to the positions that other acts expect, at the start of a choreography or after a stop.
 
 use std::collections::HashMap;
 
@@ -32,9 +32,10 @@ impl Approach {
 const NAME: &str = "approach";
 
 impl Choreography {
-    /// Adds an act ahead of `first` that moves devices to their first positions, in that act or in those that follow it. Returns the
-    /// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as far as bodies are known,
-    /// without collisions. Lamps, and devices that are there already, are not moved. If no device has to move, no act is added.
+    /// Adds an act ahead of `first` that moves devices to their first positions in that act and those that follow it. Returns the
+    /// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as
+    /// far as bodies are known, without collisions. Lamps, and devices that are there already, are not moved. If no device has to
+    /// move, no act is added.
     ///
     /// # Errors
     /// The errors in the new act, for example a movement that a device cannot make in that time.
@@ -68,7 +69,7 @@ impl Choreography {
     }
 
     /// Plans an act that moves devices from these positions to the first positions of the act `to`. The act is planned like that
-    /// of [`home`](Self::home), and its settings are those of `to`. If `to` waits for the operator, the act waits in its place.
+    /// of [`home`](Self::home), and its settings are those of `to`. If `to` waits for the operator, the new act waits, too.
     ///
     /// Returns `None` if no device has to move.
     ///

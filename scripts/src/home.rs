@@ -1,4 +1,4 @@
-//! Plans acts that move devices from the positions at which they have stopped: to their default positions, or to others.
+//! Plans acts that move devices from the positions at which they have stopped to their default positions or to others.
 
 use std::collections::HashMap;
 
@@ -62,7 +62,7 @@ impl Choreography {
         Ok(Some(act))
     }
 
-    /// The common duration of movements that the largest speeds of their devices demand.
+    /// The shortest common duration of movements that the largest speeds of their devices allow.
     fn shortest(&self, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
         let speeds = self.largest_speeds();
         let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {

@@ -81,7 +81,7 @@ pub struct FailurePolicy {
 }
 
 impl FailurePolicy {
-    /// The policies of all robots.
+    /// The default policy, and those of single robots.
     pub fn policies(&self) -> impl Iterator<Item = OnFailure> {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
@@ -138,20 +138,20 @@ pub struct DeviceUse {
     pub is_unlimited: bool,
 }
 
-/// The first script of a device on the way through the acts, by indices.
+/// The place of the first script of a device in a choreography.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FirstUse {
-    /// Of the act.
+    /// Index of the act.
     pub act: usize,
-    /// Of the robot in the plan of the act.
+    /// Index of the robot in the plan of the act.
     pub robot: usize,
-    /// Of the script among those of the robot.
+    /// Index of the script among those of the robot.
     pub script: usize,
 }
 
 impl Choreography {
-    /// The first script of each device on the way from this act on, if each act follows the one before it as `next` says. Acts that
-    /// follow only a failure or a wait that has timed out are not on this way.
+    /// The first script of each device in the act `first` and the acts that follow it by `next`. Acts that follow only a failure or a
+    /// wait that has timed out are left out.
     #[must_use]
     pub fn first_uses(&self, first: usize) -> Vec<FirstUse> {
         let mut uses = Vec::new();
@@ -174,7 +174,7 @@ impl Choreography {
         uses
     }
 
-    /// The position that a first use expects; `None` of a device that is not driven by position.
+    /// The position that a first use expects. `None` if it does not drive the device by position.
     pub(crate) fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
         let planned = self.acts.get(first.act)?.plan.robots.get(first.robot)?;
         let script = planned.scripts.get(first.script)?;

@@ -27,7 +27,7 @@ const WATCHED_MAX: Span = Span::from_millis(3_000);
 const STAIRS_MAX: u32 = 20;
 /// The median is known to within this: then the trials that were asked for are enough.
 const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
-/// More trials than asked for, until it is, and until as many as asked for can be judged.
+/// Largest number of trials, as a multiple of the requested number, until the median is known and the requested number can be judged.
 const TRIALS_FACTOR: usize = 3;
 /// If so many movements cannot be judged, and none can, there is no use in more.
 const UNCLEAR_MAX: usize = 3;
@@ -278,7 +278,7 @@ fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
 }
 
 fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured> {
-    // A quarter may be spoilt, by a reading that took too long.
+    // Readings that took too long may spoil at most a quarter.
     let unclear = unclear(estimate, estimate.onsets.len() / 4 + 1)?;
     let too_few = Unclear::TooSparse { before: 0, after: 0, least: 1 };
     let Some(latencies) = estimate.latencies else {

@@ -283,15 +283,15 @@ pub enum Progress {
     Approaching {
         /// The name of the act.
         act: String,
-        /// The act that follows.
+        /// The name of the act that follows.
         to: String,
         /// The choreography with this act.
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
-    /// The act that was to follow the failure is not played, because devices cannot move to its first positions.
+    /// The act after the failure is not played, because no act that moves devices to its first positions can be planned.
     NotApproached {
-        /// The act.
+        /// The name of the act.
         act: String,
         /// The reason, for people.
         reason: String,

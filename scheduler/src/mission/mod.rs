@@ -115,7 +115,7 @@ pub struct Mission {
     robots: Vec<RobotState>,
     /// The index of each robot of the first act, in the order of its plan.
     first_robots: Vec<Option<usize>>,
-    /// The first script of each device of a robot on the way from the first act on, and the largest speed of the device in it.
+    /// For each robot: the first script of each device, from the first act on, and the largest speed of the device in that act.
     first_uses: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     phase: Phase,
     /// In order of their start; the last one may still wait.
@@ -129,7 +129,7 @@ pub struct Mission {
     detour: Option<usize>,
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
-    /// The way to the default positions after a stop.
+    /// The act that is planned after a stop.
     transfer: transfer::Transfer,
     /// The withdrawn act that is prepared again after the stop.
     again: Option<again::Again>,

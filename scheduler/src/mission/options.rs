@@ -92,8 +92,8 @@ pub struct MissionOptions {
     pub preflight_only: bool,
     /// The time zone of the times of day for which acts wait.
     pub zone: Zone,
-    /// Plans acts after a stop. Without it, each robot goes to its default positions on its own, and the act that follows a failure
-    /// begins only if its robots happen to have come to rest at their first positions.
+    /// Plans acts after a stop. Without it, each robot goes to its default positions on its own, and the act after a failure
+    /// begins only if its robots have come to rest at their first positions.
     pub transfer: Option<Arc<dyn PlanTransfer>>,
 }
 

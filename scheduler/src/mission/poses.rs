@@ -60,7 +60,7 @@ impl RobotState {
 }
 
 impl Mission {
-    /// Asks for the positions of devices before the mission: the readings of their sensors, and the commanded positions.
+    /// Asks for the positions of devices before the mission moves them: the readings of their sensors, and the commanded positions.
     pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
         let mut devices = self.used_devices(robot);
         let state = &self.robots[robot];
@@ -169,8 +169,8 @@ impl Mission {
         due
     }
 
-    /// Members that were asked and would have to jump at their first step. An unknown position counts only where a stop has left its
-    /// device.
+    /// Members that were asked and would have to jump at their first step. If a robot does not answer, it counts only if a stop has
+    /// left its devices adrift.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
@@ -190,7 +190,7 @@ impl Mission {
         jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(*robot))).collect()
     }
 
-    /// A robot that is adrift surely jumps somewhere, unless it states where its devices are.
+    /// The failure of a robot with devices adrift that has not stated their positions: one of them would almost certainly jump.
     fn hides_its_pose(&self, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
         let hides = !state.adrift.is_empty() && state.positions_owed > 0;
@@ -199,9 +199,9 @@ impl Mission {
         hides.then(|| (robot, kind()))
     }
 
-    /// Members of an act whose positions have to be asked for. The greeting has not checked those of robots that joined late and, in
-    /// the first act, of robots on a new link; these have not been sent anything that moves a device, and with `handshake: skip`
-    /// there are none. Robots that are adrift have come to rest anywhere.
+    /// Members of an act that the mission asks for their positions: robots that the greeting has not checked, and robots with devices
+    /// that a stop has left adrift. The greeting has not checked robots that joined late and, in the first act, robots on a new link.
+    /// These have not been sent anything that moves a device. With `handshake: skip`, only robots with devices adrift are asked.
     fn unplaced(&self, act: &Act) -> Vec<usize> {
         let asks = self.options.greeting == Greeting::Full;
         let counts = |robot: &usize| {
@@ -246,7 +246,7 @@ impl Mission {
         positions
     }
 
-    /// The devices of a robot that acts on the way from the first one on drive.
+    /// The devices that a robot uses in the first act and in the acts that follow it by `next`.
     fn used_devices(&self, robot: usize) -> Vec<DeviceId> {
         self.first_uses[robot].keys().cloned().collect()
     }
@@ -285,7 +285,8 @@ impl Mission {
     }
 }
 
-/// The first uses of devices by each robot of a mission. `index_of` has the index of each robot.
+/// For each robot: the first use of each device, and the largest speed of the device in that act. `index_of` maps ids of robots to
+/// their indices in the mission.
 pub(super) fn first_uses(
     choreography: &Choreography,
     first_act: usize,

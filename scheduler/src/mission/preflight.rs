@@ -135,12 +135,12 @@ pub struct Preflight {
     pub after_failures: Vec<AfterFailure>,
 }
 
-/// The movements that a failure in some acts may cause.
+/// The movements that a failure in one of these acts may cause.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct AfterFailure {
     /// The names of the acts.
     pub acts: Vec<String>,
-    /// Whether robots move to their default positions.
+    /// Whether robots may move to their default positions.
     pub home: bool,
     /// The act that follows. Unless robots have moved home, they first move to its first positions.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -230,7 +230,7 @@ pub(crate) struct RobotState {
     pub(crate) joined_late: bool,
     /// Whether its devices may no longer be where the greeting found them, because it joined late or is on a new link.
     pub(crate) unplaced: bool,
-    /// Devices that a stop has left at positions that the next act that drives them may not expect.
+    /// Devices that a stop has left at positions that the next act that moves them may not expect.
     pub(crate) adrift: BTreeSet<DeviceId>,
     /// The last act that asked it for positions on this link, and when.
     pub(crate) positions_asked: Option<(u32, Timestamp<Server>)>,

@@ -297,7 +297,7 @@ impl Mission {
             return self.line_up_again(now);
         }
         self.close_all(now);
-        // A robot that is gone does not keep the others from what follows.
+        // If a robot is gone and can no longer move, the next act follows without its confirmation.
         let rests = !self.robots.iter().any(|robot| robot.may_move_at(now));
         if self.begins_transfer(now, rests) {
             return;

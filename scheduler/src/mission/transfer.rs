@@ -54,7 +54,7 @@ pub enum TransferReport {
         #[serde(skip_serializing_if = "Vec::is_empty")]
         without: Vec<RobotId>,
     },
-    /// All devices were there already.
+    /// All devices were at their destinations already.
     NothingToMove,
     /// All robots stayed where they came to rest.
     NotPlanned {
@@ -63,7 +63,7 @@ pub enum TransferReport {
     },
 }
 
-/// The state of the transfer.
+/// The state of the act that is planned after a stop.
 #[derive(Debug, Default)]
 pub(super) struct Transfer {
     stage: Stage,
@@ -115,7 +115,7 @@ impl Mission {
         if plans { Rest::InPlace } else { rest }
     }
 
-    /// After the robots have come to rest anywhere, this act follows.
+    /// Requests an approach to this act after the stop, unless the robots go home first.
     pub(super) fn approaches(&mut self, act: usize) {
         if self.transfer.stage == Stage::Unwanted && self.options.transfer.is_some() {
             self.transfer.stage = Stage::Wanted { to: Destination::Act(act), like: act };
@@ -164,7 +164,7 @@ impl Mission {
         can && state.is_up() && state.is_settled() && devices
     }
 
-    /// The devices of a robot for which the act at the destination has first positions.
+    /// The devices of a robot for which the next act has first positions. Empty for the way home.
     fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
         let Destination::Act(act) = to else { return BTreeSet::new() };
         let id = &self.robots[robot].id;
@@ -173,7 +173,7 @@ impl Mission {
         firsts.map(|(device, _)| device.clone()).collect()
     }
 
-    /// The devices of a robot that rest away from positions that an act knows, once the transfer has ended.
+    /// The devices of a robot that do not rest at a known position once the transfer has ended.
     fn left_adrift(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
         let state = &self.robots[robot];
         if !self.transfer.poses.get(&robot).is_some_and(|pose| pose.rests) {
@@ -216,7 +216,7 @@ impl Mission {
 
     fn ask_pose(&mut self, now: Timestamp<Server>, robot: usize) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
-        // Bodies evade devices that stay, too.
+        // The act also has to avoid collisions with devices that stay.
         let devices = &self.robots[robot].touched | &self.first_devices(to, robot);
         self.robots[robot].forget_positions();
         self.ask_positions_of(now, robot, &Vec::from_iter(devices));
@@ -240,7 +240,7 @@ impl Mission {
             return false;
         };
         if to != Destination::Home && !rests {
-            // No act follows.
+            // A robot may still move, so no act follows.
             return false;
         }
         let planned = self.plan_transfer(now, to, like);
@@ -340,7 +340,7 @@ impl Mission {
         self.goes_on(now);
     }
 
-    /// The mission continues after a stop. It can no longer end as done.
+    /// Continues the mission after a stop. It can no longer end as done.
     pub(super) fn continue_after_stop(&mut self) {
         let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
         self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
@@ -371,7 +371,7 @@ impl Mission {
 }
 
 impl RobotState {
-    /// Each robot was stopped on its own.
+    /// Notes the devices that a stop without a transfer has left at other positions.
     fn is_left_adrift(&mut self) {
         self.adrift = match self.stop {
             Stop::Confirmed(Rest::Home) => self.devices_without_home(),

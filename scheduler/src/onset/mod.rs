@@ -104,12 +104,12 @@ pub enum Unclear {
         /// How much earlier.
         early: Span,
     },
-    /// Motion seems to begin before the command because a reading took long.
+    /// The motion seems to begin before the command, because a reading took too long.
     #[error(
         "a reading took so long that its instant is known only to +-{uncertainty}, and the begin of the motion no better"
     )]
     LateReading {
-        /// Of the reading.
+        /// How uncertain the time of the reading is.
         uncertainty: Span,
     },
     /// The device still moved at the last reading.

@@ -183,7 +183,7 @@ fn what_cannot_be_judged_is_refused_with_the_reason() {
     refused(DEVICE, saturated, |why| matches!(why, Unclear::Saturated { .. }));
     let early = |sample: &mut Sample| sample.at = sample.at - Span::from_millis(70);
     refused(DEVICE, early, |why| matches!(why, Unclear::MovedBefore { .. }));
-    // A reading whose answer was delayed may show what came after the command.
+    // A reading with a delayed answer may show the device after the command.
     let delayed = |sample: &mut Sample| {
         early(sample);
         sample.uncertainty = Span::from_millis(70);

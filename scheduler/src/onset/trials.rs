@@ -222,7 +222,7 @@ impl Readable {
     }
 }
 
-/// The uncertainty of the readings next to an instant: the last one before it and the first one after it.
+/// The larger uncertainty of the last reading before an instant and the first one after it.
 fn uncertainty_at(trial: &Trial, instant: Span) -> Span {
     let (before, after): (Vec<&Sample>, Vec<&Sample>) =
         trial.samples.iter().partition(|sample| sample.at <= instant);

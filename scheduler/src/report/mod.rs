@@ -90,7 +90,7 @@ pub struct Report {
     /// The outcome of the way home. `None` if no way home was requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub home: Option<TransferReport>,
-    /// The outcome of the approach to the act that followed the last failure. `None` if none followed from anywhere.
+    /// The outcome of the approach to the act after the last failure. `None` if no approach was necessary.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub approach: Option<TransferReport>,
     /// Robots driven in this process whose hardware may not be at rest, each with the reason.

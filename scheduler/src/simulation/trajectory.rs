@@ -8,7 +8,7 @@ use urrcp::{ControlType, DeviceId, Robot, Script, Span, Timestamp};
 /// The largest relative difference, by rounding, between two computations of the same value.
 const ROUNDING: f64 = 1e-6;
 
-/// Distance from the first value above which a device jumps to it: twice its granularity.
+/// Distance from a value above which a device jumps to it: twice its granularity.
 pub const JUMP: f64 = 2.0;
 
 /// The longest time in which a device slows down, or goes home at its own speed.
@@ -48,8 +48,8 @@ impl Movement {
     }
 }
 
-/// The entries in the log of one process that set a position at once, away from the position at which a stop has left the device.
-/// Only the stop of a device that moves has an entry.
+/// The entries in the log of one process with which a device jumps from the position at which a stop has left it. The log contains a
+/// stop only if the device was moving.
 pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec<&'a LogEntry> {
     let mut stopped: HashMap<&DeviceId, f64> = HashMap::new();
     let mut jumps = Vec::new();

@@ -1,4 +1,4 @@
-//! The way home after a stop.
+//! Acts that are planned after a stop: the way home, and the approach to the act after a failure.
 
 use std::sync::Mutex;
 
@@ -239,7 +239,7 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
     );
 }
 
-/// Fails while it plays, so that robots come to rest so and another act follows.
+/// Fails the mission while it plays. The robots come to rest as given, and another act follows.
 fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);

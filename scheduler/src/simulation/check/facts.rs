@@ -32,7 +32,7 @@ pub(super) struct Facts<'a> {
 /// An act that was sent.
 pub(super) struct SentAct<'a> {
     pub(super) promise: &'a Promise,
-    /// As its scheduler had planned it.
+    /// The act as its scheduler had planned it.
     pub(super) written: &'a Act,
     /// When it was promised.
     pub(super) at: Timestamp<Server>,
@@ -205,7 +205,7 @@ impl<'a> Facts<'a> {
                         sent.entry(id).or_insert((*robot, timestamp));
                     }
                 }
-                // A new process of a robot knows no script that has not begun.
+                // A robot that restarts forgets scripts that have not begun. They arrive for the first time again.
                 Happened::Back(back) => sent.retain(|id, (robot, _)| {
                     let began = |entry: &&LogEntry| entry.true_ns < at.as_nanos();
                     robot != back || logs.get(id.as_str()).is_some_and(|log| log.iter().any(began))

@@ -16,8 +16,9 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// The devices that would have to jump to their first value if their robot has not moved before: in this act, or on the way through
-/// all acts. Includes only devices that move linearly, are not behind an edge, and have a position that the robot states.
+/// The devices that would have to jump to their first value if their robot has not moved before: the first value in `act` or, if
+/// that is `None`, in the mission. Includes only devices that move linearly, are not behind an edge, and have a position that the robot
+/// states.
 pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: Option<usize>) -> HashSet<DeviceId> {
     let (choreography, drawn) = (&facts.drawn().choreography, &facts.drawn().robots[robot]);
     let firsts: Vec<_> = match act {

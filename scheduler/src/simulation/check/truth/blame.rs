@@ -58,8 +58,8 @@ impl Said<'_> {
         }
     }
 
-    /// Whether the robot states its positions, and a device is not at its first position, or at that in an act at which the robot may
-    /// join.
+    /// Whether the robot states its positions, and a device is away from its first position in the mission, or in an act at which the
+    /// robot may join.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, .. } = kind else { return false };
         let drawn = self.facts.drawn();
@@ -68,7 +68,7 @@ impl Said<'_> {
         *reading == BEGINS_AT && (0..acts).map(Some).chain([None]).any(jumps)
     }
 
-    /// Whether the robot was stopped while a device was at this position, or slowed down.
+    /// Whether a stop may have left the device at this position, away from the expected one.
     fn was_left_elsewhere(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, expected } = kind else { return false };
         let mut log = self.facts.ran.logs[robot].iter().filter(|entry| entry.device == *device);
