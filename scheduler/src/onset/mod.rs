@@ -106,7 +106,7 @@ pub enum Unclear {
     },
     /// The motion seems to begin before the command, because a reading took too long.
     #[error(
-        "a reading took so long that its instant is known only to +-{uncertainty}, and the begin of the motion no better"
+        "a reading took so long that its time, and so the beginning of the motion, is known only to +-{uncertainty}"
     )]
     LateReading {
         /// How uncertain the time of the reading is.

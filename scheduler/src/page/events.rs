@@ -51,6 +51,12 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "finished" => "has ended all its scripts".to_owned(),
         "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),
         "act_skipped" => format!("{} is not played: {}", act(), text("fate").replace('_', " ")),
+        "going_home" => format!("all robots rest; {} moves them to their default positions", act()),
+        "approaching" => {
+            format!("all robots rest; {} moves them to the first positions of {}", act(), text("to"))
+        }
+        "not_home" => format!("the robots stay where they are: {}", text("reason")),
+        "not_approached" => format!("{} is not played: {}", act(), text("reason")),
         "act_ended" => {
             let name = value["report"]["act"].as_str().map_or_else(act, str::to_owned);
             match value["again"] == true {
@@ -104,5 +110,8 @@ mod tests {
             Some("silent".to_owned())
         );
         assert_eq!(told(json!({"progress": "heard", "robot": "r"})), None);
+        let approach = json!({"progress": "approaching", "act": "approach", "to": "bow"});
+        let moves = "all robots rest; approach moves them to the first positions of bow";
+        assert_eq!(told(approach).as_deref(), Some(moves));
     }
 }

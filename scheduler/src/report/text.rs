@@ -232,12 +232,13 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
 
 fn after_failure_text(after: &AfterFailure) -> String {
     let acts: Vec<_> = after.acts.iter().map(|act| format!("`{act}`")).collect();
-    let positions = match after.home {
-        true => "their default positions",
-        false => "the first positions of the act that follows",
-    };
-    let then = after.then.as_ref().map(|then| format!(", and then play `{then}`")).unwrap_or_default();
-    format!("after a failure in {}, robots may move to {positions}{then}", acts.join(", "))
+    let home = after.home.then(|| "move to their default positions".to_owned());
+    let then = after.then.as_ref().map(|then| match after.home {
+        true => format!("play `{then}`"),
+        false => format!("move to the first positions of `{then}` and play it"),
+    });
+    let moves: Vec<_> = home.into_iter().chain(then).collect();
+    format!("after a failure in {}, robots may {}", acts.join(", "), moves.join(", and then "))
 }
 
 fn checks_table(preflight: &Preflight, checks: &[Check], columns: usize) -> String {
@@ -295,9 +296,11 @@ pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
     if let Some(because) = &report.because {
         say(&mut text, columns, &format!("  {because}"));
     }
-    let home = report.home.as_ref().and_then(|home| transfer_sentence(home, "default position"));
+    let stayed = "the robots stayed where they came to rest";
+    let home = report.home.as_ref().and_then(|home| transfer_sentence(home, "default", stayed));
     let approach = report.approach.as_ref();
-    let approach = approach.and_then(|approach| transfer_sentence(approach, "first position"));
+    let stayed = "the act after the failure was not played";
+    let approach = approach.and_then(|approach| transfer_sentence(approach, "first", stayed));
     for sentence in home.into_iter().chain(approach) {
         say(&mut text, columns, &format!("  {sentence}"));
     }
@@ -305,17 +308,15 @@ pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
 }
 
 /// The facts about a transfer after a stop that the list of acts does not contain.
-fn transfer_sentence(transfer: &TransferReport, position: &str) -> Option<String> {
+fn transfer_sentence(transfer: &TransferReport, position: &str, stayed: &str) -> Option<String> {
     match transfer {
         TransferReport::Planned { without, .. } if without.is_empty() => None,
         TransferReport::Planned { act, without } => {
             let stayed: Vec<_> = without.iter().map(|robot| format!("`{robot}`")).collect();
             Some(format!("without a part in `{act}`: {}", stayed.join(", ")))
         }
-        TransferReport::NothingToMove => Some(format!("no device was away from its {position}")),
-        TransferReport::NotPlanned { reason } => {
-            Some(format!("the robots stayed where they came to rest: {reason}"))
-        }
+        TransferReport::NothingToMove => Some(format!("no device was away from its {position} position")),
+        TransferReport::NotPlanned { reason } => Some(format!("{stayed}: {reason}")),
     }
 }
 
