@@ -68,7 +68,7 @@ impl Choreography {
         Ok((self, 0))
     }
 
-    /// Plans an act that moves devices from these positions to the first positions of the act `to`. The act is planned like that
+    /// Plans an act that moves devices from these positions to their first positions, in the act `to` or in those that follow it. The act is planned like that
     /// of [`home`](Self::home), and its settings are those of `to`. If `to` waits for the operator, the new act waits, too.
     ///
     /// Returns `None` if no device has to move.
@@ -77,9 +77,8 @@ impl Choreography {
     /// The errors in the act, for example a collision.
     pub fn approach(&self, to: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
         let Some(act) = self.acts.get(to) else { return Ok(None) };
-        let firsts = act.plan.robots.iter().flat_map(|planned| {
-            planned.first_positions().map(|(device, position)| (&planned.robot, device, position))
-        });
+        let uses = self.first_uses(to);
+        let firsts = uses.iter().filter_map(|first| self.first_position(*first));
         let mut ahead = self.transfer(NAME, (to, self.ways_to(firsts, fleet, from)), fleet, from)?;
         if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
             ahead.wait = Wait::Operator;
@@ -197,6 +196,8 @@ acts:
     fn after_a_stop_devices_move_to_the_first_positions_of_another_act_as_fast_as_they_may() {
         let (mut show, fleet) = show();
         show.acts[1].wait = Wait::Operator;
+        // It returns from `one` to `two`, and only its first position counts.
+        show.acts[1].next = Way::Act(0);
         let ahead = show.approach(1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
         assert_eq!((ahead.name.as_str(), &ahead.wait, ahead.next), ("approach", &Wait::Operator, Way::End));
         let [script] = ahead.plan.robots[0].scripts.as_slice() else { panic!("only the joint moves") };

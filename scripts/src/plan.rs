@@ -175,7 +175,8 @@ impl Choreography {
     }
 
     /// The position that a first use expects. `None` if it does not drive the device by position.
-    pub(crate) fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
+    #[must_use]
+    pub fn first_position(&self, first: FirstUse) -> Option<(&RobotId, &DeviceId, f64)> {
         let planned = self.acts.get(first.act)?.plan.robots.get(first.robot)?;
         let script = planned.scripts.get(first.script)?;
         let setpoint = &script.script.steps().first()?.setpoint;

@@ -6,12 +6,13 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 use std::sync::Arc;
 
-use downbeat_scripts::{Act as Written, Choreography, Positions, RobotPlan, Way};
+use downbeat_scripts::{Act as Written, Choreography, FirstUse, Positions, Way};
 use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::act::Act;
 use super::fates::ActCourse;
+use super::poses::first_uses;
 use super::robot_state::{Rest, RobotState, Standing, Stop};
 use super::script::Script;
 use super::{Mission, Outcome, Progress};
@@ -67,6 +68,8 @@ pub enum TransferReport {
 #[derive(Debug, Default)]
 pub(super) struct Transfer {
     stage: Stage,
+    /// The first uses of the devices of each robot, from the next act on.
+    firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     /// The positions that each robot stated last, by its index in the mission.
     poses: HashMap<usize, Pose>,
     /// Indices of the robots that have done all their steps on the way home.
@@ -119,6 +122,8 @@ impl Mission {
     pub(super) fn approaches(&mut self, act: usize) {
         if self.transfer.stage == Stage::Unwanted && self.options.transfer.is_some() {
             self.transfer.stage = Stage::Wanted { to: Destination::Act(act), like: act };
+            let index_of = self.robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+            self.transfer.firsts = first_uses(&self.choreography, act, &index_of);
         }
     }
 
@@ -164,13 +169,12 @@ impl Mission {
         can && state.is_up() && state.is_settled() && devices
     }
 
-    /// The devices of a robot for which the next act has first positions. Empty for the way home.
+    /// The devices of a robot that the next act, or an act that follows it, moves. Empty for the way home.
     fn first_devices(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
-        let Destination::Act(act) = to else { return BTreeSet::new() };
-        let id = &self.robots[robot].id;
-        let planned = self.choreography.acts[act].plan.robots.iter().find(|planned| planned.robot == *id);
-        let firsts = planned.into_iter().flat_map(RobotPlan::first_positions);
-        firsts.map(|(device, _)| device.clone()).collect()
+        match to {
+            Destination::Home => BTreeSet::new(),
+            Destination::Act(_) => self.transfer.firsts[robot].keys().cloned().collect(),
+        }
     }
 
     /// The devices of a robot that do not rest at a known position once the transfer has ended.

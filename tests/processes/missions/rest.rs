@@ -248,28 +248,33 @@ fn hardware_of_the_scheduler_itself_goes_home_within_the_limits_of_the_fleet_fil
 #[test]
 fn an_act_that_follows_a_failure_begins_from_where_the_stop_has_left_the_robots() {
     let mut stage = Stage::new();
-    let arm = "id: arm\napi_version: '1'\nreports: true\ninquiry: true\ndevices:\n  - {id: d, name: d, default_value: 0, interpolation: linear, available_control_types: {position: {min_value: 0, max_value: 600, granularity: 1}, speed: {min_value: -100, max_value: 100, granularity: 1}, script: {min_value: 0, max_value: 600, granularity: 1, max_number_of_steps: 100}}}\n";
+    let device = "{id: NAME, name: NAME, default_value: 0, interpolation: linear, available_control_types: {position: {min_value: 0, max_value: 600, granularity: 1}, speed: {min_value: -100, max_value: 100, granularity: 1}, script: {min_value: 0, max_value: 600, granularity: 1, max_number_of_steps: 100}}}";
+    let [d, e] = ["d", "e"].map(|name| device.replace("NAME", name));
+    let arm = format!("id: arm\napi_version: '1'\nreports: true\ninquiry: true\ndevices: [{d}, {e}]\n");
     stage.file("arm.yaml", arm);
     for _ in 0..3 {
         stage.robot("arm.yaml", Via::Direct);
     }
-    stage.file("play.yaml", "scenario: play\nstart_tolerance: 1s\non_failure: stop\nacts:\n  - {act: rise, on_failure: {default: stop, then: bow}, next: end, cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 0}, {at: 9s, to: 450}]}}]}\n  - {act: bow, cues: [{at: 0s, robots: [r0, r1], tracks: {d: [{at: 0s, to: 10}, {at: 1s, to: 0}]}}]}\n");
+    stage.file("play.yaml", "scenario: play\nstart_tolerance: 1s\non_failure: stop\nacts:\n  - {act: rise, on_failure: {default: stop, then: bow}, next: end, cues: [{at: 0s, robots: all, tracks: {d: [{at: 0s, to: 0}, {at: 9s, to: 450}], e: [{at: 0s, to: 0}, {at: 9s, to: 300}]}}]}\n  - {act: bow, cues: [{at: 0s, robots: [r0, r1], tracks: {d: [{at: 0s, to: 10}, {at: 1s, to: 0}]}}]}\n  - {act: leave, cues: [{at: 0s, robots: [r0, r1], tracks: {e: [{at: 0s, to: 0}, {at: 1s, to: 20}]}}]}\n");
     let mission = stage.begin(&["run", "play.yaml"], 0..2, 1);
     std::thread::sleep(Duration::from_secs(2));
     stage.robots[2].kill();
     let ended = mission.ended();
     // The stop of a robot that is gone is not confirmed.
     assert_eq!(ended.code, Some(4), "{ended}");
-    for act in ["act `approach`: played", "act `bow`: played"] {
+    for act in ["act `approach`: played", "act `bow`: played", "act `leave`: played"] {
         assert!(ended.out.contains(act), "{ended}");
     }
     for robot in &stage.robots[..2] {
-        let log = robot.log();
-        let stop = log.iter().position(|entry| matches!(entry.motion.as_str(), "rest" | "slow")).unwrap();
-        assert!(log[stop].value > 20.0, "{log:?}");
-        let off = (log[stop + 1].value - log[stop].value).abs();
-        assert!(off <= 2.0, "{} jumped by {off}: {log:?}", robot.id);
-        assert_eq!(log.last().unwrap().value, 0.0);
+        // `bow` does not move `e`, but `leave` does.
+        for (device, ends_at) in [("d", 0.0), ("e", 20.0)] {
+            let log: Vec<_> = robot.log().into_iter().filter(|entry| entry.device == device).collect();
+            let stop = log.iter().position(|entry| matches!(entry.motion.as_str(), "rest" | "slow")).unwrap();
+            assert!(log[stop].value > 20.0, "{log:?}");
+            let off = (log[stop + 1].value - log[stop].value).abs();
+            assert!(off <= 2.0, "{} jumped by {off}: {log:?}", robot.id);
+            assert_eq!(log.last().unwrap().value, ends_at);
+        }
     }
 }
 

@@ -1,5 +1,7 @@
 //! Plans acts after the stops of a simulated mission: each device moves linearly to its destination.
 
+use std::collections::HashMap;
+
 use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, Positions, RobotPlan};
 use urrcp::{
     ControlType, DeviceId, InitializationBlock, Interpolation, Millis, RobotId, Script, Setpoint, Span, Step,
@@ -8,6 +10,9 @@ use urrcp::{
 
 use crate::mission::{Destination, PlanTransfer};
 use crate::simulation::Drawn;
+
+/// The first positions of devices.
+type Firsts<'a> = HashMap<(&'a RobotId, &'a DeviceId), f64>;
 
 const TAKES: Span = Span::from_millis(400);
 
@@ -22,16 +27,15 @@ impl Planner {
     fn script(
         &self,
         (robot, device, from): (&RobotId, &DeviceId, f64),
-        next: Option<&Act>,
+        firsts: Option<&Firsts<'_>>,
         stop_condition: StopCondition,
     ) -> Option<DeviceScript> {
         let device = self.0.iter().find(|block| block.id == *robot)?.device(device.as_str())?;
-        let to = match next {
+        let to = match firsts {
             None => device.default_value?,
-            Some(act) => {
-                let planned = act.plan.robots.iter().find(|planned| planned.robot == *robot)?;
-                let (_, first) = planned.first_positions().find(|(id, _)| **id == device.id)?;
-                Some(first).filter(|_| device.interpolation == Interpolation::Linear)?
+            Some(firsts) => {
+                let first = firsts.get(&(robot, &device.id)).copied();
+                first.filter(|_| device.interpolation == Interpolation::Linear)?
             }
         };
         let from = device.available_control_types.limits(ControlType::Position)?.nearest_settable(from);
@@ -57,14 +61,21 @@ impl PlanTransfer for Planner {
         from: &Positions,
     ) -> Result<Option<Act>, String> {
         let like = &choreography.acts[like];
-        let (name, next) = match to {
+        let (name, firsts) = match to {
             Destination::Home => ("home", None),
-            Destination::Act(act) => ("approach", choreography.acts.get(act)),
+            Destination::Act(act) => {
+                let uses = choreography.first_uses(act).into_iter();
+                let firsts = uses.filter_map(|first| choreography.first_position(first));
+                let firsts: Firsts<'_> =
+                    firsts.map(|(robot, device, position)| ((robot, device), position)).collect();
+                ("approach", Some(firsts))
+            }
         };
         let stop_condition = like.plan.stop_condition;
         let robots = from.iter().map(|(robot, devices)| {
-            let script =
-                |(device, from): (&DeviceId, &f64)| self.script((robot, device, *from), next, stop_condition);
+            let script = |(device, from): (&DeviceId, &f64)| {
+                self.script((robot, device, *from), firsts.as_ref(), stop_condition)
+            };
             RobotPlan { robot: robot.clone(), scripts: devices.iter().filter_map(script).collect() }
         });
         let robots: Vec<_> = robots.filter(|robot| !robot.scripts.is_empty()).collect();
