@@ -383,14 +383,9 @@ impl Act {
             let mut scripts = member.under_way().map(|(_, script)| script);
             let Some(script) = scripts.find(|script| due(script).is_some()) else { continue };
             let newest = || member.under_way().filter_map(|(_, script)| due(script)).max();
-            // It had the time to say so, and answered a question meanwhile: while this process stalls, nobody asks. A robot that does
-            // not report by itself has to be asked about its scripts.
-            let reports = robot.block.as_ref().is_none_or(|block| block.reports);
-            let was_asked = |due| {
-                let since = if reports { Some(due) } else { member.asked.filter(|asked| *asked >= due) };
-                let answered = robot.questions.answered();
-                !robot.takes_inquiries() || since.is_some_and(|since| answered.is_some_and(|at| at >= since))
-            };
+            // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
+            let was_asked =
+                |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
                 due.is_some_and(|due| now >= due + grace && was_asked(due))
