@@ -96,6 +96,8 @@ pub(crate) struct Script {
     accepted_at: Option<Timestamp<Robot>>,
     /// When the question was sent that it last answered with "held".
     held_at: Option<Timestamp<Server>>,
+    /// When the newest inquiry was sent whose answer reports on it.
+    reported_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
     first_sent_at: Option<Timestamp<Server>>,
     /// Another process may have sent it before this one took over, and its robot has not said.
@@ -127,6 +129,7 @@ impl Script {
             steps_said: None,
             accepted_at: None,
             held_at: None,
+            reported_at: None,
             sent_at: None,
             first_sent_at: None,
             perhaps_sent: false,
@@ -223,6 +226,10 @@ impl Script {
     /// When the question was sent that it last answered with "held".
     pub(crate) const fn held_at(&self) -> Option<Timestamp<Server>> {
         self.held_at
+    }
+
+    pub(crate) const fn reported_at(&self) -> Option<Timestamp<Server>> {
+        self.reported_at
     }
 
     pub(crate) const fn is_planned(&self) -> bool {
@@ -368,6 +375,7 @@ impl Script {
         asked_at: Timestamp<Server>,
         said_at: Timestamp<Robot>,
     ) -> News {
+        self.reported_at = self.reported_at.max(Some(asked_at));
         if self.discredited {
             return News::None;
         }

@@ -35,6 +35,8 @@ pub(crate) struct Member {
     chains: Vec<Chain>,
     /// When it was last asked for reports that were overdue.
     pub(super) asked: Option<Timestamp<Server>>,
+    /// When it was first asked for the newest report that was overdue then.
+    pub(super) asked_since: Option<Timestamp<Server>>,
 }
 
 /// What requests are asked about together: those whose lease a question does not shorten come last, the others in order of the
@@ -64,7 +66,8 @@ impl Member {
                 None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
             }
         }
-        Self { robot, part: Part::Taking, shift: Span::ZERO, clock_steps: None, scripts, chains, asked: None }
+        let (part, shift, clock_steps) = (Part::Taking, Span::ZERO, None);
+        Self { robot, part, shift, clock_steps, scripts, chains, asked: None, asked_since: None }
     }
 
     /// Changes one of its scripts.

@@ -383,12 +383,9 @@ impl Act {
             let mut scripts = member.under_way().map(|(_, script)| script);
             let Some(script) = scripts.find(|script| due(script).is_some()) else { continue };
             let newest = || member.under_way().filter_map(|(_, script)| due(script)).max();
-            // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
-            let was_asked =
-                |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
-                due.is_some_and(|due| now >= due + grace && was_asked(due))
+                due.is_some_and(|due| now >= due + grace && was_asked(member, script, robot, (due, grace)))
             };
             if lost(script) {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
@@ -397,7 +394,8 @@ impl Act {
             } else if robot.takes_inquiries()
                 && may_be_asked(now, member.asked, newest(), robot, (again, grace))
             {
-                ask.push(place);
+                let since = member.asked_since.filter(|since| newest().is_none_or(|due| *since >= due));
+                ask.push((place, since.unwrap_or(now)));
             }
         }
         let mut actions = Vec::new();
@@ -405,8 +403,11 @@ impl Act {
             if let Stage::Playing(playing) = &mut self.stage {
                 playing.asked = Some(now);
             }
-            ask.iter().for_each(|place| self.members[*place].asked = Some(now));
-            actions.push(ActAction::Ask(ask.into_iter().map(|place| self.members[place].robot).collect()));
+            for (place, since) in &ask {
+                (self.members[*place].asked, self.members[*place].asked_since) = (Some(now), Some(*since));
+            }
+            let robots = ask.into_iter().map(|(place, _)| self.members[place].robot);
+            actions.push(ActAction::Ask(robots.collect()));
         }
         if !failing.is_empty() {
             actions.push(ActAction::Fail(failing));
@@ -612,6 +613,23 @@ fn may_be_asked(
     let Some(asked) = asked else { return true };
     let owed = robot.questions.unanswered().is_some_and(|open| open <= asked);
     due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
+}
+
+/// Whether a robot had the opportunity to report on a script since `due`: while this process is suspended, and before it resumes a
+/// mission, it sends no inquiry. The answer to an inquiry that does not name the script counts only if the robot has ignored the name
+/// for `grace`.
+fn was_asked(
+    member: &Member,
+    script: &Script,
+    robot: &RobotState,
+    (due, grace): (Timestamp<Server>, Span),
+) -> bool {
+    let answered = robot.questions.answered();
+    if !robot.takes_inquiries() || script.is_planned() {
+        return !robot.takes_inquiries() || answered.is_some_and(|at| at >= due);
+    }
+    let ignored = || member.asked_since.is_some_and(|since| since >= due && answered >= Some(since + grace));
+    script.reported_at().is_some_and(|at| at >= due) || ignored()
 }
 
 /// What became of a script of a member may be left unknown when its time has passed.

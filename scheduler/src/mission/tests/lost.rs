@@ -238,6 +238,21 @@ fn a_robot_that_falls_silent_while_it_plays_fails() {
 }
 
 #[test]
+fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up() {
+    for late in [100, 600, 1_100, 2_000] {
+        let mut played = Played::begun(one_act(Tells::Answers, 400));
+        let start = played.mission.acts[0].timing().unwrap().start;
+        played.run_until(start - ms(10));
+        // A round is due as well, and its inquiry, which names no script, is sent and answered first.
+        played.now = start + ms(400 + late);
+        played.run_until(played.now);
+        played.delay_reports(ms(60));
+        let outcome = played.run_to_the_end();
+        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+    }
+}
+
+#[test]
 fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the_robots() {
     for (late, held_up) in [(100, 0), (101, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));

@@ -236,6 +236,16 @@ impl Played {
         }
     }
 
+    /// Delays the answers under way that report on scripts, but no others.
+    pub(super) fn delay_reports(&mut self, by: Span) {
+        for (at, event) in &mut self.arrivals {
+            let Event::Received { message: Message::InquiryResponse(response), .. } = event else { continue };
+            if !response.requests.is_empty() {
+                *at = *at + by;
+            }
+        }
+    }
+
     /// Ends all scripts of all robots now, after `steps_done` steps.
     pub(super) fn ends_early(&mut self, steps_done: u32) {
         self.ended.extend(self.scripts.drain().map(|(id, _)| (id, (ErrorCode::LinkLost, steps_done))));

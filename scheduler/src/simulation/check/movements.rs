@@ -55,6 +55,10 @@ fn first_act_of(facts: &Facts<'_>, robot: usize) -> Option<usize> {
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let act = first_act_of(facts, robot).filter(|_| facts.drawn().joins(robot));
+        // The way home and the approach are planned from where the robot is.
+        if act.is_some_and(|act| act >= facts.drawn().choreography.acts.len()) {
+            continue;
+        }
         let jumping = jumps_of(facts, robot, act);
         // If a robot is absent at first, its first process starts when it arrives.
         let comes_later = facts.drawn().robots[robot].there_from > Span::ZERO;
