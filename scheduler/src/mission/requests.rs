@@ -1,5 +1,7 @@
 //! What goes to the robots and to the journal, and what comes back: requests by their names, answers to their scripts.
 
+use std::cmp::Reverse;
+
 use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, Timestamp};
 
 use super::act::Act;
@@ -295,10 +297,11 @@ pub(super) fn open_without_name(
     let off = |(act, at, script): &(&Act, ScriptRef, &Script)| {
         (*script.state() != ScriptState::Running && !is_start, act.off_its_time(*at, response))
     };
-    // What waits under a short lease is lost before what stands ahead of it under a longer one.
+    // A script under a short lease is lost before one that precedes it under a longer lease. Of two under equal leases, the earlier
+    // one may have begun.
     let lease = |(act, script, _): &(&Act, ScriptRef, &Script)| {
         let lease = act.shortest_lease_of(*script);
-        (lease.is_none(), lease)
+        (lease.is_none(), lease, Reverse((script.act, script.script)))
     };
     let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
     let found = match response.status {

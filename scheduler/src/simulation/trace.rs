@@ -143,7 +143,14 @@ fn told(message: &Message) -> String {
             response.request_id.as_ref().map(urrcp::RequestId::as_str),
             response.error.as_ref().map(ToString::to_string).unwrap_or_default()
         ),
-        Message::Inquiry(inquiry) => format!("what became of {} requests?", inquiry.requests.len()),
+        Message::Inquiry(inquiry) => {
+            let lease = inquiry.pending_lease.map(|lease| format!(", lease {}", lease.span()));
+            let until = inquiry
+                .pending_until
+                .map(|until| format!(", until {}", until.assume_clock::<Server>() - BEGIN));
+            let limits = lease.into_iter().chain(until).collect::<String>();
+            format!("what became of {} requests?{limits}", inquiry.requests.len())
+        }
         Message::InquiryResponse(response) => {
             let state = |report: &urrcp::RequestReport| format!("{} {:?}", report.request_id, report.state);
             format!(

@@ -283,30 +283,35 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
-/// A message that lets the robot start arrived while the end of its lease still lay well ahead: its link is no excuse.
+/// A message that lets the robot start arrived while the end of its lease still lay well ahead, and the lease, as later messages renewed
+/// it, reached over the start: its link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
-    // When each ends, and when the question was sent that says so: one that was overtaken by it lifts nothing.
-    let mut leases_end: HashMap<&RequestId, (Timestamp<Server>, Option<Timestamp<Server>>)> = HashMap::new();
+    let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
+    // When each ends, when the question was sent that says so, since one that was overtaken by it lifts nothing, and the lease.
+    let mut leases: HashMap<&RequestId, (Timestamp<Server>, Option<Timestamp<Server>>, Span)> =
+        HashMap::new();
     for (at, happened) in facts.between(act.at, act.promise.start) {
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
         let until = inquiry.pending_until.map(|until| (until - offset).assume_clock::<Server>());
         match until.filter(|until| *until < act.promise.start) {
             // A lease that has ended is not renewed any more.
-            Some(_) if leases_end.get(named).is_some_and(|(ends, _)| at > ends) => {}
+            Some(_) if leases.get(named).is_some_and(|(ends, ..)| at > ends) => {}
             Some(until) => {
                 let lease = inquiry.pending_lease.map_or(act.promise.lease, urrcp::Millis::span);
                 let ends = until.min(*at + lease) - DRIFT * 2;
-                leases_end.insert(named, (ends, inquiry.timestamp));
+                leases.insert(named, (ends, inquiry.timestamp, lease));
             }
             // A question without an instant leaves the leases unchanged.
             None if until.is_none() => {}
             None => {
                 // Devices that begin at several instants have a lease for each: it has lost what it held if one of them has ended.
-                let lifts = |(ends, asked): &(_, _)| at < ends && inquiry.timestamp >= *asked;
-                if leases_end.contains_key(named) && leases_end.values().all(lifts) {
-                    return true;
+                let lifts = |(ends, asked, _): &(_, _, _)| at < ends && inquiry.timestamp >= *asked;
+                if leases.contains_key(named) && leases.values().all(lifts) {
+                    return last.is_some_and(|last| {
+                        leases.values().all(|(.., lease)| last + *lease - DRIFT > act.promise.start)
+                    });
                 }
             }
         }
