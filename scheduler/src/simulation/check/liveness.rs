@@ -28,6 +28,7 @@ pub(in crate::simulation) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 
 /// for the answers, six for the lease, and one and a half for the margin.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
+const HELD_UP_LEAST: Span = Span::from_millis(40);
 /// How long after its instant a report may arrive, in addition to two round trips: it is asked for then, and given up after as
 /// long again.
 const REPORT_GRACE: Span = Span::from_millis(500);
@@ -46,13 +47,16 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// When nothing more is expected of a robot since an act was sent: it has failed, everything is being stopped or has ended.
+/// When nothing more is expected of a robot since an act was sent: it has finished the act or failed, everything is being stopped or
+/// has ended.
 fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
     let words =
         facts.ran.history.iter().filter(|(at, _)| *at >= act.at).find(|(_, happened)| match happened {
             Happened::Told(progress) => match &**progress {
                 Progress::Failed(failure) => failure.robot == *name,
+                // By its own clock, which may be ahead of the clock of the process that sent the act.
+                Progress::Finished { robot, number } => robot == name && *number == act.promise.number,
                 Progress::Stopping { .. } => true,
                 _ => false,
             },
@@ -315,9 +319,19 @@ pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
 /// promise and for the commitment, and the delays of links as slow as they were. No other fault is in it. Nobody waits for an act
 /// that starts at its own time: after a fault it is sent sooner than without, if those before it do not play, and no later.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
-    let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
+    let slow = (slow_again(facts, act) + held_up(facts, act)).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
     let ahead = if starts_at_its_time(act) { AHEAD } else { Span::ZERO };
     MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow + ahead
+}
+
+/// The addition to the longest round trip after acts were withdrawn because this machine was too slow, and prepared again: twice the
+/// delay, at least `HELD_UP_LEAST`, and at least twice the previous addition.
+fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+    let withdrawn = facts.acts.iter().filter(|before| before.repeated && before.at < act.at).count();
+    let of_this_machine = |hit: &&Hit| hit.robot.is_none() && hit.from <= act.at;
+    let delay = facts.hits.iter().filter(of_this_machine).map(|hit| hit.until - hit.from).max();
+    let first = (delay.unwrap_or_default() * 2).max(HELD_UP_LEAST);
+    (0..withdrawn).fold(Span::ZERO, |addition, _| first.max(addition * 2))
 }
 
 /// It waits for an instant, and is not late for it.
