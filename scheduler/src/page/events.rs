@@ -51,9 +51,9 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "finished" => "has ended all its scripts".to_owned(),
         "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),
         "act_skipped" => format!("{} is not played: {}", act(), text("fate").replace('_', " ")),
-        "going_home" => format!("all robots rest; {} moves them to their default positions", act()),
+        "going_home" => format!("{} moves the robots at rest to their default positions", act()),
         "approaching" => {
-            format!("all robots rest; {} moves them to the first positions of {}", act(), text("to"))
+            format!("{} moves the robots at rest to the first positions of {}", act(), text("to"))
         }
         "not_home" => format!("the robots stay where they are: {}", text("reason")),
         "not_approached" => format!("{} is not played: {}", act(), text("reason")),
@@ -111,7 +111,7 @@ mod tests {
         );
         assert_eq!(told(json!({"progress": "heard", "robot": "r"})), None);
         let approach = json!({"progress": "approaching", "act": "approach", "to": "bow"});
-        let moves = "all robots rest; approach moves them to the first positions of bow";
+        let moves = "approach moves the robots at rest to the first positions of bow";
         assert_eq!(told(approach).as_deref(), Some(moves));
     }
 }

@@ -38,9 +38,9 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
             format!("{robot}: link lost ({reason}); it goes on by its script{until}")
         }
         Progress::Reattached { robot } => format!("{robot}: back"),
-        Progress::GoingHome { act, .. } => format!("all robots rest; `{act}` moves them to their default positions"),
+        Progress::GoingHome { act, .. } => format!("`{act}` moves the robots at rest to their default positions"),
         Progress::Approaching { act, to, .. } => {
-            format!("all robots rest; `{act}` moves them to the first positions of `{to}`")
+            format!("`{act}` moves the robots at rest to the first positions of `{to}`")
         }
         Progress::NotApproached { act, reason } => format!("`{act}` is not played: {reason}"),
         Progress::NotHome { reason } => format!("the robots stay where they are: {reason}"),
