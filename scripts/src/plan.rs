@@ -86,6 +86,13 @@ impl FailurePolicy {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
 
+    /// Whether the failure of at least one robot of a fleet of this size sends all robots to their default state.
+    pub(crate) fn may_send_home(&self, robots: usize) -> bool {
+        let is_home = |rule: OnFailure| rule == OnFailure::Home;
+        let default_counts = self.robots.len() < robots;
+        self.robots.iter().any(|(_, rule)| is_home(*rule)) || (default_counts && is_home(self.default))
+    }
+
     /// Whether all robots go to their default state, whichever of them fails.
     pub(crate) fn sends_home(&self) -> bool {
         self.policies().all(|rule| rule == OnFailure::Home)

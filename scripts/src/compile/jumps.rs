@@ -150,9 +150,10 @@ enum By {
 pub(super) struct Passages(Vec<Vec<Passage>>);
 
 impl Passages {
-    pub(super) fn of(ways: &[Ways]) -> Self {
+    /// `robots` is the number of robots in the fleet.
+    pub(super) fn of(ways: &[Ways], robots: usize) -> Self {
         let of = |ways: &Ways| {
-            let home = ways.on_failure.then.filter(|_| ways.on_failure.sends_home());
+            let home = ways.on_failure.then.filter(|_| ways.on_failure.may_send_home(robots));
             let to = |way: &Way| if let Way::Act(to) = way { Some(*to) } else { None };
             let known = [(to(&ways.next), By::Next), (to(&ways.on_timeout), By::Timeout), (home, By::Home)];
             known.into_iter().filter_map(|(to, by)| Some(Passage { to: to?, by })).collect()

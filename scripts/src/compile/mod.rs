@@ -111,7 +111,7 @@ impl Compiler {
         let mut incomplete = HashSet::new();
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
-        let passages = Passages::of(&ways);
+        let passages = Passages::of(&ways, fleet.robots.len());
         let (mut first_movements, mut moved) = (Vec::new(), Vec::new());
         let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {

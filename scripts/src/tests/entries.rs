@@ -63,8 +63,10 @@ fn a_way_that_leads_back_to_an_act_is_judged_too() {
 }
 
 #[test]
-fn after_a_failure_devices_are_known_to_be_in_their_default_state_only_if_they_were_sent_home() {
-    for (policy, expected) in [("home", vec![Code::TooFast]), ("stop", vec![])] {
+fn after_a_failure_devices_are_in_their_default_state_if_a_robot_may_have_sent_them_home() {
+    let home = ["home", "stop, arm: home"].map(|policy| (policy, vec![Code::TooFast]));
+    let elsewhere = ["stop", "home, arm: stop"].map(|policy| (policy, vec![]));
+    for (policy, expected) in home.into_iter().chain(elsewhere) {
         let keys = format!("on_failure: {{default: {policy}, then: bow}}, next: end,");
         let found = jumps(&fleet("linear", true), &[("one", &keys, 0, 80), ("bow", "", 30, 40)]);
         assert_eq!(codes(&found), expected, "{policy}: {found:?}");
