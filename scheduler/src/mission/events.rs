@@ -279,6 +279,8 @@ pub enum Progress {
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
+    /// All robots rest, and no device has to move to its default position.
+    AtHome,
     /// All robots rest, and this act moves devices to the first positions of the act that follows the failure.
     Approaching {
         /// The name of the act.

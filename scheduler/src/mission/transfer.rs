@@ -261,6 +261,7 @@ impl Mission {
             Ok(None) => {
                 self.transfer.note(to, TransferReport::NothingToMove);
                 if to == Destination::Home {
+                    self.tell(Progress::AtHome);
                     self.transfer.there = self.transfer.poses.keys().copied().collect();
                     if self.then.is_none() {
                         self.arrive_home();

@@ -344,6 +344,7 @@ impl Watch for MissionTrace {
             Progress::Reattached { robot } => self.happened(at, "reattached", Some(robot), None),
             Progress::Dropped { robot } => self.happened(at, "dropped", Some(robot), None),
             Progress::GoingHome { act, .. } => self.happened(at, "going home", None, Some(act)),
+            Progress::AtHome => self.happened(at, "at home", None, None),
             Progress::Approaching { act, .. } => self.happened(at, "approaching", None, Some(act)),
             Progress::NotApproached { reason, .. } => {
                 self.happened(at, "not approached", None, Some(reason));

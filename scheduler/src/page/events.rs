@@ -52,6 +52,7 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),
         "act_skipped" => format!("{} is not played: {}", act(), text("fate").replace('_', " ")),
         "going_home" => format!("{} moves the robots at rest to their default positions", act()),
+        "at_home" => "no device has to move to its default position".to_owned(),
         "approaching" => {
             format!("{} moves the robots at rest to the first positions of {}", act(), text("to"))
         }

@@ -48,22 +48,31 @@ impl Movement {
     }
 }
 
-/// The entries in the log of one process with which a device jumps from the position at which a stop has left it. The log contains a
-/// stop only if the device was moving.
-pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec<&'a LogEntry> {
-    let mut stopped: HashMap<&DeviceId, f64> = HashMap::new();
+/// A jump of a device from the position at which a stop has left it.
+#[derive(Clone, Copy, Debug)]
+pub struct JumpAfterStop<'a> {
+    /// The entry of the stop.
+    pub stop: &'a LogEntry,
+    /// The entry with which the device jumps.
+    pub entry: &'a LogEntry,
+}
+
+/// The jumps after stops in the log of one process. The log contains a stop only if the device was moving.
+pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec<JumpAfterStop<'a>> {
+    let mut stopped: HashMap<&DeviceId, &LogEntry> = HashMap::new();
     let mut jumps = Vec::new();
     for entry in log {
         if entry.control_type != ControlType::Position.to_string() {
             continue;
         }
-        let rested = stopped.remove(&entry.device);
+        let stop = stopped.remove(&entry.device);
         match entry.motion {
-            MotionKind::Rest | MotionKind::Slow => _ = stopped.insert(&entry.device, entry.value),
-            MotionKind::Set if rested.is_some_and(|rested| (entry.value - rested).abs() > JUMP) => {
-                jumps.push(entry);
+            MotionKind::Rest | MotionKind::Slow => _ = stopped.insert(&entry.device, entry),
+            MotionKind::Set => {
+                let jumped = stop.filter(|stop| (entry.value - stop.value).abs() > JUMP);
+                jumps.extend(jumped.map(|stop| JumpAfterStop { stop, entry }));
             }
-            MotionKind::Set | MotionKind::Ramp | MotionKind::Default => {}
+            MotionKind::Ramp | MotionKind::Default => {}
         }
     }
     jumps

@@ -39,6 +39,7 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
         }
         Progress::Reattached { robot } => format!("{robot}: back"),
         Progress::GoingHome { act, .. } => format!("`{act}` moves the robots at rest to their default positions"),
+        Progress::AtHome => "no device has to move to its default position".to_owned(),
         Progress::Approaching { act, to, .. } => {
             format!("`{act}` moves the robots at rest to the first positions of `{to}`")
         }

@@ -131,6 +131,7 @@ fn devices_at_their_default_positions_are_home() {
     says(&mut played, Rest::Home);
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     assert_eq!(played.mission.home(), Some(&TransferReport::NothingToMove));
+    assert_eq!(played.told.iter().filter(|told| matches!(told, Progress::AtHome)).count(), 1);
     assert_eq!(rests(&played), [Some(Rest::Home), Some(Rest::Home)]);
 }
 

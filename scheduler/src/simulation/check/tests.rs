@@ -4,8 +4,9 @@ use downbeat_robot::set_log::MotionKind;
 use urrcp::{Message, Span};
 
 use super::*;
-use crate::mission::{Outcome, Record};
+use crate::mission::{Outcome, Progress, Record};
 use crate::report::StopState;
+use crate::simulation::draw::Hands;
 use crate::simulation::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
 
 /// The first seed of missions like this.
@@ -466,6 +467,41 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
     }
     let found = slow.compared_with(&ran).violations;
     assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
+}
+
+/// Whether a jump is found that follows a stop at this position. In between, the mission sends robots home and approaches the act.
+fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
+    let states = |drawn: &Drawn| {
+        let at_home = |device: &urrcp::Device| device.default_value.is_some();
+        let own = |robot: &crate::simulation::DrawnRobot| {
+            matches!(robot.hands, Hands::Own) && robot.block.devices.iter().take(1).all(at_home)
+        };
+        calm(drawn) && drawn.robots.iter().all(own)
+    };
+    let mut ran = first(states, done);
+    let (promise, robot) = (promised(&ran), member(&ran));
+    let at = promise.timestamp - Span::from_millis(1);
+    let log = &mut ran.logs[robot];
+    let mut stop = log[0].clone();
+    (stop.motion, stop.value, stop.true_ns) = (MotionKind::Rest, position, at.as_nanos());
+    (stop.step, stop.request_id) = (None, None);
+    log[0].value = 60.0;
+    log.insert(0, stop);
+    let place = ran.history.partition_point(|(when, _)| *when <= at);
+    let choreography = std::sync::Arc::new(ran.drawn.choreography.clone());
+    let approaching = Progress::Approaching { act: String::new(), to: String::new(), choreography };
+    let told = home.then_some(Progress::AtHome).into_iter().chain(approaches.then_some(approaching));
+    ran.history.splice(place..place, told.map(|told| (at, Happened::Told(Box::new(told)))));
+    ran.verdict().violations.iter().any(|violation| violation.what.contains("where a stop had left it"))
+}
+
+#[test]
+fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
+    assert!(jumps_after_a_stop_at(0.0, false, false));
+    assert!(!jumps_after_a_stop_at(0.0, true, false));
+    assert!(!jumps_after_a_stop_at(0.4, true, false), "the nearest position");
+    assert!(jumps_after_a_stop_at(0.6, true, false));
+    assert!(jumps_after_a_stop_at(0.0, true, true), "it stayed on the approach");
 }
 
 /// A mission whose lead is so much longer than allowed, and what is found of it.
