@@ -200,6 +200,12 @@ impl Mission {
     fn await_clocks(&mut self, now: Timestamp<Server>, index: usize, unknown: Vec<usize>) {
         let (within, since) = (self.options.patience, self.acts[index].since());
         if now < since + within {
+            for robot in unknown {
+                // The next round may come too late.
+                if self.robots[robot].questions.last_unanswered().is_none() {
+                    self.ask(now, robot);
+                }
+            }
             return self.acts[index].look_again_at(Some(since + within));
         }
         let silent = |robot| {

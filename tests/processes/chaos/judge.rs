@@ -52,10 +52,9 @@ pub fn judge(played: &Played) -> Verdict {
     let homes: HashSet<&str> = homes.map(String::as_str).collect();
     let is_home = |entry: &Logged| homes.contains(entry.request.as_str());
     let sets = played.sets.iter().map(|sets| sets.iter().filter(|set| !is_home(set)).cloned().collect());
-    let home_steps = played.sets.iter().map(|sets| sets.iter().filter(|set| is_home(set)).count() as u64);
-    let (sets, home_steps) = (sets.collect(), home_steps.collect());
-    let mut judge =
-        Judge { played, sets, home_steps, promises: promises.clone(), verdict: Verdict::default() };
+    let home = played.sets.iter().map(|sets| sets.iter().filter(|set| is_home(set)).cloned().collect());
+    let (sets, home) = (sets.collect(), home.collect());
+    let mut judge = Judge { played, sets, home, promises: promises.clone(), verdict: Verdict::default() };
     judge.programs();
     judge.starts();
     for robot in 0..played.drawn.robots() {
@@ -85,6 +84,8 @@ struct Promise {
     /// Index of its record in the journal.
     place: usize,
     act: usize,
+    /// An act that is prepared again has another number.
+    number: u64,
     sent: i64,
     start: i64,
     lease: i64,
@@ -119,6 +120,7 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
         Promise {
             place,
             act: record["act"].as_u64().unwrap() as usize,
+            number: record["number"].as_u64().unwrap(),
             sent: nanos(record["timestamp"].as_str().unwrap()),
             start,
             lease,
@@ -149,7 +151,7 @@ struct Judge<'a> {
     /// The values that each robot set, except on the way home.
     sets: Vec<Vec<Logged>>,
     /// The steps of each robot on the way home.
-    home_steps: Vec<u64>,
+    home: Vec<Vec<Logged>>,
     promises: Vec<Promise>,
     verdict: Verdict,
 }
@@ -404,7 +406,7 @@ impl Judge<'_> {
         };
         let reports = self.played.told.iter().filter_map(Told::report);
         let acts = reports.flat_map(|report| report["acts"].as_array().cloned().unwrap_or_default());
-        let mut of_act = acts.filter(|act| act["act"] == format!("act-{}", promise.act));
+        let mut of_act = acts.filter(|act| act["number"] == promise.number);
         let robots = of_act.find_map(|act| act["skew"]["robots"].as_array().cloned());
         let of_robot =
             robots.and_then(|robots| robots.into_iter().find(|skew| skew["robot"] == format!("r{robot}")));
@@ -549,15 +551,16 @@ impl Judge<'_> {
         let acts = report["acts"].as_array().into_iter().flatten();
         let acts: Vec<Option<usize>> = acts.map(place_of).collect();
         let of_acts = |entry: &&Logged| acts.contains(&Some(act_of(entry)));
-        let home = if acts.contains(&None) { self.home_steps[robot] } else { 0 };
+        let home: &[Logged] = if acts.contains(&None) { &self.home[robot] } else { &[] };
         let sets: Vec<&Logged> = self.sets[robot].iter().filter(of_acts).collect();
-        let (said, set) = (row["steps_done"].as_u64().unwrap(), sets.len() as u64 + home);
+        let (said, set) = (row["steps_done"].as_u64().unwrap(), (sets.len() + home.len()) as u64);
         let begins = |entry: &&LogEntry| {
             matches!(entry.motion, MotionKind::Set | MotionKind::Ramp)
                 && acts.contains(&Some((entry.value as usize).saturating_sub(1) / VALUES))
         };
         let begun = self.played.logs[robot].iter().flatten().filter(begins).count();
-        let late = sets.iter().filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
+        let all = sets.iter().copied().chain(home);
+        let late = all.filter(|entry| entry.set_at - entry.due > MILLIS).count() as u64;
         let torn = u64::from(self.lost_its_memory(robot));
         let certain = row["stop"]["state"] != "unconfirmed" && row["unaccounted"] == 0;
         self.say(said > set + torn, || {

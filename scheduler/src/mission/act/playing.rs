@@ -616,8 +616,8 @@ fn may_be_asked(
 }
 
 /// Whether a robot had the opportunity to report on a script since `due`: while this process is suspended, and before it resumes a
-/// mission, it sends no inquiry. The answer to an inquiry that does not name the script counts only if the robot has ignored the name
-/// for `grace`.
+/// mission, it neither sends inquiries nor reads messages. A robot that reports by itself has done so before it answers a question. The
+/// answer to an inquiry that does not name the script counts only if the robot has ignored the name for `grace`.
 fn was_asked(
     member: &Member,
     script: &Script,
@@ -626,10 +626,10 @@ fn was_asked(
 ) -> bool {
     let answered = robot.questions.answered();
     if !robot.takes_inquiries() || script.is_planned() {
-        return !robot.takes_inquiries() || answered.is_some_and(|at| at >= due);
+        return answered >= Some(due);
     }
     let ignored = || member.asked_since.is_some_and(|since| since >= due && answered >= Some(since + grace));
-    script.reported_at().is_some_and(|at| at >= due) || ignored()
+    script.reported_at() >= Some(due) || ignored()
 }
 
 /// What became of a script of a member may be left unknown when its time has passed.

@@ -253,6 +253,20 @@ fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_he
 }
 
 #[test]
+fn reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed() {
+    for late in [600, 1_100, 2_000] {
+        let mut played = Played::begun(one_act(Tells::Reports, 400));
+        let start = played.mission.acts[0].timing().unwrap().start;
+        played.run_until(start - ms(10));
+        played.now = start + ms(400 + late);
+        let actions = played.mission.advance(played.now);
+        played.carry_out(actions);
+        let outcome = played.run_to_the_end();
+        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+    }
+}
+
+#[test]
 fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the_robots() {
     for (late, held_up) in [(100, 0), (101, 1)] {
         let mut played = Played::begun(begins_at_once(Everything));

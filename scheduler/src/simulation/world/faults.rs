@@ -40,7 +40,11 @@ impl World {
             Fault::SchedulerCrashAmid { actions, resumed_after } => {
                 self.scheduler.light_fuse(actions, resumed_after);
             }
-            Fault::SchedulerPause { lasts } => self.scheduler.paused_until = now + lasts,
+            Fault::SchedulerPause { lasts } => {
+                self.scheduler.paused_until = now + lasts;
+                // On a real machine, either may come first.
+                self.scheduler.timers_first = self.drawn.seed.is_multiple_of(2);
+            }
             Fault::DiskStalls { lasts } => self.scheduler.disk_stands_still_until = now + lasts,
             Fault::Stop => self.tell(Event::StopRequested { rest: Rest::InPlace, by: None }),
             Fault::Home => self.tell(Event::StopRequested { rest: Rest::Home, by: None }),

@@ -45,6 +45,8 @@ pub(super) struct Scheduler {
     /// Counts the lives of the process: what was under way for an earlier one is lost.
     life: u32,
     pub(super) paused_until: Timestamp<Server>,
+    /// After its pause, the process serves a timer that has expired before it takes what has arrived.
+    pub(super) timers_first: bool,
     /// What has arrived and is not taken yet.
     arrived: VecDeque<drive::Happened>,
     /// The links as the process sees them.
@@ -103,6 +105,7 @@ impl Scheduler {
             process: Process::Running,
             life: 0,
             paused_until: BEGIN,
+            timers_first: false,
             arrived: VecDeque::new(),
             links: vec![None; drawn.robots.len()],
             journal,
@@ -360,6 +363,12 @@ impl drive::World for World {
                 return Some(drive::Happened::Killed);
             }
             let can_take = self.now >= self.scheduler.paused_until;
+            if can_take && std::mem::take(&mut self.scheduler.timers_first) {
+                let expired = until.is_some_and(|until| until <= self.now + self.scheduler.ahead);
+                if expired {
+                    return None;
+                }
+            }
             if can_take && let Some(happened) = self.scheduler.arrived.pop_front() {
                 self.note_taken(&happened);
                 return Some(happened);
