@@ -68,6 +68,7 @@ pub use outcome::Outcome;
 pub use preflight::{AfterFailure, Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record, StepsLate};
 pub use resume::Changed;
+pub use script::promised_name;
 pub use skew::{RobotSkew, SkewBudget};
 pub use transfer::{Destination, PlanTransfer, TransferReport};
 

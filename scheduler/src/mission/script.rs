@@ -72,6 +72,10 @@ pub(crate) struct Script {
     pub(crate) plan: DeviceScript,
     state: ScriptState,
     request_id: Option<RequestId>,
+    /// The name of its first request, which the journal knows.
+    promised_id: Option<RequestId>,
+    /// How often its robot had no room for it.
+    refusals: u32,
     content_hash: ContentHash,
     /// The offset that is added to the timestamp of its request, if it differs from the offset of its act.
     shift: Option<Span>,
@@ -117,6 +121,8 @@ impl Script {
             plan: plan.clone(),
             state: ScriptState::Planned,
             request_id: None,
+            promised_id: None,
+            refusals: 0,
             shift: None,
             shift_is_lost: false,
             accepted: false,
@@ -278,7 +284,8 @@ impl Script {
     }
 
     pub(super) fn name(&mut self, id: Option<RequestId>) {
-        self.request_id = id;
+        self.request_id.clone_from(&id);
+        self.promised_id = id;
     }
 
     /// This process takes over from another one, which may have sent it.
@@ -314,7 +321,8 @@ impl Script {
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
         self.perhaps_sent = false;
-        let again = self.request_id.as_ref().map(|id| RequestId::new(format!("{id}+")));
+        self.refusals += 1;
+        let again = self.promised_id.as_ref().map(|id| RequestId::new(format!("{id}+{}", self.refusals)));
         self.request_id = again.and_then(Result::ok);
     }
 
@@ -472,6 +480,16 @@ impl Script {
         }
         self.state = ScriptState::Ended(Ending::Failed(error.clone()));
         News::Failed(error)
+    }
+}
+
+/// The name under which the journal promises a script that was sent under the name `request_id`. The two differ if the robot had no
+/// room for the script at first.
+#[must_use]
+pub fn promised_name(request_id: &str) -> &str {
+    match request_id.rsplit_once('+') {
+        Some((promised, refusals)) if refusals.parse::<u32>().is_ok() => promised,
+        _ => request_id,
     }
 }
 

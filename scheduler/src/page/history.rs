@@ -12,6 +12,7 @@ use serde_json::Value;
 use urrcp::{InitializationBlock, Interpolation, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::journal::{self, Unreadable};
+use crate::mission::promised_name;
 
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
@@ -401,8 +402,26 @@ impl KnownRobot {
 
     fn plans(&mut self, device: String, due: Timestamp<Server>, step: &Value) {
         let Some(value) = step["value"].as_f64() else { return };
-        let request = step["request_id"].as_str().unwrap_or_default().to_owned();
+        let request = promised_name(step["request_id"].as_str().unwrap_or_default()).to_owned();
         let control = step["control_type"].as_str().unwrap_or_default().to_owned();
         self.planned.entry((device, request)).or_default().push(PlannedStep { due, value, control });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_script_that_was_sent_again_under_another_name_is_planned_once() {
+        let mut robot = KnownRobot::new("r".parse().unwrap(), None);
+        for name in ["s/1/0/0/0", "s/1/0/0/0+1", "s/1/0/0/0+2"] {
+            let step = json!({"value": 1, "control_type": "position", "request_id": name});
+            robot.plans("d".to_owned(), Timestamp::from_nanos(5), &step);
+        }
+        let planned: Vec<_> = robot.planned.into_keys().collect();
+        assert_eq!(planned, [("d".to_owned(), "s/1/0/0/0".to_owned())]);
     }
 }
