@@ -288,6 +288,12 @@ impl Script {
         self.promised_id = id;
     }
 
+    /// Whether an answer bears an earlier name of the script. The robot has refused that name for good, and a request that arrives twice
+    /// is refused twice.
+    pub(super) fn had_another_name(&self, response: &ControlResponse) -> bool {
+        response.request_id.is_some() && response.request_id != self.request_id
+    }
+
     /// This process takes over from another one, which may have sent it.
     pub(super) const fn taken_up(&mut self) {
         self.perhaps_sent = true;

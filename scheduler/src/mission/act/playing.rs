@@ -68,6 +68,9 @@ impl Act {
         arrived: Timestamp<Server>,
         robots: &[RobotState],
     ) -> Noted {
+        if self.script(script).had_another_name(response) {
+            return Noted { news: News::None, actions: Vec::new() };
+        }
         if let Some(noted) = self.doubted(script, &Told::by_response(response, arrived), robots) {
             return noted;
         }

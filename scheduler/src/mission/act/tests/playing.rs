@@ -412,17 +412,39 @@ fn a_robot_that_only_answers_is_asked_again_soon_until_its_script_has_ended() {
     assert!(asked.windows(2).all(|pair| pair[1] - pair[0] == ms(50)), "{asked:?}");
 }
 
-#[test]
-fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
+/// A robot that tells nothing was sent the third script of its device, and has not answered yet.
+fn sent_a_third_script() -> (Bench, ScriptRef) {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 5_000)]];
     let mut bench = Bench::of(&[Tells::Nothing], 2, bench::played(&scripts));
     bench.play(Leases::Fixed);
     // Nothing more is accepted but by the test.
     bench.silent = vec![0];
-    let third = bench.scripts_of(0)[2];
     while bench.sent_to(0).len() < 3 {
         bench.run_until(bench.now + ms(1));
     }
+    let third = bench.scripts_of(0)[2];
+    (bench, third)
+}
+
+#[test]
+fn a_refusal_that_arrives_twice_counts_once() {
+    let (mut bench, third) = sent_a_third_script();
+    let error = bench::refusal(ErrorCode::Busy);
+    let refusal = ControlResponse { error, ..bench.response(third, Status::Failed) };
+    bench.take_response(third, &refusal);
+    bench.take_response(third, &refusal);
+    assert_eq!((bench.state(0, 2), bench.failed.len()), (&ScriptState::Planned, 0));
+    bench.run_until(bench.now + ms(60));
+    bench.take_response(third, &refusal);
+    assert_eq!(bench.state(0, 2), &ScriptState::Sent, "under a name that was not refused");
+    bench.say(third, Status::Accepted);
+    bench.take_response(third, &refusal);
+    assert_eq!((bench.state(0, 2), bench.failed.len()), (&ScriptState::Held, 0));
+}
+
+#[test]
+fn a_robot_that_tells_nothing_is_sent_again_soon_what_it_had_no_room_for() {
+    let (mut bench, third) = sent_a_third_script();
     bench.refuse(third, ErrorCode::Busy);
     let refused = bench.now;
     bench.run_until(refused + ms(60));
