@@ -323,10 +323,9 @@ impl Script {
     }
 
     /// A refusal because the queue was still full: it is sent again, under another name, since the robot remembers what
-    /// it answered to this one.
+    /// it answered to this one. A process that died may have sent it under that other name, too.
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
-        self.perhaps_sent = false;
         self.refusals += 1;
         let again = self.promised_id.as_ref().map(|id| RequestId::new(format!("{id}+{}", self.refusals)));
         self.request_id = again.and_then(Result::ok);

@@ -214,6 +214,17 @@ fn a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name() {
 }
 
 #[test]
+fn a_process_that_died_may_have_sent_a_refused_script_under_its_next_name() {
+    let mut script = sent();
+    script.refused_for_now();
+    assert!(!script.is_unaccounted());
+    let mut taken_up = sent();
+    taken_up.taken_up();
+    taken_up.refused_for_now();
+    assert!(taken_up.is_planned() && taken_up.is_unaccounted());
+}
+
+#[test]
 fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them() {
     let planned = |first: i64, leases: &[Option<i64>]| {
         let step = |(index, lease): (usize, &Option<i64>)| urrcp::Step {
