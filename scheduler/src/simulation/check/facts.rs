@@ -4,10 +4,10 @@ use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::{Act, Choreography, DeviceScript};
-use urrcp::{Command, Message, RobotId, Server, Span, Timestamp};
+use urrcp::{Command, Message, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
-use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
+use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
 use crate::simulation::{Drawn, Fault, Happened, Names, Network, Ran};
 
 /// On a link that loses answers a clock that was set is seen a second later, at the next question.
@@ -90,12 +90,21 @@ fn planned_after_stops(ran: &Ran) -> Vec<(Timestamp<Server>, &Choreography)> {
     planned.collect()
 }
 
+/// The name under which a script was promised to a robot. A script that a device had no room for is sent again under another name, but
+/// only to a robot that neither reports nor answers inquiries: the mission has to guess when there is room.
+fn promised_name_of<'n>(ran: &Ran, robot: usize, id: &'n str) -> &'n str {
+    let block = &ran.drawn.robots[robot].block;
+    if block.reports || block.inquiry { id } else { promised_name(id) }
+}
+
 impl<'a> Facts<'a> {
     pub(super) fn of(ran: &'a Ran) -> Self {
         let mut logs: HashMap<&str, Vec<&LogEntry>> = HashMap::new();
-        for entry in ran.logs.iter().flatten() {
-            if let Some(id) = entry.request_id.as_deref() {
-                logs.entry(id).or_default().push(entry);
+        for (robot, log) in ran.logs.iter().enumerate() {
+            for entry in log {
+                if let Some(id) = entry.request_id.as_deref() {
+                    logs.entry(promised_name_of(ran, robot, id)).or_default().push(entry);
+                }
             }
         }
         let mut facts = Self {
@@ -201,14 +210,16 @@ impl<'a> Facts<'a> {
         for (at, happened) in &self.ran.history {
             match happened {
                 Happened::AtRobot(robot, Message::ControlRequest(request)) => {
-                    if let Some((id, timestamp)) = request.request_id.as_ref().zip(request.timestamp) {
-                        sent.entry(id).or_insert((*robot, timestamp));
+                    if let Some((id, timestamp)) =
+                        request.request_id.as_ref().map(RequestId::as_str).zip(request.timestamp)
+                    {
+                        sent.entry(self.promised_name(*robot, id)).or_insert((*robot, timestamp));
                     }
                 }
                 // A robot that restarts forgets scripts that have not begun. They arrive for the first time again.
                 Happened::Back(back) => sent.retain(|id, (robot, _)| {
                     let began = |entry: &&LogEntry| entry.true_ns < at.as_nanos();
-                    robot != back || logs.get(id.as_str()).is_some_and(|log| log.iter().any(began))
+                    robot != back || logs.get(*id).is_some_and(|log| log.iter().any(began))
                 }),
                 _ => {}
             }
@@ -221,7 +232,7 @@ impl<'a> Facts<'a> {
                 {
                     continue;
                 }
-                let timestamp = sent.get(&script.promised.request_id);
+                let timestamp = sent.get(script.promised.request_id.as_str());
                 script.arrived_shift = timestamp.map(|(_, at)| *at - act.promise.timestamp.assume_clock());
             }
         }
@@ -282,6 +293,11 @@ impl<'a> Facts<'a> {
     pub(super) fn counts_steps(&self, robot: usize) -> bool {
         let drawn = &self.drawn().robots[robot];
         drawn.names == Names::Echoed || drawn.block.inquiry
+    }
+
+    /// The name under which a script was promised to a robot.
+    pub(super) fn promised_name<'n>(&self, robot: usize, id: &'n str) -> &'n str {
+        promised_name_of(self.ran, robot, id)
     }
 
     pub(super) fn index_of(&self, id: &RobotId) -> Option<usize> {

@@ -94,7 +94,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         for process in processes(facts, robot) {
             let unexplained = unexplained(
                 process,
-                |id| scripts.get(id).copied(),
+                |id| scripts.get(facts.promised_name(robot, id)).copied(),
                 |entry| homes.contains(&(&entry.device, entry.true_ns)),
             );
             let states = states_positions(&facts.drawn().robots[robot]);

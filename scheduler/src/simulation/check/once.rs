@@ -22,7 +22,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         let mut done: HashSet<(&str, u32)> = HashSet::new();
         for entry in log.iter().filter(|entry| entry.is_set()) {
             let (Some(id), Some(step)) = (entry.request_id.as_deref(), entry.step) else { continue };
-            if !done.insert((id, step)) {
+            if !done.insert((facts.promised_name(robot, id), step)) {
                 verdict.violated('b', format!("r{robot} did step {step} of {id} twice"));
             }
             let late = entry.set_at - entry.due;

@@ -4,7 +4,7 @@
 //! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
 //! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
 
-use urrcp::{Command, Message, Server, Span, Timestamp};
+use urrcp::{Command, Message, RequestId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct};
@@ -219,13 +219,14 @@ fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
         facts.ran.starts_of_dead.iter().enumerate().filter(|(robot, _)| facts.honest(*robot))
     {
         for act in &facts.acts {
-            for script in act
-                .of(robot)
-                .filter(|script| names.iter().any(|name| *name == *script.promised.request_id.as_str()))
-            {
+            for script in act.of(robot) {
+                let is_it =
+                    |name: &&String| facts.promised_name(robot, name) == script.promised.request_id.as_str();
+                let Some(name) = names.iter().find(is_it) else { continue };
                 let came = facts.ran.history.iter().rev().find_map(|(at, happened)| match happened {
                     Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
-                        (request.request_id.as_ref() == Some(&script.promised.request_id)).then_some(*at)
+                        (request.request_id.as_ref().map(RequestId::as_str) == Some(name.as_str()))
+                            .then_some(*at)
                     }
                     _ => None,
                 });

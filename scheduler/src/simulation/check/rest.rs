@@ -56,9 +56,8 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         .collect();
     // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it continues.
     for entry in facts.ran.logs[robot].iter().filter(|entry| entry.is_set()) {
-        let Some((pending, running)) = entry.request_id.as_deref().and_then(|id| leases.get(id)) else {
-            continue;
-        };
+        let name = entry.request_id.as_deref().map(|id| facts.promised_name(robot, id));
+        let Some((pending, running)) = name.and_then(|name| leases.get(name)) else { continue };
         let due = entry.true_ns - (entry.set_at - entry.due).as_nanos();
         let at = Timestamp::<Server>::from_nanos(due);
         let lease = match entry.step {

@@ -5,7 +5,7 @@
 //! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
 //! then the start is still within the scenario's tolerance, or there is none.
 
-use urrcp::{Message, Server, Span, Timestamp};
+use urrcp::{Message, RequestId, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::cause::Cause;
@@ -117,11 +117,12 @@ fn excuse(
     excuses.map(|hit| hit.cause).min()
 }
 
-/// When a script was first there.
+/// When the request by which a script began was first there.
 fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
+    let name = script.log.first().and_then(|entry| entry.request_id.as_deref());
     let named = |happened: &Happened| match happened {
         Happened::AtRobot(robot, Message::ControlRequest(request)) => {
-            *robot == script.robot && request.request_id.as_ref() == Some(&script.promised.request_id)
+            *robot == script.robot && request.request_id.as_ref().map(RequestId::as_str) == name
         }
         _ => false,
     };

@@ -266,6 +266,31 @@ fn a_movement_without_a_reason_is_found() {
     });
 }
 
+/// The first request of a robot is refused once, so it moves under another name. The robot may tell what became of it.
+fn moves_under_another_name(tells: bool) -> (Ran, usize) {
+    let mut ran = played();
+    let robot = member(&ran);
+    let block = &mut ran.drawn.robots[robot].block;
+    (block.reports, block.inquiry) = (tells, false);
+    let promise = promised(&ran);
+    let name = promise.scripts[0].request_id.as_str();
+    let entries = ran.logs[robot].iter_mut().filter(|entry| entry.request_id.as_deref() == Some(name));
+    entries.for_each(|entry| entry.request_id = Some(format!("{name}+1")));
+    (ran, robot)
+}
+
+#[test]
+fn only_a_robot_that_tells_nothing_moves_under_another_name_than_was_promised() {
+    assert!(violated(&moves_under_another_name(true).0).contains('m'));
+    let (mut ran, robot) = moves_under_another_name(false);
+    let found = violated(&ran);
+    assert!(!found.contains('m') && !found.contains('b'), "{found}");
+    let mut again = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().clone();
+    again.request_id = again.request_id.map(|name| crate::mission::promised_name(&name).to_owned());
+    ran.logs[robot].push(again);
+    assert!(violated(&ran).contains('b'), "one script under two names");
+}
+
 #[test]
 fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
     finds('c', |ran| {
