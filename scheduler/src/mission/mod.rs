@@ -74,6 +74,7 @@ pub use transfer::{Destination, PlanTransfer, TransferReport};
 
 use crate::server_clock::NtpState;
 use act::Act;
+pub(crate) use requests::may_be_for_a_stop;
 pub use robot_state::Rest;
 use robot_state::RobotState;
 

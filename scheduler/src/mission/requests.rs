@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, Timestamp};
+use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, StatusValue, Timestamp};
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
@@ -262,7 +262,12 @@ pub(super) enum Says {
 
 /// Whether an answer says neither which request it is for nor what came of it.
 const fn names_nothing(response: &ControlResponse) -> bool {
-    response.request_id.is_none() && response.steps_done.is_none()
+    response.request_id.is_none() && may_be_for_a_stop(response)
+}
+
+/// Whether an `OK` may be the answer to a stop. The end of a script states its last value, and a stop sets none.
+pub(crate) const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
+    matches!((&response.status_value, response.steps_done), (StatusValue::Null, None | Some(0)))
 }
 
 /// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.

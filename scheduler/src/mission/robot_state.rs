@@ -12,6 +12,7 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::latency::LatencyDiffers;
+use super::requests::may_be_for_a_stop;
 use super::script::{Ending, Script, ScriptRef, ScriptState};
 use super::seize::Ownership;
 use super::{Loss, MissionSettings, Participant};
@@ -594,7 +595,7 @@ impl RobotState {
     }
 
     /// Takes the answer to a stop request, if it is one. An answer without a name is one only if no script of its device
-    /// can be meant: `open_on` tells whether one is open.
+    /// can be meant: `open_on` tells whether one is open. A process that only withdraws a mission knows no scripts.
     pub(crate) fn stop_answered(
         &mut self,
         now: Timestamp<Server>,
@@ -612,7 +613,8 @@ impl RobotState {
                 let of_device = |(_, device): &(&RequestId, &DeviceId)| **device == response.device_id;
                 let open = sent.unconfirmed.iter().find(of_device).map(|(id, _)| id.clone());
                 let before = said_at < sent.at;
-                match open.filter(|_| confirms && !before && !open_on(&response.device_id)) {
+                let is_meant = confirms && may_be_for_a_stop(response) && !before;
+                match open.filter(|_| is_meant && !open_on(&response.device_id)) {
                     Some(id) => id,
                     None => return false,
                 }

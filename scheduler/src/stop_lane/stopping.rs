@@ -14,7 +14,7 @@ use super::connection::Connection;
 use super::sent::Sent;
 use crate::drive::Happened;
 use crate::link::{Asked, Endpoint, Waiting};
-use crate::mission::{Event, Rest};
+use crate::mission::{Event, Rest, may_be_for_a_stop};
 use crate::server_clock::ServerClock;
 
 /// Between two tries to keep a connection, at first and at most; it doubles.
@@ -228,8 +228,10 @@ fn confirms(response: &ControlResponse) -> bool {
     response.status == Status::Ok
 }
 
+/// Whether an `OK` without a name answers a stop, and does not end a script of the same device.
 fn is_for(stop: &Message, response: &ControlResponse) -> bool {
-    matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
+    may_be_for_a_stop(response)
+        && matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
 /// The operator's word, once it is another one than this.
@@ -244,5 +246,24 @@ async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
 async fn reached(sent: &mut watch::Receiver<Sent>) {
     if sent.wait_for(|sent| sent.reached).await.is_err() {
         std::future::pending::<()>().await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{Command, ControlRequest, DeviceId, Script, StatusValue, Timestamp};
+
+    use super::*;
+
+    #[test]
+    fn the_end_of_a_script_without_a_name_is_no_answer_to_a_stop_of_its_device() {
+        let device = |name: &str| name.parse::<DeviceId>().unwrap();
+        let stop = ControlRequest::immediate(device("a"), Command::Script(Script::cancel()));
+        let stop = Message::ControlRequest(stop);
+        let ok = |name| ControlResponse::new(Timestamp::from_nanos(0), device(name), Status::Ok);
+        assert!(is_for(&stop, &ok("a")));
+        assert!(!is_for(&stop, &ok("b")));
+        assert!(!is_for(&stop, &ControlResponse { status_value: StatusValue::Number(45.0), ..ok("a") }));
+        assert!(!is_for(&stop, &ControlResponse { steps_done: Some(2), ..ok("a") }));
     }
 }

@@ -1,6 +1,6 @@
 //! Questions and their answers, stops and their confirmations, links and attempts.
 
-use urrcp::{ErrorCode, Interpolation};
+use urrcp::{ErrorCode, Interpolation, StatusValue};
 
 use super::*;
 use crate::mission::bench::{self, Tells, at, ms, response};
@@ -138,6 +138,12 @@ fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_
     assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
     let before = without_name("a", Status::Ok, STOPPED - 1);
     assert!(!robot.stop_answered(at(STOPPED + 2), &before, |_| false));
+    // Only the end of a script has a last value and steps.
+    let last_value = ControlResponse { status_value: StatusValue::Number(45.0), ..after.clone() };
+    let steps = ControlResponse { steps_done: Some(1), ..after.clone() };
+    for ended in [last_value, steps] {
+        assert!(!robot.stop_answered(at(STOPPED + 2), &ended, |_| false), "{ended:?}");
+    }
     for status in [Status::Accepted, Status::Started, Status::Failed, Status::Provide] {
         let response = ControlResponse {
             error: bench::refusal(ErrorCode::Cancelled),

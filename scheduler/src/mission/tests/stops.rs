@@ -221,8 +221,32 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
 }
 
 #[test]
+fn the_end_of_a_script_without_a_name_does_not_confirm_the_stop_of_a_mission_that_is_withdrawn() {
+    let on = crate::journal::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
+    let left = crate::journal::Left { robots: [("r0".parse().unwrap(), on)].into(), ..Default::default() };
+    let participants = vec![Participant::new("r0".parse().unwrap(), robot("r0", Tells::Reports, 2).block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let ending = (Outcome::Stopped, "why".to_owned());
+    let mut mission =
+        Mission::withdraw("s".to_owned(), participants, options, &left, ending, Rest::InPlace, at(0));
+    assert_eq!(stops_in(&mission.handle(at(1), Event::LinkUp { robot: 0 })).len(), 1);
+    let ok = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, at(3));
+    let ended = urrcp::ControlResponse { status_value: urrcp::StatusValue::Number(45.0), ..ok.clone() };
+    for (answer, awaits) in [(ended, true), (ok, false)] {
+        let message = Message::ControlResponse(answer);
+        let _noted = mission.handle(at(4), Event::Received { robot: 0, message });
+        assert_eq!(mission.robots[0].awaits_stop(), awaits);
+    }
+}
+
+#[test]
 fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop() {
-    for (steps_done, completed) in [(None, false), (Some(2), true)] {
+    let last_value = urrcp::StatusValue::Number(45.0);
+    for (status_value, steps_done, completed) in [
+        (urrcp::StatusValue::Null, None, false),
+        (urrcp::StatusValue::Null, Some(2), true),
+        (last_value, None, true),
+    ] {
         let mut played = Played::begun(begins_at_once(Tells::Reports));
         played.run_to_the_start();
         played.mutes(0);
@@ -230,7 +254,7 @@ fn an_end_without_a_name_after_a_stop_may_be_that_of_the_script_or_of_the_stop()
         played.run_until(end + ms(5));
         played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
         let ended = super::super::bench::response(&"a".parse().unwrap(), None, Status::Ok, played.now);
-        let ended = urrcp::ControlResponse { steps_done, ..ended };
+        let ended = urrcp::ControlResponse { status_value, steps_done, ..ended };
         played.now = played.now + ms(1);
         played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
         let act = &played.mission.acts[0];
