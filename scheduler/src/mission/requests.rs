@@ -284,9 +284,10 @@ pub(super) fn open_without_name(
     let all = || acts.iter().flat_map(|act| of_device(act, robot, device));
     let fits = |script: &Script, state: &ScriptState| match response.status {
         Status::Accepted => *state == ScriptState::Sent,
-        // A script that is known to run may not have started yet.
+        // A script that is known to run may not have started yet. Another process may have sent one that this process has not.
         Status::Started => {
             matches!(state, ScriptState::Sent | ScriptState::Held)
+                || *state == ScriptState::Planned && script.is_unaccounted()
                 || *state == ScriptState::Running && !script.has_started()
         }
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),

@@ -217,6 +217,24 @@ fn a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome() {
     assert_eq!(outcome(flaws), Outcome::StepsLate { late: ms(30), tolerance });
 }
 
+#[test]
+fn a_start_without_a_name_may_be_that_of_a_script_that_only_the_process_before_has_sent() {
+    let scripts = [("a", 0, 100), ("a", 200, 100), ("a", 400, 100)];
+    let mut played = Played::begun(begins_with(Tells::Reports, &scripts));
+    let start = played.mission.acts[0].timing().unwrap().start;
+    played.run_until(start + ms(350));
+    // The robot holds two scripts at a time: the first two count as sent, and leave no room for the third one.
+    let resumed = resumed_after(&played, 0).mission;
+    let script = |script| ScriptRef { act: 0, member: 0, script };
+    assert!(resumed.acts[0].script(script(2)).is_planned());
+    let device = "a".parse().unwrap();
+    for (begins, expected) in [(200, script(1)), (400, script(2))] {
+        let started = super::super::bench::response(&device, None, Status::Started, start + ms(begins));
+        let says = (0, requests::Says::ByItself);
+        assert_eq!(requests::open_without_name(&resumed.acts, says, &device, &started), Some(expected));
+    }
+}
+
 /// One act of two robots that takes a second.
 fn of_two_robots() -> Played {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 1_000)]; 2];
