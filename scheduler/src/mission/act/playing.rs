@@ -98,14 +98,20 @@ impl Act {
         self.noted(script, news, robots)
     }
 
-    /// It fails, when it should have begun, on a robot that does not say how far it came: its word that it began may be lost.
+    /// It fails, when it should have begun, on a robot that does not say how far it came: its word that it began may be lost, as
+    /// it is if the robot reported to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start =
             self.timing.as_ref().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
         let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
         let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
-        due && untold && *planned.state() == ScriptState::Held
+        let accepted = match planned.state() {
+            ScriptState::Held => true,
+            ScriptState::Planned | ScriptState::Sent => planned.is_unheard_since_taken_up(),
+            _ => false,
+        };
+        due && untold && accepted
     }
 
     /// Takes what a robot reported of a request of this act.
@@ -127,7 +133,9 @@ impl Act {
             member.change(script.script, |script| script.translate(told - start.assume_clock()));
         }
         let known = &member.scripts()[script.script];
-        let untold = report.steps_done.is_none() && known.was_accepted() && !known.has_begun();
+        // The robot states the hash of a script only if it has accepted the script, perhaps from a process that has died.
+        let accepted = known.was_accepted() || report.content_hash.is_some();
+        let untold = report.steps_done.is_none() && accepted && !known.has_begun();
         let due = start.is_some_and(|start| said_at >= (start + member.shift_of(known)).assume_clock());
         let untold = report.error.clone().filter(|_| report.state == RequestState::Ended && untold && due);
         let news = member.change(script.script, |script| match untold {

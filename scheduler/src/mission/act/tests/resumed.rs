@@ -181,3 +181,28 @@ fn what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_m
     bench.refuse(script, ErrorCode::Late);
     assert_eq!((bench.state(0, 0), bench.failed.len()), (&ScriptState::Unknown, 0));
 }
+
+#[test]
+fn a_script_that_another_process_may_have_sent_and_that_fails_after_its_start_may_have_begun() {
+    for (before_start, begun) in [(ms(-500), true), (ms(500), false)] {
+        let mut bench = taken_up(Reached::Commitment, before_start);
+        let script = bench.scripts_of(0)[0];
+        bench.refuse(script, ErrorCode::Cancelled);
+        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, begun, "{before_start}");
+        assert_eq!(bench.failed.len(), 1, "{before_start}");
+    }
+}
+
+#[test]
+fn a_script_of_which_a_robot_reports_the_hash_was_accepted_and_may_have_begun() {
+    for accepted in [true, false] {
+        let mut bench = taken_up(Reached::Commitment, ms(-500));
+        let (script, now) = (bench.scripts_of(0)[0], bench.now);
+        let known = bench.act.script(script);
+        let (id, hash) = (known.request_id().cloned().unwrap(), known.content_hash());
+        let report = bench::report(&id, RequestState::Ended, accepted.then_some(hash));
+        let report = urrcp::RequestReport { error: bench::refusal(ErrorCode::Internal), ..report };
+        let _noted = bench.act.reported(script, &report, (now, by_robot(now), now), &bench.robots);
+        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, accepted);
+    }
+}
