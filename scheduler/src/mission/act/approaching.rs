@@ -4,7 +4,8 @@
 //! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler falls silent: what it
 //! sent before lets no robot start. A moment later one message lets any robot start. The scheduler speaks again, which is
 //! the commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
-//! the disk. If that is not so in time, it never speaks, and no robot starts.
+//! the disk. If that is not so in time, it never speaks, and no robot starts. A scheduler that stood still over the last rounds
+//! asks once more, if the leases can still end just before the start.
 
 use downbeat_scripts::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
@@ -37,6 +38,8 @@ pub(crate) struct Approach {
     on_disk: OnDisk,
     /// Members before it have answered one of the last two rounds.
     heard: usize,
+    /// When the robots were asked once more after the critical instant, because this process had stood still over the last rounds.
+    late_round: Option<Timestamp<Server>>,
     /// When this process took over from the one that decided.
     taken_up: Option<Timestamp<Server>>,
 }
@@ -68,7 +71,8 @@ enum Told {
 impl Approach {
     /// The first round is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
-        Self { wakeup: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0, taken_up: None }
+        let (rounds, on_disk) = ([now, now], OnDisk::Nothing);
+        Self { wakeup: now, rounds, on_disk, heard: 0, late_round: None, taken_up: None }
     }
 
     /// Another process has decided: robots may not have been asked by this one before it is too late.
@@ -79,7 +83,33 @@ impl Approach {
     /// Whether a robot that has not said that it holds its scripts has failed. Where this process comes too late itself, its
     /// word may not have been read, or it was not asked in time.
     fn blames_silence(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
-        now <= self.commit_by(timing) && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
+        let in_time = now <= self.commit_by(timing) && !self.was_held_up(timing);
+        in_time && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
+    }
+
+    /// Every robot has to answer a question that was sent at this instant or later: one of the last two rounds, but none before the
+    /// limit that was printed for silence.
+    fn since(&self, timing: &Timing) -> Timestamp<Server> {
+        self.rounds[0].max(timing.doubtful_from())
+    }
+
+    /// Whether this process stood still over the last rounds.
+    fn was_held_up(&self, timing: &Timing) -> bool {
+        self.late_round.is_some() || self.rounds[0] < timing.doubtful_from()
+    }
+
+    /// Whether a process that stood still over the last rounds may ask once more: with leases that still end at the brink.
+    fn may_ask_late(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
+        self.late_round.is_none()
+            && self.was_held_up(timing)
+            && now >= timing.critical()
+            && now < self.commit_by(timing) - FAIL_AHEAD
+            && timing.lets_through(now)
+    }
+
+    /// Whether the robots are asked once more at this instant.
+    pub(super) fn asks_late(&self, now: Timestamp<Server>) -> bool {
+        self.late_round == Some(now)
     }
 
     /// Whether this process took up the act after the last instant at which it may ask robots, so that no robot can answer. It
@@ -133,6 +163,9 @@ impl Act {
             self.stage = Stage::Deserted;
             return Vec::new();
         }
+        if self.has_to_ask_late(now, robots) {
+            return self.ask_late(now, robots);
+        }
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
@@ -168,6 +201,22 @@ impl Act {
         actions
     }
 
+    /// Whether one more round is needed and possible after the critical instant, because this process stood still over the last ones.
+    fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+        let since = approach.since(timing);
+        approach.may_ask_late(now, timing)
+            && self.present().any(|member| !member.holds_since(&robots[member.robot], since))
+    }
+
+    fn ask_late(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let actions = self.round(now, robots);
+        if let Stage::Approaching(approach) = &mut self.stage {
+            (approach.rounds, approach.late_round) = ([now, now], Some(now));
+        }
+        actions
+    }
+
     /// The commitment is written down ahead of time: the disk may be slow.
     fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
@@ -187,7 +236,8 @@ impl Act {
             return Vec::new();
         };
         let (since, commit_by, fail_by) =
-            (approach.rounds[0], approach.commit_by(timing), approach.fail_by(timing));
+            (approach.since(timing), approach.commit_by(timing), approach.fail_by(timing));
+        let held_up = approach.was_held_up(timing).then(|| timing.critical());
         approach.wakeup = fail_by;
         // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
         let holds =
@@ -210,7 +260,7 @@ impl Act {
             return vec![ActAction::Fail(failing)];
         }
         if !ready || now > commit_by {
-            let by = (now - commit_by).max(Span::ZERO);
+            let by = (now - held_up.unwrap_or(commit_by)).max(Span::ZERO);
             return vec![ActAction::Withdraw(Outcome::CommitmentLate { by })];
         }
         self.commit(now)

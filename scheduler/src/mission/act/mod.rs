@@ -521,7 +521,11 @@ impl Act {
     /// Whether nothing may be sent to a robot now: it would carry its lease over a start that is not committed.
     pub(crate) fn hushes(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
-        let undecided = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+        let undecided = match &self.stage {
+            Stage::Preparing(_) => true,
+            Stage::Approaching(approach) => !approach.asks_late(now),
+            _ => false,
+        };
         critical && undecided && self.place_of(robot).is_some()
     }
 

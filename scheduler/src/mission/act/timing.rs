@@ -321,6 +321,11 @@ impl Timing {
         self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
     }
 
+    /// From then on silence may be noticed too late.
+    pub(crate) fn doubtful_from(&self) -> Timestamp<Server> {
+        self.start - self.doubt()
+    }
+
     /// When robots that have not answered are asked again, in time for the decision.
     pub(crate) fn ask_again(&self) -> Timestamp<Server> {
         self.timestamp + (self.decision - self.timestamp) * 2 / 3

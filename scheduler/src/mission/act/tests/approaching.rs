@@ -161,6 +161,61 @@ fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() 
     }
 }
 
+/// An act whose process stands still from well before the last rounds until so long after the critical instant.
+fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
+    let mut bench = Bench::of_three(Policy::Without);
+    bench.decide(leases);
+    let doubtful = bench.timing().doubtful_from();
+    bench.run_until(doubtful - ms(40));
+    bench.silent = silent.to_vec();
+    bench.run_until(doubtful - ms(1));
+    bench.arrivals.retain(|(at, _)| *at < doubtful);
+    bench.now = bench.timing().critical() + after;
+    bench.take_arrivals();
+    bench.pump();
+    bench.run_until(bench.start());
+    bench
+}
+
+#[test]
+fn a_process_that_stood_still_over_the_last_rounds_asks_once_more_before_it_commits() {
+    for after in [Span::ZERO, ms(1), ms(5)] {
+        let bench = held_up(Leases::Shortened, after, &[]);
+        assert_eq!((bench.act.progress(), &bench.withdrawn), (Progressed::Committed, &None), "{after}");
+        let (critical, brink) = (bench.timing().critical(), bench.timing().brink());
+        let approaching = |question: &&Question| question.stage == Progressed::Approaching;
+        let late: Vec<_> =
+            bench.asked.iter().filter(approaching).filter(|asked| asked.at >= critical).collect();
+        assert_eq!(
+            late.iter().map(|asked| (asked.robot, asked.at)).collect::<Vec<_>>(),
+            [(0, critical + after), (1, critical + after), (2, critical + after)]
+        );
+        for question in late {
+            let id = bench.act.script(bench.scripts_of(question.robot)[0]).request_id().unwrap();
+            assert_eq!(ends(question, id), Some(brink + ROUND_TRIP / 2), "{after}");
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_keeps_the_act_from_starting()
+{
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        for after in [ms(1), ms(15)] {
+            let bench = held_up(leases, after, &[1]);
+            assert!(
+                bench.failed.is_empty(),
+                "{leases:?} {after}: it had no time to answer, {:?}",
+                bench.failed
+            );
+            let Some((_, Outcome::CommitmentLate { by })) = bench.withdrawn else {
+                panic!("{leases:?} {after}: {:?}", bench.act.progress())
+            };
+            assert!(by >= after, "{leases:?} {after}: {by}");
+        }
+    }
+}
+
 #[test]
 fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() {
     let mut bench = Bench::of_three(Policy::Abort);
