@@ -213,6 +213,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = set
         .or_else(|| came_late(facts, act, robot, until))
         .or_else(|| carried_over(facts, act, robot))
+        .or_else(|| outlived_the_first(facts, act, robot))
         .or_else(|| facts.was_stopped_in_part(act, robot).then_some(Cause::SchedulerCrash));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let Some(stop) = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min() else {
@@ -271,6 +272,41 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     };
     let causes: Option<Vec<Cause>> = facts.between(latest, began).iter().filter_map(carries).collect();
     causes?.into_iter().min()
+}
+
+/// A script waits under the running lease of the one that it follows on its device. The link or process of a robot without inquiries kept
+/// it until the robot had dropped the other one, whose pending lease had ended meanwhile: it begins alone, in an act that was not
+/// committed, and the scheduler was not there to take it back.
+fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let begins = |script: &SentScript<'_>| {
+        let entry = script.log.first()?;
+        Some(Timestamp::<Server>::from_nanos(entry.true_ns) - script.starts_after)
+    };
+    let first_began = || act.of(robot).any(|script| script.began() && act.before(script).is_none());
+    if facts.drawn().robots[robot].block.inquiry || first_began() {
+        return None;
+    }
+    let (began, script) =
+        act.of(robot).filter_map(|script| Some((begins(script)?, script))).min_by_key(|it| it.0)?;
+    let uncommitted = act.committed.is_none_or(|at| at > began);
+    let arrived = |script: &SentScript<'_>| {
+        let is_it = |happened: &Happened| match happened {
+            Happened::AtRobot(r, Message::ControlRequest(request)) => {
+                *r == robot && request.request_id.as_ref() == Some(&script.promised.request_id)
+            }
+            _ => false,
+        };
+        facts.between(act.at, began).iter().find(|(_, happened)| is_it(happened)).map(|(at, _)| *at)
+    };
+    let (first, came) = (arrived(act.before(script)?)?, arrived(script)?);
+    let heard: Vec<_> = facts.heard(robot).filter(|at| *at >= first && *at <= came).collect();
+    let was_dropped = heard.windows(2).any(|two| two[1] - two[0] + DRIFT > act.promise.lease);
+    let stood_still = |cause: Cause| matches!(cause, Cause::SchedulerCrash | Cause::SchedulerPause);
+    let away = facts.hits.iter().any(|hit| stood_still(hit.cause) && hit.overlaps(came, began));
+    let keeps = |cause: Cause| cause.is_of_link() || cause == Cause::RobotPause;
+    let own = |hit: &&Hit| hit.is_of(robot) && keeps(hit.cause) && hit.overlaps(came, came);
+    let hits = facts.hits.iter().filter(|_| uncommitted && was_dropped && away);
+    hits.filter(own).map(|hit| hit.cause).min()
 }
 
 /// Its clock was set so short a time before it started by it that no question showed it: the answer and a stop after it would

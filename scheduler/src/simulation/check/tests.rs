@@ -162,6 +162,78 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
     assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
 }
 
+/// A script of a robot without inquiries begins without the one that it follows, and whether that is excused: it came after a silence
+/// that was interrupted so often, and was slow on the link of a robot.
+fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
+    let undisturbed = |drawn: &Drawn| {
+        let sound =
+            |robot: &crate::simulation::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
+        drawn.network == Network::Stream
+            && drawn.tail == 0.0
+            && drawn.faults.is_empty()
+            && drawn.choreography.acts.len() == 1
+            && drawn.choreography.acts[0].plan.robots.len() > 1
+            && drawn.robots.iter().all(sound)
+    };
+    let follower = |ran: &Ran| {
+        let scripts = promised(ran).scripts;
+        let robot = |id: &urrcp::RobotId| ran.drawn.robots.iter().position(|drawn| drawn.block.id == *id);
+        let pair = |two: &[crate::mission::PromisedScript]| {
+            let robot = robot(&two[0].robot).filter(|robot| !ran.drawn.robots[*robot].block.inquiry)?;
+            let follows = (&two[0].robot, &two[0].device) == (&two[1].robot, &two[1].device);
+            follows.then(|| (robot, two[0].request_id.clone(), two[1].request_id.clone()))
+        };
+        scripts.windows(2).find_map(pair)
+    };
+    let mut ran = first(undisturbed, |ran| done(ran) && follower(ran).is_some());
+    let (promise, (robot, before, follows)) = (promised(&ran), follower(&ran).unwrap());
+    let other = (0..ran.drawn.robots.len()).find(|other| *other != robot).unwrap();
+    ran.logs.iter_mut().enumerate().filter(|(of, _)| *of != robot).for_each(|(_, log)| log.clear());
+    ran.logs[robot].retain(|entry| entry.request_id.as_deref() == Some(follows.as_str()));
+    ran.records.retain(|(_, record)| !matches!(record, Record::Committed { .. }));
+    let is_script = |happened: &Happened, of: &urrcp::RequestId| match happened {
+        Happened::AtRobot(r, Message::ControlRequest(request)) => {
+            *r == robot && request.request_id.as_ref() == Some(of)
+        }
+        _ => false,
+    };
+    let script = ran.history.iter().find(|(_, happened)| is_script(happened, &follows)).unwrap().1.clone();
+    let sent = ran.history.iter().find(|(_, happened)| is_script(happened, &before)).unwrap().0;
+    ran.history.retain(|(_, happened)| {
+        !matches!(happened, Happened::AtRobot(r, _) if *r == robot) || is_script(happened, &before)
+    });
+    let takes = promise.lease + Span::from_millis(20);
+    let mut add = |at, happened| {
+        let place = ran.history.partition_point(|(when, _)| *when <= at);
+        ran.history.insert(place, (at, happened));
+    };
+    let question = urrcp::AvailabilityRequest { timestamp: None, session: None, seize: false };
+    for number in 1..=questions {
+        let question = Message::AvailabilityRequest(question.clone());
+        add(sent + takes / (questions + 1) * number, Happened::AtRobot(robot, question));
+    }
+    add(sent, Happened::Slow(slow(robot, other), takes));
+    add(sent + takes, script);
+    if stands_still {
+        add(sent, Happened::Fault(Fault::SchedulerPause { lasts: Span::from_millis(5_000) }));
+    }
+    let verdict = ran.verdict();
+    let found = verdict.violations.iter().any(|violation| violation.invariant == 'a');
+    let causes: Vec<_> =
+        verdict.excuses.iter().filter(|excuse| excuse.invariant == 'a').map(|excuse| excuse.cause).collect();
+    assert_eq!(causes, if found { vec![] } else { vec![Cause::Slow] }, "{:?}", verdict.violations);
+    !found
+}
+
+#[test]
+fn a_script_that_came_late_excuses_a_start_without_the_one_before_it_only_if_that_one_was_dropped_meanwhile()
+{
+    assert!(outlives_the_first(0, |robot, _| robot, true));
+    assert!(!outlives_the_first(0, |_, other| other, true), "the link of another robot");
+    assert!(!outlives_the_first(0, |robot, _| robot, false), "the scheduler could take it back");
+    assert!(!outlives_the_first(2, |robot, _| robot, true), "the lease of the other one had not ended");
+}
+
 #[test]
 fn a_commitment_that_is_written_down_after_the_start_is_found() {
     finds('a', |ran| {
