@@ -319,14 +319,15 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
+/// When a pending lease ends, when the question was sent that says so, since one that was overtaken by it lifts nothing, and the lease.
+type LeaseEnd = (Timestamp<Server>, Option<Timestamp<Server>>, Span);
+
 /// A message that lets the robot start arrived while the end of its lease still lay well ahead, and the lease, as later messages renewed
 /// it, reached over the start: its link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
-    // When each ends, when the question was sent that says so, since one that was overtaken by it lifts nothing, and the lease.
-    let mut leases: HashMap<&RequestId, (Timestamp<Server>, Option<Timestamp<Server>>, Span)> =
-        HashMap::new();
+    let mut leases: HashMap<&RequestId, LeaseEnd> = HashMap::new();
     for (at, happened) in facts.between(act.at, act.promise.start) {
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
