@@ -48,26 +48,6 @@ fn a_mission_that_is_resumed_asks_what_was_sent_and_sends_nothing_again_of_its_a
 }
 
 #[test]
-fn an_act_that_is_prepared_again_after_a_resumption_asks_for_times_at_once() {
-    for later in [540, 700] {
-        let mut played = Played::begun(begins_at_once(Everything));
-        played.run_until(at(300));
-        let script = ScriptRef { act: 0, member: 0, script: 0 };
-        let id = played.mission.acts[0].script(script).request_id().cloned().unwrap();
-        played.drops(&id);
-        let mut resumed = resumed_after(&played, later);
-        resumed.mission.options.greeting = Greeting::Full;
-        // The next round is due later than that.
-        resumed.mission.options.patience = ms(600);
-        let outcome = resumed.run_to_the_end();
-        let failures = resumed.mission.robots[0].failures.len();
-        assert_eq!((outcome, failures), (Outcome::Done, 0), "{later} ms later");
-        let [report] = &*resumed.mission.reports.make_contiguous() else { panic!("one act was played") };
-        assert_eq!(report.prepared_again, 1, "{later} ms later");
-    }
-}
-
-#[test]
 fn a_robot_that_was_left_out_stays_out_after_a_resumption_and_is_stopped() {
     let mut played = Played::begun(without_those_that_fail());
     played.run_to_the_start();
