@@ -472,6 +472,26 @@ mod tests {
     }
 
     #[test]
+    fn a_script_inherits_what_it_leaves_out_unless_the_control_types_that_it_supports_differ() {
+        let read = |speed: &str, script: &str| {
+            let position = r#"{"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 2}"#;
+            let text = format!(r#"{{"position": {position}, "speed": {speed}, "script": {script}}}"#);
+            serde_json::from_str::<ControlTypes>(&text).map(|types| types.script().unwrap().limits.clone())
+        };
+        let slow = r#"{"min_value": -1, "max_value": 1, "granularity": 0.1}"#;
+        let inherited = read(slow, r#"{"max_number_of_steps": 4, "control_types": ["position"]}"#).unwrap();
+        assert_eq!(
+            inherited,
+            Limits { min_value: 0.0, max_value: 90.0, granularity: 0.5, max_error: Some(2.0) }
+        );
+        let narrower = r#"{"max_number_of_steps": 4, "control_types": ["position"], "max_value": 45}"#;
+        assert_eq!(read(slow, narrower).unwrap(), Limits { max_value: 45.0, ..inherited });
+        let error = read(slow, r#"{"max_number_of_steps": 4}"#).unwrap_err().to_string();
+        assert!(error.contains("the control types that it supports differ"), "{error}");
+        assert!(read(slow, "{}").is_err(), "the number of steps is required");
+    }
+
+    #[test]
     fn limits_between_two_multiples_are_refused() {
         let error = Limits::new(1.0, 4.0, 5.0).unwrap_err();
         assert!(

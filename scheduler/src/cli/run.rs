@@ -709,3 +709,22 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         _ => Exit::Failed,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use crate::cli::Cli;
+
+    #[test]
+    fn an_approach_goes_with_options_that_choose_acts_and_with_none_that_takes_robots_or_binds_the_plan() {
+        let goes_with = |more: &[&str]| {
+            let approach = ["downbeat", "run", "show.yaml", "--approach", "5s"];
+            Cli::try_parse_from([&approach[..], more].concat()).is_ok()
+        };
+        for option in [["--act", "bow"], ["--from", "bow"], ["--only", "arm"], ["--at", "19:30"]] {
+            assert!(goes_with(&option), "{option:?}");
+        }
+        assert!(!goes_with(&["--seize"]) && !goes_with(&["--require-certificate", "show.cert.json"]));
+    }
+}

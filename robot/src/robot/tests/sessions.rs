@@ -64,6 +64,58 @@ fn a_second_session_is_told_that_the_robot_belongs_to_another_one() {
 }
 
 #[test]
+fn a_control_request_names_its_session_each_time() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    let script = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
+    bench.send_on(LINK, Message::ControlRequest(script.clone()));
+    assert_eq!(bench.last_said(), "1 Failed `r` belongs to another session until that ends");
+    bench.send_on(LINK, of("first", script));
+    assert_eq!(bench.last_said(), "1 Accepted ");
+}
+
+#[test]
+fn a_robot_without_a_session_obeys_every_server() {
+    let mut bench = Bench::new();
+    for (link, device) in [(LINK, "arm"), (OTHER, "ramp")] {
+        let script = timed(device, device, 900.0, script(ControlType::Position, &PAPER));
+        bench.send_on(link, Message::ControlRequest(script));
+        assert_eq!(bench.last_said(), format!("{} Accepted ", link.0));
+    }
+}
+
+#[test]
+fn a_reading_claims_nothing() {
+    for (device, command, expected) in [
+        ("thermometer", Command::ReadSensor, "1 OK "),
+        (
+            "arm",
+            script(ControlType::Position, &PAPER),
+            "1 Failed `r` belongs to another session until that ends",
+        ),
+    ] {
+        let mut bench = Bench::new();
+        let request = ControlRequest::immediate(DeviceId::new(device).unwrap(), command);
+        bench.send_on(OTHER, of("second", request));
+        bench.send_on(LINK, hello("first"));
+        assert_eq!(bench.last_said(), expected, "{device}");
+    }
+}
+
+#[test]
+fn every_device_accepts_an_empty_script() {
+    let mut bench = Bench::new();
+    bench.until(500);
+    for device in ["arm", "ramp", "wheel", "thermometer"] {
+        for start in [0.0, 900.0] {
+            let stop = timed(device, &format!("{device} {start}"), start, Command::Script(Script::cancel()));
+            bench.request(ControlRequest { pending_until: Some(at(100)), ..stop });
+            assert_eq!(bench.statuses().last().unwrap(), "OK", "{device} {start}");
+        }
+    }
+}
+
+#[test]
 fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));

@@ -631,20 +631,23 @@ fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
         choreography.acts[0].plan.robots[0].scripts[0].script = urrcp::Script::new(vec![step]).unwrap();
     };
     let position = urrcp::ControlType::Position;
-    for (linear, after, control_type, expected) in [
-        (true, 0, position, Some(2.0)),
-        (false, 0, position, None),
-        (true, 1, position, None),
-        (true, 0, urrcp::ControlType::Speed, None),
+    for (linear, after, control_type, speed, expected) in [
+        (true, 0, position, None, Some(2.0)),
+        (false, 0, position, None, None),
+        (false, 0, position, Some(10.0), Some(2.0)),
+        (true, 1, position, None, None),
+        (true, 1_000, position, Some(10.0), Some(12.0)),
+        (true, 0, urrcp::ControlType::Speed, None, None),
     ] {
         let mut mission = tells_where_it_stands();
         if !linear {
             mission.robots[0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Hold;
         }
         first(&mut mission, after, control_type);
+        mission.first_uses[0].values_mut().for_each(|(_, largest)| *largest = speed);
         let told = mission.expected_position(0, &"a".parse().unwrap());
         let expected = expected.map(|within| Expected { position: 45.0, within });
-        assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}");
+        assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}, {speed:?}");
     }
 }
 
