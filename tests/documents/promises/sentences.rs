@@ -1,0 +1,117 @@
+//! The sentences of a document.
+
+/// All sentences of a Markdown text, one after the other, as they read: white space is one space, a link is its text, and bold text is
+/// plain. Headings and blocks of code have none. An item of a list and a row of a table begin a sentence; a row has ` | ` between
+/// its cells.
+pub fn sentences(markdown: &str) -> Vec<String> {
+    blocks(markdown).iter().flat_map(|block| split(&plain(block))).collect()
+}
+
+/// Paragraphs, items of lists and rows of tables, each in one line.
+fn blocks(markdown: &str) -> Vec<String> {
+    let (mut blocks, mut words, mut is_code) = (Vec::new(), Vec::new(), false);
+    let mut end = |words: &mut Vec<&str>| {
+        if !words.is_empty() {
+            blocks.push(std::mem::take(words).join(" "));
+        }
+    };
+    for line in markdown.lines() {
+        let (is_fence, is_row) = (line.starts_with("```"), line.starts_with('|'));
+        let begins =
+            is_fence || is_row || item(line).is_some() || line.starts_with('#') || line.trim().is_empty();
+        if begins {
+            end(&mut words);
+        }
+        is_code ^= is_fence;
+        if is_code || is_fence || line.starts_with('#') {
+            continue;
+        }
+        if is_row {
+            let row = line.trim_matches('|');
+            if row.contains(|c: char| !matches!(c, '-' | ':' | '|' | ' ')) {
+                words.extend(row.split_whitespace());
+            }
+            end(&mut words);
+            continue;
+        }
+        words.extend(item(line).unwrap_or(line).split_whitespace());
+    }
+    end(&mut words);
+    blocks
+}
+
+/// The text of an item of a list.
+fn item(line: &str) -> Option<&str> {
+    let numbered = line.trim_start_matches(|c: char| c.is_ascii_digit());
+    line.strip_prefix("- ").or_else(|| numbered.strip_prefix(". ").filter(|_| numbered.len() < line.len()))
+}
+
+/// Without links and bold text.
+fn plain(block: &str) -> String {
+    let mut text = String::new();
+    let mut rest = block;
+    while let Some((before, link)) = rest.split_once('[') {
+        text.push_str(before);
+        rest = match link.split_once("](") {
+            Some((shown, target)) if !shown.contains(']') => {
+                text.push_str(shown);
+                target.split_once(')').map_or("", |(_, after)| after)
+            }
+            _ => {
+                text.push('[');
+                link
+            }
+        };
+    }
+    text.push_str(rest);
+    text.replace("**", "")
+}
+
+/// A sentence ends at a full stop or a question mark, if what follows begins like another one.
+fn split(block: &str) -> Vec<String> {
+    let (mut sentences, mut from) = (Vec::new(), 0);
+    for (at, _) in block.match_indices(' ') {
+        let is_code = block[..at].matches('`').count() % 2 == 1;
+        let ends = !is_code && block[..at].ends_with(['.', '?', '!']);
+        let begins = |c: char| c.is_uppercase() || matches!(c, '`' | '"' | '(' | '*');
+        if ends && block[at + 1..].starts_with(begins) {
+            sentences.push(block[from..at].to_owned());
+            from = at + 1;
+        }
+    }
+    sentences.push(block[from..].to_owned());
+    sentences
+}
+
+#[test]
+fn sentences_end_where_they_end() {
+    let markdown = "\
+# A heading. No sentence
+
+**One.** Two (see
+[the page](page.md#part)) of `a. B`? `three` is `[0, 1]`, as in file.rs.
+
+| a | b |
+|---|:--|
+| c | It holds. `d` too |
+
+- e
+  goes on. 4 is no beginning
+12. f
+
+```
+code. More
+```
+";
+    let expected = [
+        "One.",
+        "Two (see the page) of `a. B`?",
+        "`three` is `[0, 1]`, as in file.rs.",
+        "a | b",
+        "c | It holds.",
+        "`d` too",
+        "e goes on. 4 is no beginning",
+        "f",
+    ];
+    assert_eq!(sentences(markdown), expected);
+}
