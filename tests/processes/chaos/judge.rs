@@ -8,12 +8,14 @@ use downbeat_robot::set_log::{LogEntry, MotionKind};
 use downbeat_scripts::DeviceScript;
 use serde_json::Value;
 
-use super::draw::{DELAY_MS, Fault, STEPS, VALUES, value};
+use super::draw::{Back, DELAY_MS, Fault, STEPS, VALUES, value};
 use super::held_up;
 use super::play::{Kind, Played, Struck, Told, What};
 use stage::{Logged, nanos};
 
 const MILLIS: i64 = 1_000_000;
+/// A mission asks each robot at least this often.
+const ASKED_WITHIN: i64 = 1_000 * MILLIS;
 /// A robot that is held up longer over a start does not start.
 const START_LATE: i64 = 51 * MILLIS;
 /// A step that comes so late on a busy machine, and is reported as late, is excused and counted.
@@ -404,6 +406,15 @@ impl Judge<'_> {
         else {
             return unknown;
         };
+        // It came back with another clock, and the budget was stated before the next question showed that.
+        let unseen = |struck: &Struck| {
+            matches!(struck.what, What::Robot(Fault::Restarted(Back::OtherClock)))
+                && struck.from <= promise.start
+                && struck.until >= promise.sent - ASKED_WITHIN
+        };
+        if self.faults(Some(robot)).any(unseen) {
+            return unknown;
+        }
         let reports = self.played.told.iter().filter_map(Told::report);
         let acts = reports.flat_map(|report| report["acts"].as_array().cloned().unwrap_or_default());
         let mut of_act = acts.filter(|act| act["number"] == promise.number);
