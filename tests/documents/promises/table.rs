@@ -498,10 +498,42 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
+        "So that a scheduler that was suspended blames no robot, this holds only once the robot has \
+         answered a question sent after the report was due.",
+        &[Test(
+            "scheduler/src/mission/tests/lost.rs::reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed",
+        )],
+    ),
+    (
+        Mission,
+        "If the robot answers inquiries, the answer has to report on the script; a robot that ignores \
+         the script's name has failed after the same time.",
+        &[Test(
+            "scheduler/src/mission/tests/lost.rs::a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up",
+        )],
+    ),
+    (
+        Mission,
         "From a robot with neither, nothing can be learned: its script counts as over 15 ms, and the \
          amount by which its clock may be late, after the planned end.",
         &[Test(
             "scheduler/src/mission/act/tests/playing.rs::scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown",
+        )],
+    ),
+    (
+        Mission,
+        "If a robot does not answer in time, or if the leases cannot be shortened, no robot starts \
+         (`commitment_late`), and the mission does not blame a robot for its silence.",
+        &[Test(
+            "scheduler/src/mission/act/tests/approaching.rs::a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_keeps_the_act_from_starting",
+        )],
+    ),
+    (
+        Mission,
+        "If the queue is still full, the robot refuses the next script, and the mission sends it again \
+         within 50 ms or a round trip, whichever is longer.",
+        &[Test(
+            "scheduler/src/mission/script/tests.rs::a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name",
         )],
     ),
     (
@@ -1791,6 +1823,12 @@ pub const PROMISES: &[Promise] = &[
 
 /// Sentences with such a word that promise no behaviour, with the reason.
 pub const NO_PROMISES: &[(Document, &str, &str)] = &[
+    (
+        Mission,
+        "A later script of a device that was sent only after those two thirds may be accepted after the \
+         decision.",
+        "It limits the promise before it.",
+    ),
     (
         Mission,
         "The connections that the stop lane of a running mission keeps do not ask.",
