@@ -1,26 +1,26 @@
 //! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
 
-use std::borrow::Cow;
+mod cut;
+mod scalars;
+
 use std::cell::Cell;
 use std::collections::{HashMap, HashSet};
-use std::sync::Arc;
 
 pub(crate) use crate::at::At;
-use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
-use crate::duration;
-use crate::exact::{Beginning, Exact, Laps};
-use crate::expression::{self, Robots};
+use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
+use crate::exact::{Beginning, Exact};
+use crate::expression::Robots;
 use crate::finding::{
     Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
 };
 use crate::music::{Music, Unmusical};
 use crate::node::{Node, shortened};
-use crate::scenario::{Group, Nesting, Unset, is_spread};
+use crate::scenario::{Group, Nesting, Unset};
 use crate::scope::Scope;
 use crate::shared_fault::{Affected, SharedFault};
 use crate::slips::{self, Units};
 use crate::syntax;
-use urrcp::Span;
+use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
 pub(crate) struct Reader {
@@ -47,8 +47,12 @@ pub(crate) struct Reader {
     pub(crate) tempo_is_wrong: bool,
     /// The first time without a tempo in each file, by its finding, and all their places.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
-    /// Values that a decimal comma cut in two, of which that is told already.
-    cut: Vec<Place>,
+    /// Keys and values that are told already to be wrong: those that a comma cut in two, and misspelt keys that are read as others.
+    wrong: Vec<Place>,
+    /// Variables that are defined further on.
+    pub(crate) later: HashSet<String>,
+    /// Cues of other acts, each with its act.
+    pub(crate) act_of: HashMap<String, String>,
     /// Comparisons of names that are left.
     comparisons: Cell<usize>,
     /// By severity.
@@ -93,7 +97,9 @@ impl Default for Reader {
             units: Units::default(),
             tempo_is_wrong: false,
             without_tempo: HashMap::new(),
-            cut: Vec::new(),
+            wrong: Vec::new(),
+            later: HashSet::new(),
+            act_of: HashMap::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
             follow_ups: Vec::new(),
@@ -112,8 +118,9 @@ impl Reader {
         expected: impl Into<String>,
         hint: Option<String>,
     ) {
-        if self.cut.iter().any(|cut| cut.file == place.file && cut.path == place.path && cut.key == place.key)
-        {
+        let is_here =
+            |wrong: &Place| wrong.file == place.file && wrong.path == place.path && wrong.key == place.key;
+        if self.wrong.iter().any(is_here) {
             return;
         }
         let message = message.into();
@@ -405,7 +412,11 @@ impl Reader {
                     }
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
-                    self.add(Code::UnknownKey, place, message, one_of(known), hint);
+                    let is_read = known.iter().any(named);
+                    self.add(Code::UnknownKey, place.clone(), message, one_of(known), hint);
+                    if is_read && !self.is_full() {
+                        self.wrong.extend([Place { key: false, ..place.clone() }, place]);
+                    }
                 }
             }
         }
@@ -450,34 +461,6 @@ impl Reader {
             .any(|hint| meant.iter().any(|meant| hint.contains(meant)))
     }
 
-    /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
-    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
-        let Some(rest) = others.first() else { return };
-        let place = at.entry(rest, 0, &Node::Null).key_place();
-        let message =
-            format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
-        let (expected, hint) = match others {
-            [_] => ("a decimal point", format!("write a decimal point: `{whole}.{}`", shortened(rest))),
-            _ => (
-                "a list in brackets",
-                format!("write a list: `[{whole}, {}]`", shortened(&others.join(", "))),
-            ),
-        };
-        self.add(Code::UnknownKey, place, message, expected, Some(hint));
-        self.cut.push(at.place().of_key(key));
-    }
-
-    /// `{to: max(1, 2)}` is the text `max(1` and a key `2)`: one fault, one finding.
-    fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
-        let place = at.entry(key, 0, &Node::Null).place();
-        let message = format!("a comma ends the expression `{}`", shortened(text));
-        let hint = Some(
-            "within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned(),
-        );
-        self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);
-        self.cut.push(place);
-    }
-
     /// The entries of a map with free keys, each key once.
     pub(crate) fn entries<'a>(&mut self, at: &'a At<'a>, what: &str) -> Vec<(&'a str, At<'a>)> {
         let Node::Map(entries) = at.node else {
@@ -513,321 +496,9 @@ impl Reader {
             }
         }
     }
-
-    /// The node itself, or the value of the variable that is there. Expressions are left as they are.
-    pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
-        match at.node {
-            Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
-            node => Some(Cow::Borrowed(node)),
-        }
-    }
-
-    /// The same where an expression has no place: whatever begins like a variable is one.
-    fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
-        match at.node {
-            Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
-                self.variable(at, text).map(Cow::Owned)
-            }
-            node => Some(Cow::Borrowed(node)),
-        }
-    }
-
-    /// Whether a text is a variable, or its negative, and nothing else.
-    pub(crate) fn is_variable(&self, text: &str) -> bool {
-        let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
-        let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
-        match self.scope.get(name) {
-            // A time is negated as an expression.
-            Some(Node::Text(value)) if text.starts_with('-') => {
-                !expression::is_one(value) && duration::parse_duration(value).is_none()
-            }
-            Some(_) => true,
-            None => is_word && !matches!(name, "index" | "count"),
-        }
-    }
-
-    /// Where the value of the parameter that stands here is given, if it is one of a move or a sequence.
-    pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
-        let Node::Text(text) = at.node else { return None };
-        self.scope.place(text.strip_prefix('$')?).cloned()
-    }
-
-    fn variable(&mut self, at: &At<'_>, text: &str) -> Option<Node> {
-        let (negated, name) = match text.strip_prefix('-') {
-            Some(rest) => (true, &rest[1..]),
-            None => (false, &text[1..]),
-        };
-        match (self.scope.get(name), negated) {
-            // What is wrong with its value is told already.
-            (Some(Node::Null), _) => {}
-            (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
-            (Some(value), false) => return Some(value.clone()),
-            (Some(_), true) => {
-                let message = format!("a minus needs a number, and `{}` is not a number", shortened(name));
-                self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
-            }
-            // The names as a whole have a finding already.
-            (None, _) if self.is_wrong("variables") => {}
-            (None, _) => {
-                let (hint, expected) = match self.scope.names().next() {
-                    Some(_) => (
-                        self.did_you_mean(name, self.scope.names()),
-                        format!("one of the variables {}", names(self.scope.names())),
-                    ),
-                    None => (
-                        Some(format!("define it, as in `variables: {{{}: 45}}`", shortened(name))),
-                        "a name under `variables`".to_owned(),
-                    ),
-                };
-                let message = format!("no variable `{}` is known here", shortened(name));
-                self.add(Code::Variable, at.place(), message, expected, hint);
-            }
-        }
-        None
-    }
-
-    pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
-        match self.plain_scalar(at)? {
-            Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
-            Cow::Owned(Node::Text(text)) => Some(Cow::Owned(text)),
-            _ => {
-                self.wrong_type(at, expected);
-                None
-            }
-        }
-    }
-
-    /// A name: text, or a number that someone uses as one.
-    pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
-        match self.plain_scalar(at)?.as_ref() {
-            Node::Number(value) => Some(value.to_string()),
-            Node::Text(text) => Some(text.clone()),
-            _ => {
-                self.wrong_type(at, expected);
-                None
-            }
-        }
-    }
-
-    pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
-        match self.scalar(at)?.as_ref() {
-            Node::Number(value) if value.is_finite() => Some(*value),
-            node if slips::template(node).is_some() => {
-                self.wrong_value(at, node, expected);
-                None
-            }
-            Node::Text(text) if expression::is_one(text) => self.number_of(at, text, expected),
-            node if is_spread(node) => {
-                let text = self.spread(at)?;
-                self.number_of(at, &text, expected)
-            }
-            node => {
-                self.wrong_value(at, node, expected);
-                None
-            }
-        }
-    }
-
-    /// A number above 0.
-    pub(crate) fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
-        let value = self.number(at, expected)?;
-        if value > 0.0 {
-            return Some(value);
-        }
-        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
-        None
-    }
-
-    /// A whole number from `least` to `most`.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the range")]
-    pub(crate) fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
-        let expected = format!("a whole number from {least} to {most}");
-        let value = self.number(at, &expected)?;
-        if value.fract() == 0.0 && value >= f64::from(least) && value <= f64::from(most) {
-            return Some(value as u32);
-        }
-        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
-        None
-    }
-
-    pub(crate) fn truth(&mut self, at: &At<'_>) -> Option<bool> {
-        match self.scalar(at)?.as_ref() {
-            Node::Bool(value) => Some(*value),
-            Node::Text(text) if expression::is_one(text) => self.truth_of(at, text),
-            _ => {
-                self.wrong_type(at, "true or false");
-                None
-            }
-        }
-    }
-
-    /// A length of time, in seconds and their kind or in beats and bars, as it is on the clock from the cue's start on.
-    pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
-        self.exact(at).map(|length| self.music.start.lay(length))
-    }
-
-    /// The same before it is rounded.
-    pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
-        if self.is_template(at, duration::EXPECTED) {
-            return None;
-        }
-        let (found, hint) = match self.scalar(at)?.as_ref() {
-            Node::Text(text) => return self.exact_time(at, text),
-            Node::Number(value) => {
-                let hint = format!("add the unit: `{value}s` or `{value}ms`");
-                (format!("the time {value} has no unit"), Some(hint))
-            }
-            node if is_spread(node) => {
-                let text = self.spread(at)?;
-                return self.time_of(at, &text);
-            }
-            Node::Null => (
-                "found nothing where a time belongs".to_owned(),
-                Some("write a time, such as `0s`".to_owned()),
-            ),
-            other => (format!("found {} where a time belongs", other.kind()), None),
-        };
-        self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
-        None
-    }
-
-    /// So long a time again and again, from the cue's start on.
-    pub(crate) fn laps(&self, length: Exact) -> Laps {
-        Laps { length, from: self.music.start }
-    }
-
-    /// A length of time from a part of a text.
-    pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
-        self.exact_time(at, text).map(|length| self.music.start.lay(length))
-    }
-
-    /// The same before it is rounded.
-    pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
-        let text = text.trim();
-        if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
-            let value = self.scope.get(name).cloned();
-            return match value {
-                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&at.with(&node)),
-                _ => self.variable(at, text).and(None),
-            };
-        }
-        if let Some(span) = duration::parse_duration(text) {
-            return Some(span.into());
-        }
-        match self.music.span(text) {
-            Some(Ok(length)) => return self.no_longer(at, text, length),
-            Some(Err(why)) => {
-                let expected = "a `tempo`, and a fixed start where it changes";
-                self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
-            }
-            None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),
-            None => {
-                let found = format!("the time `{}` cannot be read", shortened(text));
-                let is_number = text.parse::<f64>().is_ok_and(|value| value >= 0.0);
-                let hint = match is_number {
-                    true => Some(format!("add the unit: `{text}s` or `{text}ms`")),
-                    false if self.scope.get(text).is_some() => {
-                        Some(format!("the variable is written `${text}`"))
-                    }
-                    false => duration::hint(text),
-                };
-                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
-            }
-        }
-        None
-    }
-
-    /// Beats and bars may be more than a time can hold.
-    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
-        if length.rounded_down() <= longest() {
-            return Some(length);
-        }
-        let message = format!("`{}` is too long a time", shortened(text));
-        let hint = Some("write less, or a faster `tempo`".to_owned());
-        self.add(Code::BadDuration, at.place(), message, format!("at most {}", longest()), hint);
-        None
-    }
-
-    pub(crate) fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
-        if let Node::Text(text) = at.node
-            && let Some(span) = duration::parse_signed(text)
-        {
-            return Some(span);
-        }
-        self.duration(at)
-    }
-
-    /// One of a few words.
-    pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
-        self.word_or(at, words, |_| None)
-    }
-
-    /// The same, with a hint of its own for some words that are none.
-    pub(crate) fn word_or<T: Copy>(
-        &mut self,
-        at: &At<'_>,
-        words: &[(&'static str, T)],
-        hint: impl FnOnce(&str) -> Option<String>,
-    ) -> Option<T> {
-        let known = || words.iter().map(|(word, _)| *word);
-        #[cfg(test)]
-        crate::known::words(at, known());
-        let text = self.text(at, &one_of(known()))?;
-        if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {
-            return Some(*value);
-        }
-        let message = format!("unknown word `{}`", shortened(&text));
-        let expected = one_of(known());
-        let hint =
-            hint(&text).or_else(|| slips::word(&text, known())).or_else(|| self.did_you_mean(&text, known()));
-        self.add(Code::UnknownWord, at.place(), message, expected, hint);
-        None
-    }
 }
 
 /// Whether a variable can be used where this is expected.
 fn is_scalar(expected: &str) -> bool {
     !expected.starts_with("a list") && !expected.contains("a map")
-}
-
-/// The entry and its number if a decimal comma made this key of its decimals.
-fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -> Option<(&'a str, String)> {
-    let decimals = rest.starts_with(|c: char| c.is_ascii_digit()) && *node == Node::Null;
-    match value {
-        Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, whole.to_string())),
-        // `00:01:30,5` and `$a * 1,5`.
-        Node::Text(text) if decimals && is_open(text) == 0 => {
-            let begins = text.rfind(|c: char| !c.is_ascii_digit() && c != ':').map_or(0, |at| at + 1);
-            let whole = &text[begins..];
-            (whole.ends_with(|c: char| c.is_ascii_digit()) && (begins == 0 || expression::is_one(text)))
-                .then(|| (key.as_str(), whole.to_owned()))
-        }
-        _ => None,
-    }
-}
-
-/// The keys at the beginning that are numbers without a value: at least the first.
-fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
-    let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
-    let count = entries.iter().take_while(is_number).count().max(1);
-    entries.iter().take(count).map(|(key, _)| key.as_str()).collect()
-}
-
-/// How many brackets are open at the end of a text.
-fn is_open(text: &str) -> usize {
-    text.chars().fold(0, |open: usize, c| match c {
-        '(' => open + 1,
-        ')' => open.saturating_sub(1),
-        _ => open,
-    })
-}
-
-/// Whether a comma within the brackets of an expression ended the value, which leaves the rest as a key.
-fn cut_in_brackets<'a>((key, value): &'a (String, Node), node: &Node) -> Option<(&'a str, &'a str)> {
-    match value {
-        Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => {
-            Some((key, text))
-        }
-        _ => None,
-    }
 }

@@ -340,6 +340,14 @@ impl FleetReader<'_> {
                 self.same_name(name, &robots);
                 continue;
             }
+            if name == "groups"
+                && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !ROBOT_KEYS.contains(&key.as_str())))
+            {
+                let hint = Some("write `groups` next to `robots`, not below it".to_owned());
+                let message = "the groups are listed as a robot";
+                self.findings.add(Code::UnknownKey, at.key_place(), message, "a robot", hint);
+                continue;
+            }
             let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
         }

@@ -2,6 +2,7 @@
 //! to report. What stands behind an alias is placed where the alias is used.
 
 mod defined;
+mod repeated;
 mod spelled;
 mod uses;
 
@@ -84,11 +85,7 @@ fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     findings.sort_by_key(|(finding, _)| (finding.line, finding.column, finding.code));
     // A move that several cues use is read once for each, and its faults found as often: the first use is told.
     findings.dedup_by(|(finding, _), (before, _)| finding == before);
-    let told = |(mut finding, uses): (Finding, String)| {
-        finding.message.push_str(&uses);
-        finding
-    };
-    findings.into_iter().map(told).collect()
+    repeated::join(findings)
 }
 
 fn related_place(

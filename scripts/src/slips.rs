@@ -1,15 +1,20 @@
 //! Hints for what people write where the language has another word, key or form: words of other programs, units, lists without brackets.
 
+mod keyframes;
+mod keys;
+
 use std::collections::HashMap;
 
 use urrcp::Device;
 
+pub(crate) use keyframes::{OtherForm, as_keyframes};
+pub(crate) use keys::{key, missing, parameter, word_of};
+
 use crate::composed::{composed, is_same};
 use crate::duration::parse_duration;
-use crate::fields::{At, Reader};
+use crate::fields::Reader;
 use crate::finding::{Part, Place, did_you_mean_this};
 use crate::node::{Node, shortened};
-use crate::scenario::CUE_KEYS;
 use crate::scope::Scope;
 
 /// The devices of a fleet by name, each with its unit if all robots that have it agree.
@@ -47,142 +52,6 @@ impl Units {
         let Part::Key(device, _) = place.path.get(at + 1)? else { return None };
         Some((device, self.0.get(device)?.as_deref()))
     }
-}
-
-/// Other words for the keys of a map: where, the words, and the key.
-const KEYS: [(&str, &[&str], &str); 53] = [
-    ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
-    ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
-    ("a keyframe", &["easing", "curve", "interpolation", "transition"], "ease"),
-    ("a point", &["value", "position", "pos", "angle", "target", "val"], "to"),
-    ("a point", &["time", "t", "when", "start"], "at"),
-    ("a cue", &["name", "id", "title", "label"], "cue"),
-    ("a cue", &["start", "time", "begin", "when"], "at"),
-    ("a cue", &["group", "groups", "who", "cast"], "robots"),
-    ("a cue", &["length"], "duration"),
-    ("a cue", &["loop", "loops", "times", "count"], "repeat"),
-    ("a cue", &["until", "end", "deadline", "finish"], "end_by"),
-    ("a cue", &["zone", "zones", "needs"], "uses"),
-    ("a cue", &["formation"], "form"),
-    ("a cue", &["path"], "along"),
-    ("a cue", &["rotate", "rotation"], "turn"),
-    ("a cue", &["translate", "offset"], "shift"),
-    ("a cue", &["args", "arguments"], "parameters"),
-    ("an act", &["name", "id", "title", "label"], "act"),
-    ("an act", &["then", "follow", "goto"], "next"),
-    ("`wait`", &["max", "limit"], "timeout"),
-    ("`wait`", &["at", "clock"], "time"),
-    ("the scenario", &["name", "title", "show"], "scenario"),
-    ("the scenario", &["bpm"], "tempo"),
-    ("the scenario", &["meter", "time_signature"], "signature"),
-    ("the scenario", &["scenes", "parts"], "acts"),
-    ("a wave", &["length", "duration"], "for"),
-    ("a wave", &["centre", "middle", "offset"], "center"),
-    ("a wave", &["hz", "freq"], "frequency"),
-    ("`travel`", &["length", "duration"], "for"),
-    ("`travel`", &["velocity"], "speed"),
-    ("a polynomial", &["length", "duration"], "for"),
-    ("`circle`", &["r"], "radius"),
-    ("`sphere`", &["r"], "radius"),
-    ("`line`", &["distance", "gap"], "spacing"),
-    ("`grid`", &["distance", "gap"], "spacing"),
-    ("`v`", &["distance", "gap"], "spacing"),
-    ("the formation", &["position", "center", "centre"], "at"),
-    ("the formation", &["rotation"], "rotate"),
-    ("the formation", &["ring"], "circle"),
-    ("limits", &["velocity", "max_speed", "v"], "speed"),
-    ("limits", &["accel", "max_acceleration"], "acceleration"),
-    ("robot", &["host", "ip", "url", "endpoint"], "address"),
-    ("robot", &["description", "model", "file", "path"], "init"),
-    ("`scale`", &["factor", "times", "to"], "by"),
-    ("`mirror`", &["at", "around", "center", "centre", "value"], "about"),
-    ("`turn`", &["around", "center", "centre", "at"], "about"),
-    ("`turn`", &["angle", "degrees", "to"], "by"),
-    ("`grid`", &["cols"], "columns"),
-    ("`repeat`", &["count", "n"], "times"),
-    ("`repeat`", &["interval", "period"], "every"),
-    ("`repeat`", &["duration", "length"], "for"),
-    ("`along`", &["name", "to"], "path"),
-    ("`form`", &["formation", "name"], "to"),
-];
-
-/// A hint for a key that a map does not have.
-pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Option<String> {
-    let known = KEYS.iter().find(|(place, words, _)| {
-        (what == *place || what.strip_prefix(place).is_some_and(|rest| rest.starts_with(" `")))
-            && words.contains(&key)
-    });
-    if let Some((.., meant)) = known {
-        return Some(did_you_mean_this(meant));
-    }
-    let given = match value {
-        Node::Number(number) => number.to_string(),
-        Node::Text(text) => shortened(text),
-        _ => "...".to_owned(),
-    };
-    let advice = match (what, key) {
-        ("a cue", "delay" | "wait") => {
-            format!("to begin later, write `at: {given}`, or `after: NAME + {given}`")
-        }
-        ("a cue", "speed") => {
-            "`duration` stretches a movement; `--speed` plays the whole show more slowly".to_owned()
-        }
-        ("a cue", "ease" | "easing") => {
-            format!("write it in each keyframe: `{{at: 1s, to: 45, ease: {given}}}`")
-        }
-        ("the scenario", "version" | "author" | "description" | "date" | "music" | "audio") => {
-            format!("leave it out, or write a comment: `# {key}: {given}`")
-        }
-        ("the scenario", "duration" | "length") => {
-            "leave it out: a show lasts as long as its cues".to_owned()
-        }
-        ("an act", "moves" | "sequences" | "variables" | "roles" | "formations" | "paths") => {
-            "write it at the top of the scenario: all acts share it".to_owned()
-        }
-        ("an act", "repeat" | "loop") => "write it in the cues of the act".to_owned(),
-        ("`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`", "count" | "number" | "n" | "robots") => {
-            "leave it out: there is a place for each robot of the cue".to_owned()
-        }
-        ("a keyframe of several values", "ease") => "leave it out: several values are set at once".to_owned(),
-        ("a tempo", "bar" | "from_bar" | "start") => format!("write `at: bar {given}`"),
-        ("`wait`", "operator" | "done") if *value == Node::Null => format!("write `for: {key}`"),
-        ("an act", "at" | "after" | "with" | "before") => {
-            "acts follow each other in the order of the file, or as `next` says".to_owned()
-        }
-        ("an act", "timeout" | "otherwise") => {
-            format!("write it under `wait`: `wait: {{for: operator, {key}: {given}}}`")
-        }
-        ("an act", "robots" | "tracks" | "move") => "write it in a cue, below `cues`".to_owned(),
-        ("the scenario", "robots" | "groups") => {
-            "write it in the fleet file, and name its robots in each cue".to_owned()
-        }
-        ("`circle`", "diameter") => match value {
-            Node::Number(diameter) => format!("write half of it: `radius: {}`", diameter / 2.0),
-            _ => "write half of it as the `radius`".to_owned(),
-        },
-        ("a cue" | "an override" | "an entry of `play`", device) if reader.units.has_device(device) => {
-            format!("`{device}` is a device: write it below `tracks:`")
-        }
-        (part, device) if part.starts_with("the move ") && reader.units.has_device(device) => {
-            format!("`{device}` is a device: write it below `tracks:`")
-        }
-        _ => return None,
-    };
-    Some(advice)
-}
-
-/// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
-pub(crate) fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
-    let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
-    let value = match value {
-        Node::Number(number) => number.to_string(),
-        Node::Text(text) => shortened(text),
-        _ => return None,
-    };
-    let is_use =
-        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !CUE_KEYS.contains(&key);
-    is_use
-        .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
 }
 
 /// A hint for an unknown word.
@@ -223,9 +92,13 @@ pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone
 /// A hint for a value of another kind than is expected there.
 pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str) -> Option<String> {
     match node {
-        Node::Text(text) if reader.scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
+        Node::Text(text) if reader.scope.get(text).is_some() => {
+            Some(format!("the variable is written `${text}`"))
+        }
         Node::Text(text) if expected == "true or false" => truth(text, place),
-        Node::Text(text) if expected.starts_with("an entry of `play`") => Some(format!("write `{{move: {text}}}`")),
+        Node::Text(text) if expected.starts_with("an entry of `play`") => {
+            Some(format!("write `{{move: {text}}}`"))
+        }
         Node::Text(text) if expected == "a finite number" && colour(text).is_some() => colour(text)
             .map(|values| format!("write a list, if the device takes several values: `{values:?}`")),
         Node::Number(value) if expected == "true or false" => Some(match place.path.last() {
@@ -236,14 +109,18 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         Node::Number(value) if expected.starts_with("the least and the largest coordinate") => {
             Some(format!("write both: `[{}, {}]`", -value.abs(), value.abs()))
         }
-        Node::Number(value) if expected.starts_with("`above` or `below`") => Some(format!("write `above {value}`")),
+        Node::Number(value) if expected.starts_with("`above` or `below`") => {
+            Some(format!("write `above {value}`"))
+        }
         Node::Map(entries) if expected.starts_with("metres along x, y and z") => coordinates(entries),
         Node::Map(entries) if expected.starts_with("a factor") => match entries.as_slice() {
             [(key, Node::Number(value))] if key == "by" => Some(format!("write `{value}`")),
             _ => None,
         },
         Node::Map(entries) if expected == "the name of a move" => match entries.as_slice() {
-            [(name, _)] => Some(format!("write `move: {}`, and its values under `parameters`", shortened(name))),
+            [(name, _)] => {
+                Some(format!("write `move: {}`, and its values under `parameters`", shortened(name)))
+            }
             _ => None,
         },
         Node::Map(_) if expected.starts_with("beats per minute") => {
@@ -252,7 +129,9 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         Node::List(_) if expected.starts_with("the move `") || expected.starts_with("a move: a map") => {
             Some("name the device: `{tracks: {elbow: [{at: 0s, to: 0}]}}`".to_owned())
         }
-        Node::List(_) if expected.starts_with("the sequence `") => Some("write the list below `cues:`".to_owned()),
+        Node::List(_) if expected.starts_with("the sequence `") => {
+            Some("write the list below `cues:`".to_owned())
+        }
         Node::List(_) if expected.starts_with("the name of an act") => {
             Some("name one act; `otherwise` of a `wait` names another one".to_owned())
         }
@@ -260,20 +139,45 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
             Some("write a cue for each of them".to_owned())
         }
         Node::List(items) if expected == "`home`" => match &items[..] {
-            [Node::Text(home), Node::Text(over)] if home == "home" => Some(format!("write `{{home: {over}}}`")),
+            [Node::Text(home), Node::Text(over)] if home == "home" => {
+                Some(format!("write `{{home: {over}}}`"))
+            }
             _ => None,
         },
-        Node::Text(text) if expected.starts_with("a whole number") && is_endless(text) => Some(
-            "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`".to_owned(),
-        ),
-        Node::Text(text) if expected.starts_with("a list of") => Some(format!("write a list: `[{}]`", words(text).join(", "))),
-        Node::Text(text) if expected.starts_with("the least and the largest delay") && parse_duration(text).is_some() => {
+        Node::Text(text) if expected.starts_with("a whole number") && is_endless(text) => {
+            Some(ENDLESS.to_owned())
+        }
+        Node::Bool(true) if expected.starts_with("a whole number") && is_repeat(place) => {
+            Some(ENDLESS.to_owned())
+        }
+        Node::Text(text) if expected.starts_with("a list of") => {
+            Some(format!("write a list: `[{}]`", words(text).join(", ")))
+        }
+        Node::Text(text)
+            if expected.starts_with("the least and the largest delay") && parse_duration(text).is_some() =>
+        {
             Some(format!("write `[{text}, {text}]`"))
         }
+        Node::Text(text)
+            if expected.starts_with("a whole number")
+                && is_repeat(place)
+                && parse_duration(text).is_some() =>
+        {
+            Some(format!("write `{{for: {text}}}` to repeat it for that long, or how often alone"))
+        }
         Node::Text(text) => number(reader, place, text, expected)
-            .or_else(|| expected.contains(": a map").then(|| crate::syntax::without_space_at_all(text)).flatten()),
+            .or_else(|| {
+                metres(text)
+                    .and_then(|length| in_a_map(expected, length))
+                    .filter(|_| !expected.starts_with("limits"))
+            })
+            .or_else(|| {
+                expected.contains(": a map").then(|| crate::syntax::without_space_at_all(text)).flatten()
+            }),
         Node::Map(entries) if expected.starts_with("a place in metres") => coordinates(entries),
-        Node::Map(_) if expected.starts_with("a list of") => Some("put brackets around it: `[{...}]`".to_owned()),
+        Node::Map(_) if expected.starts_with("a list of") => {
+            Some("put brackets around it: `[{...}]`".to_owned())
+        }
         Node::Map(_) if expected.starts_with("the path of an initialization block") => {
             Some("write the description into a file of its own, and name that".to_owned())
         }
@@ -284,8 +188,12 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         Node::Number(value) if expected.starts_with("a list of keyframes") => {
             Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
         }
-        Node::Number(value) if expected.starts_with("a place in metres") => Some(format!("write all three: `[0, 0, {value}]`")),
-        Node::Number(value) if expected.starts_with("metres along x, y and z") => Some(format!("write all three: `[0, 0, {value}]`")),
+        Node::Number(value) if expected.starts_with("a place in metres") => {
+            Some(format!("write all three: `[0, 0, {value}]`"))
+        }
+        Node::Number(value) if expected.starts_with("metres along x, y and z") => {
+            Some(format!("write all three: `[0, 0, {value}]`"))
+        }
         Node::Number(value) if expected.starts_with("a time signature") => Some(format!("write `{value}/4`")),
         Node::Number(value) => in_a_map(expected, *value),
         Node::List(_) if expected.starts_with("a map from robot id") => {
@@ -352,6 +260,23 @@ fn truth(text: &str, place: &Place) -> Option<String> {
         _ => return None,
     };
     Some(format!("write `{value}`"))
+}
+
+/// What to write for a cue that is meant to be repeated without an end.
+const ENDLESS: &str =
+    "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`";
+
+/// Whether this is the value of `repeat`.
+fn is_repeat(place: &Place) -> bool {
+    matches!(place.path.last(), Some(Part::Key(key, _)) if key == "repeat" || key == "times")
+}
+
+/// The metres in `3m` or `30cm`.
+fn metres(text: &str) -> Option<f64> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let (_, scale) = LENGTHS.iter().find(|(unit, _)| text[digits.len()..] == **unit)?;
+    let value: f64 = digits.trim().parse().ok()?;
+    value.is_finite().then(|| (value * scale * 1e4).round() / 1e4)
 }
 
 fn is_endless(text: &str) -> bool {
@@ -562,119 +487,4 @@ fn converted(value: f64, from: &str, to: &str, scales: &[(&str, f64)]) -> Option
     let scale = |unit: &str| scales.iter().find(|(known, _)| *known == unit).map(|(_, scale)| *scale);
     let value = value * scale(from)? / scale(to)?;
     Some(format!("write `{}`", (value * 1e4).round() / 1e4))
-}
-
-/// `control_type` for `control`: a key that is one word of what was written.
-pub(crate) fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
-    let mut known = known.into_iter().filter(|name| name.len() > 3);
-    known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
-}
-
-/// What to write for a key that beginners leave out.
-pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
-    match (what, key) {
-        ("the scenario", "scenario") => {
-            Some("give the show a name in the first line, such as `scenario: my-show`")
-        }
-        ("the fleet file", "robots") => {
-            Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
-        }
-        (_, "address") => {
-            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
-        }
-        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
-        ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
-        ("a spread", "across") => Some("say over what it is spread, as in `across: group`"),
-        ("a wave", "for") => Some("say how long it lasts, as in `for: 8s`"),
-        ("`grid`", "spacing") => Some("say how far neighbours are apart in metres, as in `spacing: 1`"),
-        _ => None,
-    }
-}
-
-/// Times and values that a beginner writes in another form than a list of keyframes.
-pub(crate) struct OtherForm {
-    /// A description of the form.
-    pub(crate) found: &'static str,
-    /// Hints to write them as that list, in brackets and in lines.
-    pub(crate) hints: [String; 2],
-}
-
-pub(crate) fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
-    let time = |node: &Node| match node {
-        Node::Text(text) if parse_duration(text).is_some() => Some(text.clone()),
-        _ => None,
-    };
-    let keyframe = |at: &str, to: &Node| match to {
-        Node::Number(value) => Some(format!("{{at: {at}, to: {value}}}")),
-        Node::Text(text) if text.starts_with('$') => Some(format!("{{at: {at}, to: {}}}", shortened(text))),
-        _ => None,
-    };
-    let (found, keyframes): (&'static str, Option<Vec<String>>) = match at.node {
-        Node::Map(entries) if entries.iter().all(|(key, _)| time_of_key(key).is_some()) => (
-            "a map from time to value",
-            entries.iter().map(|(at, to)| keyframe(&time_of_key(at)?, to)).collect(),
-        ),
-        Node::Map(entries) if entries.iter().any(|(key, _)| key == "at" || key == "to") => {
-            let of = |name: &str| entries.iter().find(|(key, _)| key == name).map(|(_, node)| node);
-            let begin = of("at").map_or_else(|| Some("0s".to_owned()), time);
-            ("a single keyframe", begin.zip(of("to")).and_then(|(at, to)| Some(vec![keyframe(&at, to)?])))
-        }
-        Node::List(items) if items.iter().all(|item| matches!(item, Node::List(pair) if pair.len() == 2)) => {
-            let pair = |item: &Node| match item {
-                Node::List(pair) => keyframe(&time(&pair[0])?, &pair[1]),
-                _ => None,
-            };
-            ("a list of pairs", items.iter().map(pair).collect())
-        }
-        Node::List(items) if items.iter().all(|item| matches!(item, Node::Number(_))) => (
-            "a list of numbers",
-            items.iter().enumerate().map(|(index, to)| keyframe(&format!("{index}s"), to)).collect(),
-        ),
-        Node::List(items) if items.iter().all(is_whole_or_single) && are_halves(items) => {
-            ("keyframes without braces", Some(vec!["{at: 1s, to: 45}".to_owned()]))
-        }
-        _ => return None,
-    };
-    let shown = match keyframes.as_deref() {
-        Some([]) => return None,
-        Some(all @ ([_] | [_, _])) => all.join(", "),
-        Some([first, second, ..]) => format!("{first}, {second}, ..."),
-        None => "{at: 0s, to: 0}, ...".to_owned(),
-    };
-    let first = keyframes.as_ref().and_then(|all| all.first()).map_or("{at: 0s, to: 0}", String::as_str);
-    let in_lines = match at.node {
-        Node::List(items) if items.iter().all(is_whole_or_single) => {
-            "time and value are one entry: write two spaces in place of the dash before the second of them"
-                .to_owned()
-        }
-        _ => format!("write each keyframe as an entry of a list: `- {first}`"),
-    };
-    Some(OtherForm { found, hints: [format!("write `[{shown}]`"), in_lines] })
-}
-
-/// A time as the key of a map: `1s`, or `1` for a second.
-fn time_of_key(key: &str) -> Option<String> {
-    let is_number = key.parse::<f64>().is_ok_and(|seconds| seconds >= 0.0 && seconds.is_finite());
-    if is_number { Some(format!("{key}s")) } else { parse_duration(key).map(|_| key.to_owned()) }
-}
-
-/// `at: 1s` in a list, without braces, is a map of one key.
-fn is_single(node: &Node) -> bool {
-    matches!(node, Node::Map(entries) if matches!(entries.as_slice(), [(key, _)] if ["at", "to", "ease"].contains(&key.as_str())))
-}
-
-/// Whether a time and a value, each by itself, follow each other.
-fn are_halves(items: &[Node]) -> bool {
-    let key = |node: &Node| match node {
-        Node::Map(entries) if is_single(node) => entries.first().map(|(key, _)| key.clone()),
-        _ => None,
-    };
-    items.windows(2).any(|pair| match (key(&pair[0]), key(&pair[1])) {
-        (Some(first), Some(second)) => first != second,
-        _ => false,
-    })
-}
-
-fn is_whole_or_single(node: &Node) -> bool {
-    is_single(node) || matches!(node, Node::Map(entries) if entries.len() > 1)
 }

@@ -124,6 +124,7 @@ impl ByName<'_> {
                 ("next" | "following" | "continue", _) => {
                     Some("leave it out: acts follow each other in the order of the file".to_owned())
                 }
+                ("stop" | "finish" | "exit" | "quit" | "done" | "none", _) => Some(did_you_mean_this("end")),
                 _ => findings.did_you_mean(&name.text, known().chain(["end"])),
             };
             let message = format!("no act `{}`", shortened(&name.text));

@@ -209,6 +209,8 @@ impl Compiler {
     fn first_times(&mut self, scenario: &Scenario, cast: &Cast<'_>) -> Vec<Times> {
         let mut known: Vec<Times> = Vec::new();
         let mut members = 0usize;
+        let cues = scenario.acts.iter().flat_map(|act| act.cues.iter().map(|cue| (&cue.name, &act.name)));
+        self.findings.act_of = cues.map(|(cue, act)| (cue.clone(), act.clone())).collect();
         for act in &scenario.acts {
             if members > MEMBERS_AHEAD_MAX {
                 break;

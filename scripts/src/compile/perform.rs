@@ -561,7 +561,13 @@ impl<'c, 'a> Performer<'c, 'a> {
                 }
             }
             if !without.is_empty() {
-                unknown_sensor(self.findings, self.cast, &without, ("", &reading.sensor), &reading.place);
+                unknown_sensor(
+                    self.findings,
+                    self.cast,
+                    &without,
+                    ("", &reading.sensor),
+                    &reading.key_place(),
+                );
             }
         }
     }

@@ -121,6 +121,20 @@ fn sequence_of<'n>(name: &'n str, place: &Place) -> &'n str {
     &name[..name.rfind('.').filter(|_| place.used.is_some()).map_or(0, |dot| dot + 1)]
 }
 
+/// A hint for the name of an act, or of a cue of another act.
+fn of_acts(findings: &Reader, name: &str) -> Option<String> {
+    let order = "acts follow each other in the order of the file, or as `next` says";
+    let name_shown = shortened(name);
+    match findings.act_of.get(name) {
+        Some(act) => Some(format!("`{name_shown}` is a cue of the act `{}`: {order}", shortened(act))),
+        None => findings
+            .act_of
+            .values()
+            .any(|act| act == name)
+            .then(|| format!("`{name_shown}` is an act: {order}")),
+    }
+}
+
 struct Timetable<'a> {
     act: &'a Act,
     network: Network,
@@ -256,7 +270,8 @@ impl<'a> Timetable<'a> {
                 let known = || self.act.cues.iter().filter_map(|cue| cue.name.strip_prefix(prefix));
                 let hint = match parse_duration(text).is_some() {
                     true => Some(format!("a time goes under `at`: write `at: {}`", shortened(text))),
-                    false => relation(text, known())
+                    false => of_acts(findings, text)
+                        .or_else(|| relation(text, known()))
                         .or_else(|| slips::several_names(text, known()))
                         .or_else(|| within_file(text, known()))
                         .or_else(|| findings.did_you_mean(text, known())),

@@ -108,6 +108,11 @@ fn too_many(span: Span) -> Fault {
 
 impl Reader {
     fn unknown(&self, name: &str, span: Span) -> Fault {
+        if self.later.contains(name) {
+            let message = format!("the variable `{}` is used before it is defined", shortened(name));
+            let fault = Fault::new(span, message, "a variable that is defined above");
+            return Fault { code: Code::Variable, ..fault.hint_or(Some(self.move_up(name))) };
+        }
         let known = || self.scope.names().chain(["index", "count"]);
         let message = format!("no variable `{}` is known here", shortened(name));
         let expected = match self.scope.names().next() {

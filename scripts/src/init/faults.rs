@@ -229,10 +229,20 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         let expected = if is_swapped { "a min_value that is at most max_value" } else { EXPECTED };
         return (of(message), expected.to_owned(), is_swapped.then(|| "swap the two".to_owned()));
     };
+    let expected = match expected {
+        "u32" | "u64" | "usize" => "a whole number",
+        "f64" => "a number",
+        _ => expected,
+    };
     let hint = value.and_then(Value::as_str).filter(|_| expected.contains("number")).and_then(number);
     let found = match found.strip_prefix("invalid type: string ") {
         Some(text) => format!("found the text `{}`", text.trim_matches('"')),
         None => found.replace("unknown variant", "unknown word").replace("invalid type: ", "found "),
+    };
+    let found = match found.as_str() {
+        "found sequence" => "found a list".to_owned(),
+        "found map" => "found a map".to_owned(),
+        _ => found,
     };
     if expected == "field identifier" {
         let hint = Some("write numbers with a decimal point: a comma begins another key".to_owned());

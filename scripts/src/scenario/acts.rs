@@ -424,10 +424,20 @@ pub(crate) fn sensor_range(
             }
             Some(SensorRange::Within(least, largest))
         }
-        _ => {
+        (above, below, _) => {
             let expected = names(["above", "below", "within"]);
             let message = "a sensor to wait for without a range, or with several";
-            let hint = Some("say which readings will do, as in `below: 0.5`".to_owned());
+            let number = |at: Option<At<'_>>| match at?.node {
+                Node::Number(value) => Some(*value),
+                _ => None,
+            };
+            let hint = match (number(above), number(below)) {
+                (Some(least), Some(largest)) if least <= largest => {
+                    format!("write `within: [{least}, {largest}]`")
+                }
+                _ => "say which readings will do, as in `below: 0.5`".to_owned(),
+            };
+            let hint = Some(hint);
             reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), hint);
             None
         }

@@ -286,10 +286,13 @@ impl<'a> Library<'a> {
         (file, copy): (u16, usize),
     ) {
         if let Some(at) = variables {
-            for (name, at) in reader.entries(&at, "variable to its value") {
-                let name = plain_name(reader, &at, name);
+            let entries = reader.entries(&at, "variable to its value");
+            reader.later = entries.iter().map(|(name, _)| (*name).to_owned()).collect();
+            for (name, at) in entries {
+                let name = plain_name(reader, &at, name, "variable");
                 let value = scalar(reader, &at).unwrap_or(Node::Null);
                 reader.scope.set(name, value);
+                reader.later.remove(name);
             }
         }
         let parts = [
@@ -419,10 +422,10 @@ fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
 }
 
-/// The name of a variable, where it is defined: without the `$` of its uses.
-fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str) -> &'n str {
+/// The name of a variable or a parameter, where it is defined: without the `$` of its uses.
+pub(super) fn plain_name<'n>(reader: &mut Reader, at: &At<'_>, name: &'n str, what: &str) -> &'n str {
     let Some(plain) = name.strip_prefix('$') else { return name };
-    let message = format!("the variable `{}` is defined with its `$`", shortened(name));
+    let message = format!("the {what} `{}` is defined with its `$`", shortened(name));
     let hint =
         Some(format!("write `{}:` here, and `{}` where it is used", shortened(plain), shortened(name)));
     reader.add(Code::UnknownKey, at.key_place(), message, "a name", hint);

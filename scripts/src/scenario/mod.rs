@@ -288,6 +288,16 @@ pub(crate) struct Reading {
     pub(crate) place: Place,
 }
 
+impl Reading {
+    /// The place of the sensor's name.
+    pub(crate) fn key_place(&self) -> Place {
+        let is_sensor = |part: &Part| matches!(part, Part::Key(key, _) if *key == self.sensor);
+        let path = &self.place.path;
+        let end = path.iter().rposition(is_sensor).map_or(path.len(), |sensor| sensor + 1);
+        Place { key: true, path: path[..end].to_vec(), ..self.place.clone() }
+    }
+}
+
 impl Scenario {
     /// Until when its acts have ended: a script is sent with its start and the lead added up.
     pub(crate) fn horizon(&self) -> Span {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::Name;
 use super::across::is_spread;
-use super::library::{Library, Shared, scalar};
+use super::library::{Library, Shared, plain_name, scalar};
 use crate::budget::{Budget, DEPTH_MAX, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
 use crate::duration::parse_duration;
 use crate::exact::Beginning;
@@ -344,6 +344,7 @@ pub(super) fn with_defaults(
         }));
     }
     for (parameter, default) in &declared {
+        let parameter = &plain_name(reader, default, parameter, "parameter");
         let value = match given.iter_mut().find(|(known, _)| known == parameter) {
             Some((_, Some(value))) => Some(std::mem::replace(value, Node::Null)),
             Some((_, None)) if *default.node == Node::Null => None,

@@ -1,0 +1,85 @@
+//! Values that a comma cuts in two, as YAML reads it: `0,5` and `max(1, 2)` within braces.
+
+use super::{At, Reader};
+use crate::expression;
+use crate::finding::Code;
+use crate::node::{Node, shortened};
+
+impl Reader {
+    /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
+    pub(super) fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), others: &[&str]) {
+        let Some(rest) = others.first() else { return };
+        let place = at.entry(rest, 0, &Node::Null).key_place();
+        let message =
+            format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
+        let (expected, hint) = match others {
+            [_] => ("a decimal point", format!("write a decimal point: `{whole}.{}`", shortened(rest))),
+            _ => (
+                "a list in brackets",
+                format!("write a list: `[{whole}, {}]`", shortened(&others.join(", "))),
+            ),
+        };
+        self.add(Code::UnknownKey, place, message, expected, Some(hint));
+        self.wrong.push(at.place().of_key(key));
+    }
+
+    /// `{to: max(1, 2)}` is the text `max(1` and a key `2)`: one fault, one finding.
+    pub(super) fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
+        let place = at.entry(key, 0, &Node::Null).place();
+        let message = format!("a comma ends the expression `{}`", shortened(text));
+        let hint = Some(
+            "within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned(),
+        );
+        self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);
+        self.wrong.push(place);
+    }
+}
+
+/// The entry and its number if a decimal comma made this key of its decimals.
+pub(super) fn cut_by_comma<'a>(
+    (key, value): &'a (String, Node),
+    rest: &str,
+    node: &Node,
+) -> Option<(&'a str, String)> {
+    let decimals = rest.starts_with(|c: char| c.is_ascii_digit()) && *node == Node::Null;
+    match value {
+        Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, whole.to_string())),
+        // `00:01:30,5` and `$a * 1,5`.
+        Node::Text(text) if decimals && is_open(text) == 0 => {
+            let begins = text.rfind(|c: char| !c.is_ascii_digit() && c != ':').map_or(0, |at| at + 1);
+            let whole = &text[begins..];
+            (whole.ends_with(|c: char| c.is_ascii_digit()) && (begins == 0 || expression::is_one(text)))
+                .then(|| (key.as_str(), whole.to_owned()))
+        }
+        _ => None,
+    }
+}
+
+/// The keys at the beginning that are numbers without a value: at least the first.
+pub(super) fn numbers_alone(entries: &[(String, Node)]) -> Vec<&str> {
+    let is_number = |(key, node): &&(String, Node)| *node == Node::Null && key.parse::<f64>().is_ok();
+    let count = entries.iter().take_while(is_number).count().max(1);
+    entries.iter().take(count).map(|(key, _)| key.as_str()).collect()
+}
+
+/// How many brackets are open at the end of a text.
+fn is_open(text: &str) -> usize {
+    text.chars().fold(0, |open: usize, c| match c {
+        '(' => open + 1,
+        ')' => open.saturating_sub(1),
+        _ => open,
+    })
+}
+
+/// Whether a comma within the brackets of an expression ended the value, which leaves the rest as a key.
+pub(super) fn cut_in_brackets<'a>(
+    (key, value): &'a (String, Node),
+    node: &Node,
+) -> Option<(&'a str, &'a str)> {
+    match value {
+        Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => {
+            Some((key, text))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,301 @@
+//! Single values: numbers, times, words, truth values, and the variables that stand for them.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use urrcp::Span;
+
+use super::{At, Reader};
+use crate::budget::longest;
+use crate::duration;
+use crate::exact::{Exact, Laps};
+use crate::expression;
+use crate::finding::{Code, Place, names, one_of};
+use crate::node::{Node, shortened};
+use crate::scenario::is_spread;
+use crate::slips;
+
+impl Reader {
+    /// The node itself, or the value of the variable that is there. Expressions are left as they are.
+    pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
+        match at.node {
+            Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
+            node => Some(Cow::Borrowed(node)),
+        }
+    }
+
+    /// The same where an expression has no place: whatever begins like a variable is one.
+    fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
+        match at.node {
+            Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
+                self.variable(at, text).map(Cow::Owned)
+            }
+            node => Some(Cow::Borrowed(node)),
+        }
+    }
+
+    /// Whether a text is a variable, or its negative, and nothing else.
+    pub(crate) fn is_variable(&self, text: &str) -> bool {
+        let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
+        let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
+        match self.scope.get(name) {
+            // A time is negated as an expression.
+            Some(Node::Text(value)) if text.starts_with('-') => {
+                !expression::is_one(value) && duration::parse_duration(value).is_none()
+            }
+            Some(_) => true,
+            None => is_word && !matches!(name, "index" | "count"),
+        }
+    }
+
+    /// Where the value of the parameter that stands here is given, if it is one of a move or a sequence.
+    pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
+        let Node::Text(text) = at.node else { return None };
+        self.scope.place(text.strip_prefix('$')?).cloned()
+    }
+
+    fn variable(&mut self, at: &At<'_>, text: &str) -> Option<Node> {
+        let (negated, name) = match text.strip_prefix('-') {
+            Some(rest) => (true, &rest[1..]),
+            None => (false, &text[1..]),
+        };
+        match (self.scope.get(name), negated) {
+            // What is wrong with its value is told already.
+            (Some(Node::Null), _) => {}
+            (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
+            (Some(value), false) => return Some(value.clone()),
+            (Some(_), true) => {
+                let message = format!("a minus needs a number, and `{}` is not a number", shortened(name));
+                self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
+            }
+            // The names as a whole have a finding already.
+            (None, _) if self.is_wrong("variables") => {}
+            (None, _) if self.later.contains(name) => {
+                let message = format!("the variable `{}` is used before it is defined", shortened(name));
+                let hint = Some(self.move_up(name));
+                self.add(Code::Variable, at.place(), message, "a variable that is defined above", hint);
+            }
+            (None, _) => {
+                let (hint, expected) = match self.scope.names().next() {
+                    Some(_) => (
+                        self.did_you_mean(name, self.scope.names()),
+                        format!("one of the variables {}", names(self.scope.names())),
+                    ),
+                    None => (
+                        Some(format!("define it, as in `variables: {{{}: 45}}`", shortened(name))),
+                        "a name under `variables`".to_owned(),
+                    ),
+                };
+                let message = format!("no variable `{}` is known here", shortened(name));
+                self.add(Code::Variable, at.place(), message, expected, hint);
+            }
+        }
+        None
+    }
+
+    /// What to do about a variable that is used above its definition, or in it.
+    pub(crate) fn move_up(&self, name: &str) -> String {
+        format!(
+            "define `{}` above the variables that use it, by numbers or by variables above it",
+            shortened(name)
+        )
+    }
+
+    pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
+        match self.plain_scalar(at)? {
+            Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
+            Cow::Owned(Node::Text(text)) => Some(Cow::Owned(text)),
+            _ => {
+                self.wrong_type(at, expected);
+                None
+            }
+        }
+    }
+
+    /// A name: text, or a number that someone uses as one.
+    pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
+        match self.plain_scalar(at)?.as_ref() {
+            Node::Number(value) => Some(value.to_string()),
+            Node::Text(text) => Some(text.clone()),
+            _ => {
+                self.wrong_type(at, expected);
+                None
+            }
+        }
+    }
+
+    pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+        match self.scalar(at)?.as_ref() {
+            Node::Number(value) if value.is_finite() => Some(*value),
+            node if slips::template(node).is_some() => {
+                self.wrong_value(at, node, expected);
+                None
+            }
+            Node::Text(text) if expression::is_one(text) => self.number_of(at, text, expected),
+            node if is_spread(node) => {
+                let text = self.spread(at)?;
+                self.number_of(at, &text, expected)
+            }
+            node => {
+                self.wrong_value(at, node, expected);
+                None
+            }
+        }
+    }
+
+    /// A number above 0.
+    pub(crate) fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+        let value = self.number(at, expected)?;
+        if value > 0.0 {
+            return Some(value);
+        }
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        None
+    }
+
+    /// A whole number from `least` to `most`.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the range")]
+    pub(crate) fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
+        let expected = format!("a whole number from {least} to {most}");
+        let value = self.number(at, &expected)?;
+        if value.fract() == 0.0 && value >= f64::from(least) && value <= f64::from(most) {
+            return Some(value as u32);
+        }
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        None
+    }
+
+    pub(crate) fn truth(&mut self, at: &At<'_>) -> Option<bool> {
+        match self.scalar(at)?.as_ref() {
+            Node::Bool(value) => Some(*value),
+            Node::Text(text) if expression::is_one(text) => self.truth_of(at, text),
+            _ => {
+                self.wrong_type(at, "true or false");
+                None
+            }
+        }
+    }
+
+    /// A length of time, in seconds and their kind or in beats and bars, as it is on the clock from the cue's start on.
+    pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
+        self.exact(at).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
+        if self.is_template(at, duration::EXPECTED) {
+            return None;
+        }
+        let (found, hint) = match self.scalar(at)?.as_ref() {
+            Node::Text(text) => return self.exact_time(at, text),
+            Node::Number(value) => {
+                let hint = format!("add the unit: `{value}s` or `{value}ms`");
+                (format!("the time {value} has no unit"), Some(hint))
+            }
+            node if is_spread(node) => {
+                let text = self.spread(at)?;
+                return self.time_of(at, &text);
+            }
+            Node::Null => (
+                "found nothing where a time belongs".to_owned(),
+                Some("write a time, such as `0s`".to_owned()),
+            ),
+            other => (format!("found {} where a time belongs", other.kind()), None),
+        };
+        self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
+        None
+    }
+
+    /// So long a time again and again, from the cue's start on.
+    pub(crate) fn laps(&self, length: Exact) -> Laps {
+        Laps { length, from: self.music.start }
+    }
+
+    /// A length of time from a part of a text.
+    pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
+        self.exact_time(at, text).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
+        let text = text.trim();
+        if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
+            let value = self.scope.get(name).cloned();
+            return match value {
+                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&at.with(&node)),
+                _ => self.variable(at, text).and(None),
+            };
+        }
+        if let Some(span) = duration::parse_duration(text) {
+            return Some(span.into());
+        }
+        match self.music.span(text) {
+            Some(Ok(length)) => return self.no_longer(at, text, length),
+            Some(Err(why)) => {
+                let expected = "a `tempo`, and a fixed start where it changes";
+                self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
+            }
+            None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),
+            None => {
+                let found = format!("the time `{}` cannot be read", shortened(text));
+                let is_number = text.parse::<f64>().is_ok_and(|value| value >= 0.0);
+                let hint = match is_number {
+                    true => Some(format!("add the unit: `{text}s` or `{text}ms`")),
+                    false if self.scope.get(text).is_some() => {
+                        Some(format!("the variable is written `${text}`"))
+                    }
+                    false => duration::hint(text),
+                };
+                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
+            }
+        }
+        None
+    }
+
+    /// Beats and bars may be more than a time can hold.
+    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
+        if length.rounded_down() <= longest() {
+            return Some(length);
+        }
+        let message = format!("`{}` is too long a time", shortened(text));
+        let hint = Some("write less, or a faster `tempo`".to_owned());
+        self.add(Code::BadDuration, at.place(), message, format!("at most {}", longest()), hint);
+        None
+    }
+
+    pub(crate) fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
+        if let Node::Text(text) = at.node
+            && let Some(span) = duration::parse_signed(text)
+        {
+            return Some(span);
+        }
+        self.duration(at)
+    }
+
+    /// One of a few words.
+    pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
+        self.word_or(at, words, |_| None)
+    }
+
+    /// The same, with a hint of its own for some words that are none.
+    pub(crate) fn word_or<T: Copy>(
+        &mut self,
+        at: &At<'_>,
+        words: &[(&'static str, T)],
+        hint: impl FnOnce(&str) -> Option<String>,
+    ) -> Option<T> {
+        let known = || words.iter().map(|(word, _)| *word);
+        #[cfg(test)]
+        crate::known::words(at, known());
+        let text = self.text(at, &one_of(known()))?;
+        if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {
+            return Some(*value);
+        }
+        let message = format!("unknown word `{}`", shortened(&text));
+        let expected = one_of(known());
+        let hint =
+            hint(&text).or_else(|| slips::word(&text, known())).or_else(|| self.did_you_mean(&text, known()));
+        self.add(Code::UnknownWord, at.place(), message, expected, hint);
+        None
+    }
+}

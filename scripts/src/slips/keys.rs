@@ -1,0 +1,234 @@
+//! Hints for keys: words of other programs, keys of another map, keys that are left out.
+
+use crate::fields::Reader;
+use crate::finding::did_you_mean_this;
+use crate::node::{Node, shortened};
+use crate::scenario::CUE_KEYS;
+
+/// Other words for the keys of a map: where, the words, and the key.
+const KEYS: [(&str, &[&str], &str); 62] = [
+    ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
+    ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
+    ("a keyframe", &["easing", "curve", "interpolation", "transition"], "ease"),
+    ("a point", &["value", "position", "pos", "angle", "target", "val"], "to"),
+    ("a point", &["time", "t", "when", "start"], "at"),
+    ("a cue", &["name", "id", "title", "label"], "cue"),
+    ("a cue", &["start", "time", "begin", "when"], "at"),
+    ("a cue", &["group", "groups", "who", "cast"], "robots"),
+    ("a cue", &["length"], "duration"),
+    ("a cue", &["loop", "loops", "times", "count"], "repeat"),
+    ("a cue", &["until", "end", "deadline", "finish"], "end_by"),
+    ("a cue", &["zone", "zones", "needs"], "uses"),
+    ("a cue", &["formation"], "form"),
+    ("a cue", &["path"], "along"),
+    ("a cue", &["rotate", "rotation"], "turn"),
+    ("a cue", &["translate", "offset"], "shift"),
+    ("a cue", &["args", "arguments"], "parameters"),
+    ("an act", &["name", "id", "title", "label"], "act"),
+    ("an act", &["then", "follow", "goto"], "next"),
+    ("`wait`", &["max", "limit"], "timeout"),
+    ("`wait`", &["at", "clock"], "time"),
+    ("the scenario", &["name", "title", "show"], "scenario"),
+    ("the scenario", &["bpm"], "tempo"),
+    ("the scenario", &["meter", "time_signature"], "signature"),
+    ("the scenario", &["scenes", "parts"], "acts"),
+    ("a wave", &["length", "duration"], "for"),
+    ("a wave", &["centre", "middle", "offset"], "center"),
+    ("a wave", &["hz", "freq"], "frequency"),
+    ("`travel`", &["length", "duration"], "for"),
+    ("`travel`", &["velocity"], "speed"),
+    ("a polynomial", &["length", "duration"], "for"),
+    ("`circle`", &["r"], "radius"),
+    ("`sphere`", &["r"], "radius"),
+    ("`line`", &["distance", "gap"], "spacing"),
+    ("`grid`", &["distance", "gap"], "spacing"),
+    ("`v`", &["distance", "gap"], "spacing"),
+    ("the formation", &["position", "center", "centre"], "at"),
+    ("the formation", &["rotation"], "rotate"),
+    ("the formation", &["ring"], "circle"),
+    ("limits", &["velocity", "max_speed", "v"], "speed"),
+    ("limits", &["accel", "max_acceleration"], "acceleration"),
+    ("robot", &["host", "ip", "url", "endpoint"], "address"),
+    ("robot", &["description", "model", "file", "path"], "init"),
+    ("`scale`", &["factor", "times", "to"], "by"),
+    ("`mirror`", &["at", "around", "center", "centre", "value"], "about"),
+    ("`turn`", &["around", "center", "centre", "at"], "about"),
+    ("`turn`", &["angle", "degrees", "to"], "by"),
+    ("`grid`", &["cols"], "columns"),
+    ("`repeat`", &["count", "n"], "times"),
+    ("`repeat`", &["interval", "period"], "every"),
+    ("`repeat`", &["duration", "length"], "for"),
+    ("`along`", &["name", "to"], "path"),
+    ("`form`", &["formation", "name"], "to"),
+    ("a cue", &["for"], "duration"),
+    ("`canon`", &["delay", "time", "interval", "gap", "offset"], "step"),
+    ("`canon`", &["duration"], "over"),
+    ("`canon`", &["order", "axis"], "by"),
+    ("`travel`", &["accel"], "acceleration"),
+    ("a tempo", &["tempo"], "bpm"),
+    ("a tempo", &["meter", "time_signature"], "signature"),
+    ("`samples`", &["path", "csv", "source"], "file"),
+    ("`samples`", &["column"], "value"),
+];
+
+/// A hint for a key that a map does not have.
+pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Option<String> {
+    let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
+    if let Some((.., meant)) = known {
+        return Some(did_you_mean_this(meant));
+    }
+    let given = match value {
+        Node::Number(number) => number.to_string(),
+        Node::Text(text) => shortened(text),
+        _ => "...".to_owned(),
+    };
+    if let Some(place) = elsewhere(what, key) {
+        return Some(format!("write it {place}"));
+    }
+    let advice = match (what, key) {
+        ("a cue", "fade" | "fade_in" | "fade_out" | "transition" | "crossfade") => {
+            "write `ease: smooth` in each keyframe, whose `at` says when it is reached".to_owned()
+        }
+        ("a keyframe", "speed" | "velocity" | "duration" | "for" | "fade") => {
+            "leave it out: the value is reached at the time `at`".to_owned()
+        }
+        ("a keyframe", "delay" | "wait" | "pause" | "hold") => {
+            "leave it out: repeat the value in a keyframe with a later `at`".to_owned()
+        }
+        ("`along`", "circle" | "points") => {
+            "define the path under `paths`, and name it: `path: NAME`".to_owned()
+        }
+        ("`form`", "circle" | "line" | "grid" | "v" | "sphere" | "text" | "svg" | "cloud" | "points") => {
+            "define the formation under `formations`, and name it: `to: NAME`".to_owned()
+        }
+        ("a cue", "delay" | "wait") => {
+            format!("to begin later, write `at: {given}`, or `after: NAME + {given}`")
+        }
+        ("a cue", "speed") => {
+            "`duration` stretches a movement; `--speed` plays the whole show more slowly".to_owned()
+        }
+        ("a cue", "ease" | "easing") => {
+            format!("write it in each keyframe: `{{at: 1s, to: 45, ease: {given}}}`")
+        }
+        ("the scenario", "version" | "author" | "description" | "date" | "music" | "audio") => {
+            format!("leave it out, or write a comment: `# {key}: {given}`")
+        }
+        ("the scenario", "duration" | "length") => {
+            "leave it out: a show lasts as long as its cues".to_owned()
+        }
+        ("an act", "repeat" | "loop") => "write it in the cues of the act".to_owned(),
+        ("`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`", "count" | "number" | "n" | "robots") => {
+            "leave it out: there is a place for each robot of the cue".to_owned()
+        }
+        ("a keyframe of several values", "ease") => "leave it out: several values are set at once".to_owned(),
+        ("a tempo", "bar" | "from_bar" | "start") => format!("write `at: bar {given}`"),
+        ("`wait`", "operator" | "done") if *value == Node::Null => format!("write `for: {key}`"),
+        ("an act", "at" | "after" | "with" | "before") => {
+            "acts follow each other in the order of the file, or as `next` says".to_owned()
+        }
+        ("an act", "timeout" | "otherwise") => {
+            format!("write it under `wait`: `wait: {{for: operator, {key}: {given}}}`")
+        }
+        ("the scenario", "robots" | "groups") => {
+            "write it in the fleet file, and name its robots in each cue".to_owned()
+        }
+        ("`circle`", "diameter") => match value {
+            Node::Number(diameter) => format!("write half of it: `radius: {}`", diameter / 2.0),
+            _ => "write half of it as the `radius`".to_owned(),
+        },
+        ("a cue" | "an override" | "an entry of `play`", device) if reader.units.has_device(device) => {
+            format!("`{device}` is a device: write it below `tracks:`")
+        }
+        (part, device) if part.starts_with("the move ") && reader.units.has_device(device) => {
+            format!("`{device}` is a device: write it below `tracks:`")
+        }
+        _ => return None,
+    };
+    Some(advice)
+}
+
+/// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
+pub(crate) fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
+    let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
+    let value = match value {
+        Node::Number(number) => number.to_string(),
+        Node::Text(text) => shortened(text),
+        _ => return None,
+    };
+    let is_use =
+        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !CUE_KEYS.contains(&key);
+    is_use
+        .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
+}
+
+/// Keys that other maps have: where they are written, the keys, and where they belong.
+const ELSEWHERE: [(&str, &[&str], &str); 18] = [
+    (
+        "an act",
+        &["moves", "sequences", "variables", "roles", "formations", "paths"],
+        "at the top of the scenario: all acts share it",
+    ),
+    ("an act", &["robots", "tracks", "move"], "in a cue, below `cues`"),
+    ("a cue", &["variables", "roles", "start_tolerance"], "at the top of the scenario"),
+    ("a cue", &["tempo", "bpm", "signature"], "at the top of the scenario, or in an act"),
+    ("a cue", &["next", "on_failure", "on_doubt", "timeout", "otherwise"], "in an act, next to its `cues`"),
+    ("a cue", &["limits"], "in the fleet file, for each robot"),
+    ("a cue", &["to", "value"], "in a keyframe: `tracks: {DEVICE: [{at: 1s, to: 45}]}`"),
+    (
+        "a keyframe",
+        &["tolerance", "max_steps", "control"],
+        "next to the keyframes: `DEVICE: {keyframes: [...], tolerance: 1}`",
+    ),
+    (
+        "the move",
+        &["at", "canon", "devices", "duration", "mirror", "repeat", "reverse", "robots", "scale"],
+        "in the cue that plays the move",
+    ),
+    ("the scenario", &["tracks"], "in a cue, below `cues`"),
+    ("the scenario", &["wait", "next"], "in an act, below `acts`"),
+    ("the scenario", &["space", "ntp", "handshake", "limits"], "in the fleet file"),
+    ("the fleet file", &["cues", "acts", "moves", "roles", "tempo", "variables"], "in the scenario"),
+    ("the fleet file", &["distance", "keep_in", "keep_out"], "under `space`"),
+    ("robot", &["distance", "keep_in", "keep_out"], "under `space`, next to `robots`"),
+    ("robot", &["speed", "acceleration"], "for each device: `limits: {DEVICE: {speed: 50}}`"),
+    ("robot", &["x", "y", "z", "yaw", "radius", "size", "joints", "tip", "drive", "urdf"], "under `body`"),
+    ("robot", &["clock_offset", "drift", "jitter", "ntp_error", "fault", "readings"], "under `simulate`"),
+];
+
+/// Where a key belongs that another map has.
+fn elsewhere(what: &str, key: &str) -> Option<&'static str> {
+    let found = ELSEWHERE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
+    found.map(|(.., belongs)| *belongs)
+}
+
+/// Whether a map is of this kind: ``robot `left` `` is a `robot`.
+fn is_named(what: &str, place: &str) -> bool {
+    what.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with(" `"))
+}
+
+/// `control_type` for `control`: a key that is one word of what was written.
+pub(crate) fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
+    let mut known = known.into_iter().filter(|name| name.len() > 3);
+    known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
+}
+
+/// What to write for a key that beginners leave out.
+pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
+    match (what, key) {
+        ("the scenario", "scenario") => {
+            Some("give the show a name in the first line, such as `scenario: my-show`")
+        }
+        ("the fleet file", "robots") => {
+            Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
+        }
+        (_, "address") => {
+            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
+        }
+        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
+        ("a keyframe", _) => Some("a keyframe has both, as in `{at: 1s, to: 45}`"),
+        ("a spread", "across") => Some("say over what it is spread, as in `across: group`"),
+        ("a wave", "for") => Some("say how long it lasts, as in `for: 8s`"),
+        ("`grid`", "spacing") => Some("say how far neighbours are apart in metres, as in `spacing: 1`"),
+        _ => None,
+    }
+}
