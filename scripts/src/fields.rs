@@ -47,7 +47,7 @@ pub(crate) struct Reader {
     pub(crate) tempo_is_wrong: bool,
     /// The first time without a tempo in each file, by its finding, and all their places.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
-    /// Keys and values that are told already to be wrong: those that a comma cut in two, and misspelt keys that are read as others.
+    /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as others.
     wrong: Vec<Place>,
     /// Variables that are defined further on.
     pub(crate) later: HashSet<String>,

@@ -34,7 +34,7 @@ impl Reader {
         }
     }
 
-    /// Whether a text is a variable, or its negative, and nothing else.
+    /// Whether a text is only a variable or its negative.
     pub(crate) fn is_variable(&self, text: &str) -> bool {
         let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
         let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
@@ -60,7 +60,7 @@ impl Reader {
             None => (false, &text[1..]),
         };
         match (self.scope.get(name), negated) {
-            // What is wrong with its value is told already.
+            // The fault of its value is already reported.
             (Some(Node::Null), _) => {}
             (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
             (Some(value), false) => return Some(value.clone()),
@@ -206,7 +206,7 @@ impl Reader {
         None
     }
 
-    /// So long a time again and again, from the cue's start on.
+    /// Repetitions of this length from the start of the cue.
     pub(crate) fn laps(&self, length: Exact) -> Laps {
         Laps { length, from: self.music.start }
     }

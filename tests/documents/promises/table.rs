@@ -1,4 +1,4 @@
-//! The promises of the documents in the order in which they stand there, and sentences that read like promises and are none.
+//! The promises of the documents in the order of their sentences, and sentences that read like promises but are none.
 
 use super::Document::{Mission, Protocol};
 use super::Judge::{Conformance, Falsified, Open, Simulation, Test};

@@ -98,8 +98,8 @@ impl Act {
         self.noted(script, news, robots)
     }
 
-    /// It fails, when it should have begun, on a robot that does not say how far it came: its word that it began may be lost, as
-    /// it is if the robot reported to a process that has died.
+    /// The script failed after its planned start, and the robot does not report progress. It may have started: the `Started` response may
+    /// be lost, as it is if the robot reported to a process that has died.
     fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
         let (member, planned) = (&self.members[script.member], self.script(script));
         let start =

@@ -321,7 +321,7 @@ impl Timing {
         self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
     }
 
-    /// From then on silence may be noticed too late.
+    /// Silence that begins later may be noticed too late.
     pub(crate) fn doubtful_from(&self) -> Timestamp<Server> {
         self.start - self.doubt()
     }

@@ -161,7 +161,7 @@ fn a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards() 
     }
 }
 
-/// An act whose process stands still from well before the last rounds until so long after the critical instant.
+/// An act whose process stalls from well before the last rounds until this long after the critical instant.
 fn held_up(leases: Leases, after: Span, silent: &[usize]) -> Bench {
     let mut bench = Bench::of_three(Policy::Without);
     bench.decide(leases);
