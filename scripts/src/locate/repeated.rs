@@ -127,7 +127,7 @@ fn others(own: usize, mut lines: Vec<usize>) -> String {
     let elsewhere = match lines.as_slice() {
         [] => None,
         [line] => Some(format!("in line {line}")),
-        lines if lines.len() <= LISTED_MAX => Some(format!("in the lines {}", list(lines))),
+        [all @ .., last] if lines.len() <= LISTED_MAX => Some(format!("in lines {} and {last}", list(all))),
         lines => Some(format!(
             "in {} other lines ({} and {} more)",
             lines.len(),
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(messages(vec![typo(3)]), ["no move `wvae`"]);
         assert_eq!(messages(vec![typo(3), typo(7)]), ["no move `wvae`; the same mistake in line 7"]);
         let all = vec![typo(3), typo(3), typo(4), typo(4), typo(9)];
-        let expected = "no move `wvae`; the same mistake again in this line and in the lines 4, 9";
+        let expected = "no move `wvae`; the same mistake again in this line and in lines 4 and 9";
         assert_eq!(messages(all), [expected]);
         let many = "no move `wvae`; the same mistake in 9 other lines (2, 3, 4 and 6 more)";
         assert_eq!(messages((1..11).map(typo).collect()), [many]);
@@ -173,7 +173,7 @@ mod tests {
         let time = |line, value| {
             found(Code::BadDuration, line, &format!("the time {value} has no unit"), &format!("`{value}s`"))
         };
-        let expected = "the time 0 has no unit; the same mistake in the lines 2, 3";
+        let expected = "the time 0 has no unit; the same mistake in lines 2 and 3";
         assert_eq!(messages(vec![time(1, "0"), time(2, "1.5"), time(3, "20")]), [expected]);
         let robot = |line, name| found(Code::UnknownRobot, line, &format!("no robot `{name}`"), "none");
         assert_eq!(messages(vec![robot(1, "cf1"), robot(2, "cf2")]).len(), 2);
