@@ -178,7 +178,8 @@ impl Mission {
         let never_joined = |robot: &RobotState| {
             robot.failures.iter().any(|f| matches!(f.kind, FailureKind::NeverJoined { .. }))
         };
-        let is_out = |robot: &RobotState| robot.standing == Standing::Out || never_joined(robot);
+        // A robot that failed while it was absent did not join either.
+        let is_out = |robot: &RobotState| robot.standing != Standing::In || never_joined(robot);
         // Of those that were left out nothing is promised.
         if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;

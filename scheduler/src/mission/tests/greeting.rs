@@ -699,6 +699,16 @@ fn a_robot_that_has_failed_does_not_join_when_it_comes() {
 }
 
 #[test]
+fn a_mission_is_done_without_a_robot_that_failed_while_it_was_absent() {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].wait = Wait::Done;
+    let mut played = begun_without_the_second(choreography, Greeting::Full);
+    played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+}
+
+#[test]
 fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
     use super::super::robot_state::Reading;
     let mut mission = may_seize();
