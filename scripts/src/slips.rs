@@ -262,7 +262,7 @@ fn truth(text: &str, place: &Place) -> Option<String> {
     Some(format!("write `{value}`"))
 }
 
-/// What to write for a cue that is meant to be repeated without an end.
+/// A hint for a cue that is meant to repeat endlessly.
 const ENDLESS: &str =
     "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`";
 

@@ -24,7 +24,7 @@ impl Reader {
         }
     }
 
-    /// The same where an expression has no place: whatever begins like a variable is one.
+    /// The same in places that allow no expression: any text that begins like a variable is one.
     fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
@@ -48,7 +48,7 @@ impl Reader {
         }
     }
 
-    /// Where the value of the parameter that stands here is given, if it is one of a move or a sequence.
+    /// The place that gives the value of the parameter at this node, if it is a parameter of a move or a sequence.
     pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
@@ -93,7 +93,7 @@ impl Reader {
         None
     }
 
-    /// What to do about a variable that is used above its definition, or in it.
+    /// A hint for a variable that is used above its definition, or in it.
     pub(crate) fn move_up(&self, name: &str) -> String {
         format!(
             "define `{}` above the variables that use it, by numbers or by variables above it",
@@ -112,7 +112,7 @@ impl Reader {
         }
     }
 
-    /// A name: text, or a number that someone uses as one.
+    /// A name: text, or a number that is used as a name.
     pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
         match self.plain_scalar(at)?.as_ref() {
             Node::Number(value) => Some(value.to_string()),
@@ -176,7 +176,7 @@ impl Reader {
         }
     }
 
-    /// A length of time, in seconds and their kind or in beats and bars, as it is on the clock from the cue's start on.
+    /// A length of time, in seconds and their kind or in beats and bars, as measured by the clock from the start of the cue.
     pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
         self.exact(at).map(|length| self.music.start.lay(length))
     }
@@ -277,7 +277,7 @@ impl Reader {
         self.word_or(at, words, |_| None)
     }
 
-    /// The same, with a hint of its own for some words that are none.
+    /// The same, with special hints for some words that are not among them.
     pub(crate) fn word_or<T: Copy>(
         &mut self,
         at: &At<'_>,

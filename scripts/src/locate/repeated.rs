@@ -113,7 +113,7 @@ fn of_any_keyframe(message: &str) -> &str {
     rest.map_or(message, |(_, rest)| rest)
 }
 
-/// Where else the mistake is: its other places, in their order.
+/// The other places of the mistake, in order.
 fn others(own: usize, mut lines: Vec<usize>) -> String {
     let here = lines.iter().filter(|line| **line == own).count();
     lines.retain(|line| *line != own);

@@ -4,7 +4,7 @@ use crate::at::At;
 use crate::duration::parse_duration;
 use crate::node::{Node, shortened};
 
-/// Times and values that a beginner writes in another form than a list of keyframes.
+/// Times and values that a beginner writes in a form other than a list of keyframes.
 pub(crate) struct OtherForm {
     /// A description of the form.
     pub(crate) found: &'static str,

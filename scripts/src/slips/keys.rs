@@ -5,7 +5,7 @@ use crate::finding::did_you_mean_this;
 use crate::node::{Node, shortened};
 use crate::scenario::CUE_KEYS;
 
-/// Other words for the keys of a map: where, the words, and the key.
+/// Other words for the keys of a map: the map, the words, and the key.
 const KEYS: [(&str, &[&str], &str); 62] = [
     ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
     ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
@@ -161,7 +161,7 @@ pub(crate) fn parameter(what: &str, key: &str, value: &Node, entries: &[(String,
         .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
 }
 
-/// Keys that other maps have: where they are written, the keys, and where they belong.
+/// Keys of other maps: the map that contains them by mistake, the keys, and the right place.
 const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     (
         "an act",
@@ -195,7 +195,7 @@ const ELSEWHERE: [(&str, &[&str], &str); 18] = [
     ("robot", &["clock_offset", "drift", "jitter", "ntp_error", "fault", "readings"], "under `simulate`"),
 ];
 
-/// Where a key belongs that another map has.
+/// The right place for a key of another map.
 fn elsewhere(what: &str, key: &str) -> Option<&'static str> {
     let found = ELSEWHERE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., belongs)| *belongs)
@@ -212,7 +212,7 @@ pub(crate) fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>
     known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
-/// What to write for a key that beginners leave out.
+/// A hint for a key that beginners leave out.
 pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
     match (what, key) {
         ("the scenario", "scenario") => {

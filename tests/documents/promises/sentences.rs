@@ -96,7 +96,7 @@ fn sentences_end_where_they_end() {
 | c | It holds. `d` too |
 
 - e
-  goes on. 4 is no beginning
+  continues. 4 is no beginning
 12. f
 
 ```
@@ -110,7 +110,7 @@ code. More
         "a | b",
         "c | It holds.",
         "`d` too",
-        "e goes on. 4 is no beginning",
+        "e continues. 4 is no beginning",
         "f",
     ];
     assert_eq!(sentences(markdown), expected);

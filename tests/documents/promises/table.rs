@@ -104,7 +104,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "This act is compiled like any other: it keeps the limits of the block and the fleet file, and \
          avoids collisions as far as bodies are known.",
-        &[Open("Tests check the speed of an approach, and none lets bodies collide on it.")],
+        &[Open("Tests check the speed of an approach, but no test provokes a collision on it.")],
     ),
     (
         Mission,
@@ -327,11 +327,7 @@ pub const PROMISES: &[Promise] = &[
             ),
         ],
     ),
-    (
-        Mission,
-        "Stops never wait.",
-        &[Open("No test lets a stop come at an instant at which other messages wait.")],
-    ),
+    (Mission, "Stops never wait.", &[Open("No test sends a stop while other messages wait.")]),
     (
         Mission,
         "If a robot is missing 5 ms before the last instant at which the commitment still reaches every \
@@ -345,8 +341,8 @@ pub const PROMISES: &[Promise] = &[
         "If clocks are so far off that the silence has to be longer than that, the act is not sent before \
          those robots have ended the other one.",
         &[Open(
-            "A test checks how long the silence may be, but none lets an act wait for the end of another \
-              one because of it.",
+            "A test checks the permitted length of the silence, but no test makes an act wait for the end \
+              of another one because of it.",
         )],
     ),
     (
@@ -498,8 +494,8 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "So that a scheduler that was suspended blames no robot, this holds only once the robot has \
-         answered a question sent after the report was due.",
+        "This holds only once the robot has answered a question sent after the report was due, so a \
+         scheduler that was suspended blames no robot.",
         &[Test(
             "scheduler/src/mission/tests/lost.rs::reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed",
         )],
@@ -693,12 +689,12 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "The act keeps the limits of the block and the fleet file, and avoids collisions as far as bodies \
          are known.",
-        &[Open("Tests check the speed of the way home, and none lets bodies collide on it.")],
+        &[Open("Tests check the speed of the way home, but no test provokes a collision on it.")],
     ),
     (
         Mission,
         "Only devices that the mission has moved, and that have a `default_value`, take part.",
-        &[Open("No test gives the way home a device that the mission has not moved.")],
+        &[Open("No test includes a device in the way home that the mission has not moved.")],
     ),
     (
         Mission,
@@ -905,7 +901,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "whole lines follow a damaged one | withdraws everything, also what only those lines name",
         &[Open(
-            "A test checks that everything is withdrawn, but none checks for robots that only the later \
+            "A test checks that everything is withdrawn, but no test checks this for robots that only the later \
               lines name.",
         )],
     ),
@@ -976,7 +972,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "A robot that was taken may still slow down: as long as a device does not stand where its first \
          keyframe expects it, the mission reads its position again, for at most 4 s.",
-        &[Open("No test measures for how long the mission reads the position again.")],
+        &[Open("No test measures the time for which the mission reads the position again.")],
     ),
     (
         Mission,
@@ -1486,7 +1482,7 @@ pub const PROMISES: &[Promise] = &[
         Protocol,
         "This is the only report that may follow an end.",
         &[Open(
-            "`robot/src/invariants` finds a report of what the robot does not hold, but no fault is \
+            "`robot/src/invariants` finds a report of something that the robot does not hold, but no fault is \
               planted there.",
         )],
     ),
@@ -1821,12 +1817,12 @@ pub const PROMISES: &[Promise] = &[
     ),
 ];
 
-/// Sentences with such a word that promise no behaviour, with the reason.
+/// Sentences that contain a word of a promise but promise no behaviour, each with the reason.
 pub const NO_PROMISES: &[(Document, &str, &str)] = &[
     (
         Mission,
-        "A later script of a device that was sent only after those two thirds may be accepted after the \
-         decision.",
+        "If the mission sends a later script of a device only after those two thirds, the robot may accept \
+         it after the decision.",
         "It limits the promise before it.",
     ),
     (
@@ -1843,10 +1839,10 @@ pub const NO_PROMISES: &[(Document, &str, &str)] = &[
         Mission,
         "A robot that does not declare `pending_until` uses only its leases, which count from the receipt \
          of a message.",
-        "It says how a robot that declares less than others differs from them.",
+        "It describes the difference between this robot and robots that declare more.",
     ),
-    (Mission, "Later, the mission can only stop the robots.", "It says what the mission cannot do."),
-    (Mission, "The mission greets all robots as always.", "It leads to the sentences after it."),
+    (Mission, "Later, the mission can only stop the robots.", "It states a limit of the mission."),
+    (Mission, "The mission greets all robots as always.", "It introduces the sentences after it."),
     (
         Mission,
         "A script can start earlier than planned only if there is a pause before it.",
@@ -1856,7 +1852,7 @@ pub const NO_PROMISES: &[(Document, &str, &str)] = &[
         Mission,
         "A linear movement without a rest has no such place: its scripts can only start later, and a slow \
          clock is corrected at the next rest.",
-        "It says what the mission cannot do.",
+        "It states a limit of the mission.",
     ),
     (
         Mission,
@@ -1882,7 +1878,7 @@ pub const NO_PROMISES: &[(Document, &str, &str)] = &[
         Protocol,
         "A robot that does not know the `request_id` takes the request as a new one: a server that only \
          wants to ask sends an inquiry.",
-        "It says why a server asks by an inquiry.",
+        "It gives the reason for an inquiry.",
     ),
     (Protocol, "This is how all robots start or none does.", "It sums up the sentences around it."),
     (
@@ -1902,6 +1898,6 @@ pub const NO_PROMISES: &[(Document, &str, &str)] = &[
         Protocol,
         "Each operator has a pass for the robot that is made from it, so the robot stores nothing but its \
          secret and, perhaps, the numbers of revoked passes.",
-        "It says what a robot needs memory for.",
+        "It describes the data that a robot stores.",
     ),
 ];

@@ -4,8 +4,8 @@
 //! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler falls silent: what it
 //! sent before lets no robot start. A moment later one message lets any robot start. The scheduler speaks again, which is
 //! the commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
-//! the disk. If that is not so in time, it never speaks, and no robot starts. A scheduler that stalled over the last rounds
-//! asks once more, if the leases can still end just before the start.
+//! the disk. If this is not the case in time, it never speaks, and no robot starts. A scheduler that stalled during the last rounds
+//! asks again, if the leases can still end just before the start.
 
 use downbeat_scripts::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
@@ -38,7 +38,7 @@ pub(crate) struct Approach {
     on_disk: OnDisk,
     /// Members before it have answered one of the last two rounds.
     heard: usize,
-    /// When the robots were asked again after the critical instant, because this process had stalled over the last rounds.
+    /// When the robots were asked again after the critical instant, because this process had stalled during the last rounds.
     late_round: Option<Timestamp<Server>>,
     /// When this process took over from the one that decided.
     taken_up: Option<Timestamp<Server>>,
@@ -93,12 +93,12 @@ impl Approach {
         self.rounds[0].max(timing.doubtful_from())
     }
 
-    /// Whether this process stalled over the last rounds.
+    /// Whether this process stalled during the last rounds.
     fn was_held_up(&self, timing: &Timing) -> bool {
         self.late_round.is_some() || self.rounds[0] < timing.doubtful_from()
     }
 
-    /// Whether a process that stalled over the last rounds may ask again, with leases that still end at the brink.
+    /// Whether a process that stalled during the last rounds may ask again, with leases that still end at the brink.
     fn may_ask_late(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
         self.late_round.is_none()
             && self.was_held_up(timing)
@@ -107,7 +107,7 @@ impl Approach {
             && timing.lets_through(now)
     }
 
-    /// Whether the robots are asked once more at this instant.
+    /// Whether the robots are asked again at this instant.
     pub(super) fn asks_late(&self, now: Timestamp<Server>) -> bool {
         self.late_round == Some(now)
     }
@@ -201,7 +201,7 @@ impl Act {
         actions
     }
 
-    /// Whether one more round is needed and possible after the critical instant, because this process stalled over the last ones.
+    /// Whether one more round is needed and possible after the critical instant, because this process stalled during the last ones.
     fn has_to_ask_late(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
         let since = approach.since(timing);

@@ -35,7 +35,7 @@ pub(crate) struct Member {
     chains: Vec<Chain>,
     /// When it was last asked for reports that were overdue.
     pub(super) asked: Option<Timestamp<Server>>,
-    /// When it was first asked for the newest report that was overdue then.
+    /// When it was first asked for its newest overdue report.
     pub(super) asked_since: Option<Timestamp<Server>>,
 }
 

@@ -274,8 +274,8 @@ fn carried_over(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Ca
     causes?.into_iter().min()
 }
 
-/// A script waits under the running lease of the one that it follows on its device. The link or process of a robot without inquiries kept
-/// it until the robot had dropped the other one, whose pending lease had ended meanwhile: it begins alone, in an act that was not
+/// A script waits under the running lease of the preceding script of its device. The link or process of a robot without inquiries delayed
+/// it until the robot had dropped the preceding script, whose pending lease had ended meanwhile: it begins alone, in an act that was not
 /// committed, and the scheduler was not there to take it back.
 fn outlived_the_first(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let begins = |script: &SentScript<'_>| {
@@ -319,11 +319,12 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
     own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
-/// When a pending lease ends, when the question was sent that says so, since one that was overtaken by it lifts nothing, and the lease.
+/// The end of a pending lease, the instant at which the question that states it was sent, and the lease. An older question that this
+/// one has overtaken lifts nothing.
 type LeaseEnd = (Timestamp<Server>, Option<Timestamp<Server>>, Span);
 
-/// A message that lets the robot start arrived while the end of its lease still lay well ahead, and the lease, as later messages renewed
-/// it, reached over the start: its link is no excuse.
+/// A message that lets the robot start arrived well before the end of its lease, and the lease, including its renewals by later messages,
+/// extended beyond the start: its link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
     let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();

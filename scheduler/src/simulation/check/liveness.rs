@@ -47,8 +47,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// When nothing more is expected of a robot since an act was sent: it has finished the act or failed, everything is being stopped or
-/// has ended.
+/// The instant after the sending of an act at which nothing more is expected of a robot: it has finished the act or failed, or everything
+/// is being stopped or has ended.
 fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
     let words =

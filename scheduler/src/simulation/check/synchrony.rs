@@ -117,7 +117,7 @@ fn excuse(
     excuses.map(|hit| hit.cause).min()
 }
 
-/// When the request by which a script began was first there.
+/// When the request that began a script first arrived.
 fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
     let name = script.log.first().and_then(|entry| entry.request_id.as_deref());
     let named = |happened: &Happened| match happened {

@@ -162,8 +162,8 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
     assert!(!is_carried_over(1, |robot, _| robot, true), "it was sent too late");
 }
 
-/// A script of a robot without inquiries begins without the one that it follows, and whether that is excused: it came after a silence
-/// that was interrupted so often, and was slow on the link of a robot.
+/// A script of a robot without inquiries begins without the preceding script. Whether that is excused: the script came after a silence
+/// with this number of interruptions, and was slow on the link of a robot.
 fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let undisturbed = |drawn: &Drawn| {
         let sound =
@@ -338,7 +338,7 @@ fn a_movement_without_a_reason_is_found() {
     });
 }
 
-/// The first request of a robot is refused once, so it moves under another name. The robot may tell what became of it.
+/// The first request of a robot is refused once, so it moves under another name. The robot may report the outcome.
 fn moves_under_another_name(tells: bool) -> (Ran, usize) {
     let mut ran = played();
     let robot = member(&ran);
