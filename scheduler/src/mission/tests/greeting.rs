@@ -700,7 +700,7 @@ fn a_robot_that_has_failed_does_not_join_when_it_comes() {
 
 #[test]
 fn a_mission_is_done_without_a_robot_that_failed_while_it_was_absent() {
-    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    let mut choreography = choreography(&[&[("a", 0, 4_000)], &[("a", 0, 4_000)]]);
     choreography.acts[0].wait = Wait::Done;
     let mut played = begun_without_the_second(choreography, Greeting::Full);
     played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
