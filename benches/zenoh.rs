@@ -21,8 +21,8 @@ use std::time::{Duration, Instant};
 
 use downbeat::link::{Endpoint, LinkEncoding, Security};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
-use downbeat::run::Operator;
 use downbeat::server_clock::ServerClock;
+use downbeat::stop_lane::Operator;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
 use downbeat_robot::zenoh::{Haste, Key, Listener, Network, Networks, connect};
 use downbeat_robot::{Host, HostOptions, serve, serve_zenoh};

@@ -26,7 +26,7 @@
 //! | [`run`], [`link`], [`server_clock`], [`stop_lane`] | a mission in real time |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`journal`], [`recording`] | what is kept on the disk |
-//! | [`report`] | what became of it, as text, JSON or a picture |
+//! | [`report`], [`show`] | what became of it; the same as text or a picture |
 //! | [`certificate`] | a plan that was played against faults |
 //! | [`requirements`] | whether figures are as a scenario requires |
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
@@ -45,8 +45,11 @@ pub mod conformance;
 pub mod drive;
 pub mod dry_run;
 pub mod fleet;
+pub mod history;
 pub mod journal;
 pub mod keys;
+#[cfg(test)]
+mod kinds;
 pub mod link;
 pub mod measured;
 pub mod mission;
@@ -60,6 +63,7 @@ pub mod requirements;
 pub mod run;
 pub mod server_clock;
 pub mod session;
+pub mod show;
 mod signals;
 pub mod simulation;
 pub mod stop_lane;

@@ -20,9 +20,9 @@ use crate::calibrate::{
 };
 use crate::fleet::{self, StartPrograms};
 use crate::link::Endpoint;
-use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
 use crate::session::{Session, SessionKey};
+use crate::show::table::Rows;
 use crate::signals::{OnHangUp, Signals};
 
 /// Measure how long devices take from a command to visible motion.

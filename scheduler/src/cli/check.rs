@@ -9,8 +9,8 @@ use serde::Serialize;
 
 use super::load::{self, Loaded};
 use super::{Exit, Format, ScenarioArgs, console};
-use crate::report::requirements_table;
 use crate::requirements::{Figures, Judged, any_unmet, closest_of, judge};
+use crate::show::requirements_table;
 
 /// Find the mistakes in a scenario and its fleet, without moving anything.
 #[derive(Debug, clap::Args)]
@@ -70,9 +70,9 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
             load::show_findings(&findings);
             if let Some(choreography) = &choreography {
                 let errors = if denied { "warnings denied" } else { "no errors" };
-                let figures = crate::report::choreography_figures(choreography);
+                let figures = crate::show::choreography_figures(choreography);
                 console::print(&format!("{}: {errors}, {figures}\n", shown(&scenario)));
-                if let Some(latencies) = crate::report::latencies_text(choreography) {
+                if let Some(latencies) = crate::show::latencies_text(choreography) {
                     console::print(&format!("{latencies}\n"));
                 }
                 console::print(&requirements_table(&requirements, console::columns()));

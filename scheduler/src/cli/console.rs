@@ -13,8 +13,8 @@ use serde::Serialize;
 
 use super::Exit;
 use super::outlet::{self, Display, Outlet, Stream};
-use crate::report::UNBOUNDED;
-use crate::report::table::wrapped;
+use crate::show::UNBOUNDED;
+use crate::show::table::wrapped;
 
 const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();

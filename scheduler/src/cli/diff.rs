@@ -8,7 +8,8 @@ use urrcp::Span;
 
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, console, dry_run, load};
 use crate::compare::{self, text};
-use crate::page::{self, History, NoHistory, OtherPlan, OtherRun, Rehearsed};
+use crate::history::{History, NoHistory};
+use crate::page::{self, OtherPlan, OtherRun, Rehearsed};
 
 /// Show what differs between two scenarios as they compile, or between two missions that were played.
 #[derive(Debug, clap::Args)]

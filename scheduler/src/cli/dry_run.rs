@@ -15,9 +15,9 @@ use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::page::{self, Rehearsed, Told};
-use crate::report::local::ZONE;
-use crate::report::{picture, report_text};
 use crate::requirements::{Figures, any_unmet, closest_of, judge};
+use crate::show::local::ZONE;
+use crate::show::{picture, report_text};
 use crate::trials::Trials;
 
 /// Play a scenario in virtual time with simulated robots.

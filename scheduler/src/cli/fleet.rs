@@ -22,8 +22,8 @@ use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet::{self, Drivers, StartPrograms};
 use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use crate::mission::Event;
-use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
+use crate::show::table::Rows;
 
 /// Ask the robots of a fleet what they are.
 #[derive(Debug, Subcommand)]

@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 
 use super::{Exit, Format, ScenarioArgs, choice, console, load};
-use crate::report::graph::Graph;
+use crate::show::graph::Graph;
 
 /// Write acts, cues and their relations as a graph, for Graphviz or Mermaid.
 #[derive(Debug, clap::Args)]

@@ -11,7 +11,7 @@ use urrcp::RobotId;
 
 use super::{Exit, Format, console};
 use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
-use crate::report::table::Rows;
+use crate::show::table::Rows;
 
 /// Days for which a certificate counts unless something else is asked for.
 const DAYS: i64 = 365;

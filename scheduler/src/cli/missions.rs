@@ -10,7 +10,7 @@ use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
 use crate::journal::{self, Found, Life, Missions, NotPrivate};
-use crate::report::table::Rows;
+use crate::show::table::Rows;
 
 /// List the missions of this machine that run or were cut off.
 #[derive(Debug, clap::Args)]

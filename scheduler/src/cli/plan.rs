@@ -12,9 +12,9 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, Millis, RobotId, Server,
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::fleet;
-use crate::report::gantt::gantt;
-use crate::report::{plan_table, requirements_table};
 use crate::requirements::{Judged, any_unmet};
+use crate::show::gantt::gantt;
+use crate::show::{plan_table, requirements_table};
 
 /// Show when each cue takes place and what each robot is sent.
 #[derive(Debug, clap::Args)]
@@ -61,7 +61,7 @@ pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
         }
         Format::Json => console::print_json(&Planned {
             scenario: &choreography.scenario,
-            duration_ms: crate::report::main_duration(&choreography),
+            duration_ms: crate::show::main_duration(&choreography),
             start_tolerance_ms: choreography.acts.first().map(|act| act.plan.start_tolerance),
             acts: choreography.acts.iter().map(|act| planned_act(act, &choreography)).collect(),
             requirements,

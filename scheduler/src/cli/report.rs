@@ -7,7 +7,8 @@ use downbeat_scripts::{Attempt, Refusal};
 use serde_json::Value;
 
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, console, load};
-use crate::page::{self, History, NoHistory, Written};
+use crate::history::{self, History, NoHistory};
+use crate::page::{self, Written};
 
 /// Show a mission that was played, from its journal or its recording.
 #[derive(Debug, clap::Args)]
@@ -134,7 +135,7 @@ fn text(report: &Value) -> String {
         let spread = act["spread_ms"].as_f64();
         let spread =
             spread.map_or_else(|| "no starts known".to_owned(), |spread| format!("spread {spread} ms"));
-        let fate = page::fate_text(act);
+        let fate = history::fate_text(act);
         text += &format!("  {}: {fate}, planned start {start}, {robots}, {spread}\n", shown(name));
     }
     for failure in report["failures"].as_array().into_iter().flatten() {

@@ -23,10 +23,11 @@ use crate::fleet::{self, Drivers, EndpointError, StartPrograms};
 use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot, ended_acts};
 use crate::link::Endpoint;
 use crate::mission::{Changed, Mission, MissionOptions};
-use crate::report::local::ZONE;
-use crate::report::{Report, ending_text};
+use crate::report::Report;
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
+use crate::show::ending_text;
+use crate::show::local::ZONE;
 use crate::signals::OnHangUp;
 
 /// Continue a mission whose scheduler was killed.
@@ -196,7 +197,8 @@ impl<'a> Resumption<'a> {
             Err(error) => return failed(&error.to_string()),
         };
         let (choreography, ended) = (self.choreography.clone(), ended_acts(&bytes));
-        let resumed = Mission::resume(choreography, participants, options, &self.kept, ended, clock.now());
+        let resumed =
+            Mission::resume(choreography, participants, options, &self.kept.unfinished(), ended, clock.now());
         drop(bytes);
         let mission = match resumed {
             Ok(mission) => mission,

@@ -30,15 +30,16 @@ use crate::fleet::{self, Drivers, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
 use crate::mission::{FixedStart, FixedStarts, Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
-use crate::report::local::ZONE;
-use crate::report::{HostWakeUp, Outcome, Report, report_text};
+use crate::report::{HostWakeUp, Outcome, Report};
+use crate::run::Keep;
 use crate::run::control::Control;
 use crate::run::desk::Desk;
-use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 use crate::session::{Session, SessionKey};
+use crate::show::local::ZONE;
+use crate::show::report_text;
 use crate::signals::OnHangUp;
-use crate::stop_lane::StopLane;
+use crate::stop_lane::{Operator, StopLane};
 use crate::zone::{SkippedTime, Zone};
 
 /// Play a scenario on the fleet: all robots start together, or none does.

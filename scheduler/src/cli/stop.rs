@@ -20,10 +20,11 @@ use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::StartPrograms;
 use crate::journal::{Found, Kept, Life};
 use crate::mission::Rest;
-use crate::report::local::time_of_day;
-use crate::report::{TAKEN_OVER, Withdrawal};
+use crate::report::Withdrawal;
 use crate::run::control::{self, Ending, Unheard};
 use crate::run::desk::Presented;
+use crate::show::TAKEN_OVER;
+use crate::show::local::time_of_day;
 use crate::signals;
 
 /// Stop missions and bring their robots to rest.

@@ -14,14 +14,14 @@ use super::live::Live;
 use super::run::{listen, stop_lane};
 use super::{Format, console, identity, robot};
 use crate::fleet::{self, Drivers};
-use crate::journal::{FileDisk, Found, Journal, Kept, Left, LeftOn, Opened, OpenedRobot, Torn, read};
+use crate::journal::{FileDisk, Found, Journal, Kept, Opened, OpenedRobot, Torn, read};
 use crate::link::Site;
-use crate::mission::{Mission, MissionOptions, Outcome, Record, Rest};
+use crate::mission::{Left, LeftOn, Mission, MissionOptions, Outcome, Record, Rest};
 use crate::report::{Report, StopState, Withdrawal};
-use crate::run::{Keep, Operator};
+use crate::run::Keep;
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
-use crate::stop_lane::StopLane;
+use crate::stop_lane::{Operator, StopLane};
 
 /// So long the disk may take to write down that a mission was stopped.
 const RECORD_MAX: Duration = Duration::from_secs(5);

@@ -6,7 +6,7 @@ use serde_json::Value;
 use urrcp::{Setpoint, Span, Timestamp};
 
 use super::steps::{Movement, TimedStep};
-use crate::page::{self, History};
+use crate::history::{self, History};
 
 /// An act that was sent, or skipped.
 #[derive(Debug)]
@@ -103,7 +103,7 @@ fn fate(record: Option<&Value>) -> String {
     match record["fate"].as_str() {
         Some(fate) => fate.replace('_', " "),
         // Journals of earlier versions.
-        None => page::fate_text(&record["report"]).to_owned(),
+        None => history::fate_text(&record["report"]).to_owned(),
     }
 }
 

@@ -9,7 +9,7 @@ use urrcp::Span;
 use super::played::{PlayedAct, SentScript, acts, movement};
 use super::steps::{StepDifferences, compare};
 use super::{Change, Presence, matched};
-use crate::page::History;
+use crate::history::History;
 
 /// What differs between two missions that were played.
 #[derive(Clone, Debug, Serialize)]

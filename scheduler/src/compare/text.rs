@@ -10,7 +10,7 @@ use super::runs::{Figure, RunAct, RunRobot, ScriptDifferences};
 use super::scripts::DeviceDifferences;
 use super::steps::{Largest, ShownStep, StepDifference, StepDifferences};
 use super::{Change, PlanDifferences, Presence, RunDifferences};
-use crate::report::table::{Rows, wrapped};
+use crate::show::table::{Rows, wrapped};
 
 /// Rows of each table; what is more is only counted. JSON has everything.
 const ROWS_MAX: usize = 20;

@@ -309,7 +309,7 @@ fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
 #[test]
 fn a_mission_that_ends_because_of_its_bound_says_so() {
     let (played, _) = played_through(acts_with(bounded(2), |_| {}));
-    let text = crate::report::report_text(&played.report, crate::report::UNBOUNDED);
+    let text = crate::show::report_text(&played.report, crate::show::UNBOUNDED);
     assert!(
         text.contains("ended because 2 acts had begun, the bound; another would have followed"),
         "{text}"
@@ -317,7 +317,7 @@ fn a_mission_that_ends_because_of_its_bound_says_so() {
     assert_eq!(serde_json::to_value(&played.report).unwrap()["acts_max_reached"], 2);
     let (played, ended) = played_through(acts_with(bounded(3), |_| {}));
     assert_eq!((played.report.acts_max_reached, ended), (None, 3), "there was no other");
-    assert!(!crate::report::report_text(&played.report, crate::report::UNBOUNDED).contains("bound"));
+    assert!(!crate::show::report_text(&played.report, crate::show::UNBOUNDED).contains("bound"));
 }
 
 #[test]

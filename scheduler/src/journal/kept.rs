@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::read::{Torn, begins_with, sound, whole_length};
 use super::{Opened, OpenedRobot};
 use crate::mission::{
-    ActFate, ActFlaws, ActOver, Failure, OutOfTolerance, Outcome, Promise, Rest, StepsLate,
+    ActFate, ActFlaws, ActOver, Failure, Left, LeftOn, OutOfTolerance, Outcome, Progressed, Promise, Rest,
+    StepsLate, Unfinished,
 };
 
 /// The state of a mission according to its journal.
@@ -62,43 +63,6 @@ pub struct Stopping {
     /// How the stop brings robots to rest.
     #[serde(default)]
     pub rest: Rest,
-}
-
-/// What a mission left on its robots, which another process withdraws.
-#[derive(Clone, Debug, Default)]
-pub struct Left {
-    /// The robots that were sent anything.
-    pub robots: BTreeMap<RobotId, LeftOn>,
-    /// The ids by which robots call themselves, if these differ from their ids in the fleet file.
-    pub own_ids: BTreeMap<RobotId, RobotId>,
-    /// No lease was renewed after this instant; `None` if leases may have been renewed until now.
-    pub renewed_until: Option<Timestamp<Server>>,
-    /// Whether robots may have moved.
-    pub moved: bool,
-    /// The failures of robots.
-    pub failures: Vec<Failure>,
-}
-
-/// What a mission left on a robot.
-#[derive(Clone, Debug, Default)]
-pub struct LeftOn {
-    /// The devices that were sent anything.
-    pub devices: BTreeSet<DeviceId>,
-    /// The offset that was added to timestamps for its clock.
-    pub shift: Span,
-    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
-    pub leases: Vec<Option<Millis>>,
-}
-
-/// The progress of an act that was promised.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Progressed {
-    /// Its requests were sent, or were about to be.
-    Prepared,
-    /// All robots had accepted.
-    Decided,
-    /// Leases were carried over its start, or were about to be.
-    Committed,
 }
 
 /// The fields that are read of most lines. The reports of acts, which fill most of a long journal, are skipped.
@@ -275,6 +239,21 @@ impl Kept {
             }
         }
         left
+    }
+
+    /// What another process needs to continue the mission.
+    #[must_use]
+    pub fn unfinished(&self) -> Unfinished<'_> {
+        Unfinished {
+            promises: &self.promises,
+            ended_acts: self.ended_acts,
+            course: &self.course,
+            flaws: &self.flaws,
+            failures: &self.failures,
+            dropped: &self.dropped,
+            stopped: &self.stopped,
+            left: self.left(),
+        }
     }
 
     /// A promise with the offsets with which its scripts were sent.

@@ -23,7 +23,7 @@ use crate::mission::{FixedStarts, Greeting, Record};
 use crate::session::{Session, SessionKey};
 pub use disk::{Disk, FileDisk, Name};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
-pub use kept::{Fate, Kept, Left, LeftOn, Progressed, Stopping};
+pub use kept::{Fate, Kept, Stopping};
 pub use private::NotPrivate;
 pub use read::{Records, Torn, Unreadable, ended_acts, read, records};
 pub use writer::{News, Writer};

@@ -3,8 +3,8 @@ use urrcp::Span;
 use super::simulated::SimulatedDisk;
 use super::*;
 use crate::mission::{
-    ActFate, ActFlaws, ActOver, Failure, FailureKind, OutOfTolerance, Promise, PromisedScript, Rest,
-    StepsLate,
+    ActFate, ActFlaws, ActOver, Failure, FailureKind, OutOfTolerance, Progressed, Promise, PromisedScript,
+    Rest, StepsLate,
 };
 use crate::report::Outcome;
 

@@ -6,7 +6,7 @@ use std::ops::Neg;
 use urrcp::{Server, Span, Timestamp};
 
 use crate::clock::resolution;
-use crate::page::Exchange;
+use crate::history::Exchange;
 
 /// Fastest drift that is looked for, as a fraction: beyond any real clock, and what a simulated one has at most.
 const RATE_MAX: f64 = 0.1;

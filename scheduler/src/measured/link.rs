@@ -4,7 +4,7 @@ use serde::Serialize;
 use urrcp::{Server, Span, Timestamp};
 
 use super::line::{ClockLine, counts_in};
-use crate::page::Exchange;
+use crate::history::Exchange;
 
 /// A message that takes longer than the least by this was lost and sent again: 200 ms is the least retransmission timeout of
 /// Linux, which counts on top of the round trip; a twentieth of it is for timers that count coarsely.

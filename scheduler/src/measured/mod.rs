@@ -14,7 +14,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use self::clock::Told;
 use self::line::ClockLine;
-use crate::page::{Exchange, History, HistorySource, KnownRobot};
+use crate::history::{Exchange, History, HistorySource, KnownRobot};
 
 pub use self::clock::{ClockMeasured, DriftMeasured, Follows};
 pub use self::link::{Interruption, LinkMeasured, Loss, Method, Quantiles};

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use urrcp::{ControlType, Server, Span, Timestamp};
 
-use crate::page::{History, KnownRobot};
+use crate::history::{History, KnownRobot};
 
 /// How an act announces that it waits for the operator.
 const OPERATOR: &str = "the operator's go";

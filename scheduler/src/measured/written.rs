@@ -7,7 +7,7 @@ use super::clock::{ClockMeasured, Follows};
 use super::link::{Interruption, LinkMeasured, Loss, Method};
 use super::told::{Break, OperatorMeasured, SensorMeasured};
 use super::{Measured, RobotMeasured};
-use crate::page::HistorySource;
+use crate::history::HistorySource;
 
 /// Fewer samples than this: a percentile of theirs is hardly below the largest.
 const SAMPLES_FOR_P99: usize = 100;

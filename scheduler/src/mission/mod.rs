@@ -47,6 +47,7 @@ mod seize;
 mod skew;
 mod stop;
 mod transfer;
+mod unfinished;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
@@ -71,6 +72,7 @@ pub use resume::Changed;
 pub use script::promised_name;
 pub use skew::{RobotSkew, SkewBudget};
 pub use transfer::{Destination, PlanTransfer, TransferReport};
+pub use unfinished::{Left, LeftOn, Progressed, Unfinished};
 
 use crate::server_clock::NtpState;
 use act::Act;

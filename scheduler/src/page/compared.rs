@@ -7,11 +7,11 @@ use urrcp::Span;
 use super::Rehearsed;
 use super::columns::Columns;
 use super::document::{Compared, Difference, Ghost, GhostCue, Lane, Mission};
-use super::history::History;
 use super::planned::{self, Places};
 use crate::compare::listed::{Listed, listed};
 use crate::compare::text::{Entry, entries};
 use crate::compare::{PlanDifferences, RunDifferences};
+use crate::history::History;
 
 /// The plan that a page is compared with.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::columns::Series;
-use super::fate::Fate;
+use crate::history::Fate;
 
 /// The version of what is written here.
 pub(super) const VERSION: u32 = 1;

@@ -5,8 +5,6 @@ mod columns;
 mod compared;
 mod document;
 mod events;
-mod fate;
-mod history;
 mod planned;
 mod played;
 mod recorded;
@@ -26,17 +24,13 @@ use serde::Serialize;
 
 use self::columns::Columns;
 use self::document::{Kind, Mission, VERSION};
-use self::fate::Fate;
 use self::played::Epoch;
 use self::tried::Tried;
 use crate::dry_run;
+use crate::history::History;
 use crate::trials::Results;
 
-pub(crate) use self::planned::waits;
-
 pub(crate) use self::compared::{OtherPlan, OtherRun};
-pub(crate) use self::history::{Exchange, KnownRobot};
-pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};
 
@@ -113,17 +107,6 @@ pub(crate) fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::
 /// As for [`of_dry_run`].
 pub fn of_trials(results: &Results, replay: &[String]) -> io::Result<String> {
     page(&Tried::of(results, replay), &Columns::default())
-}
-
-/// What became of an act, by its report as JSON, for people.
-#[must_use]
-pub fn fate_text(report: &serde_json::Value) -> &'static str {
-    match Fate::of(Some(report)) {
-        Fate::Played => "played",
-        Fate::Stopped => "stopped on the way",
-        Fate::Withdrawn => "withdrawn before anything moved",
-        Fate::Unknown | Fate::Open => "its end is not known",
-    }
 }
 
 impl Rehearsed<'_> {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use downbeat_scripts as scripts;
 use downbeat_scripts::{
-    Choreography, DrivenPath, Fleet, FleetRobot, JointKind, Outline, SensorRange, Severity, Wait, WrittenCue,
+    Choreography, DrivenPath, Fleet, FleetRobot, JointKind, Outline, Severity, WrittenCue,
 };
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
 
@@ -12,6 +12,7 @@ use super::columns::{Columns, Points};
 use super::document::{
     Body, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, Plan, Robot, Script, Shape, Source,
 };
+use crate::show::waits;
 
 /// Where robots and devices are in the document.
 #[derive(Debug, Default)]
@@ -278,21 +279,6 @@ fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
         }
     }
     all
-}
-
-/// What an act waits for, for people; nothing if it follows the act before it at once.
-pub(crate) fn waits(wait: &Wait) -> String {
-    match wait {
-        Wait::Operator => "the operator".to_owned(),
-        Wait::Instant(at) => at.to_string(),
-        Wait::TimeOfDay(time) => format!("{time} after midnight"),
-        Wait::Sensor { robot, sensor, range } => match range {
-            SensorRange::Above(bound) => format!("{robot}/{sensor} above {bound}"),
-            SensorRange::Below(bound) => format!("{robot}/{sensor} below {bound}"),
-            SensorRange::Within(least, most) => format!("{robot}/{sensor} from {least} to {most}"),
-        },
-        Wait::Done => String::new(),
-    }
 }
 
 pub(super) fn sources(outline: &Outline) -> Vec<Source> {

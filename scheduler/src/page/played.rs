@@ -9,9 +9,9 @@ use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
-use super::fate::{self, Fate};
 use super::planned::Places;
 use crate::dry_run::{self, act_of};
+use crate::history::{Fate, over};
 use crate::mission::Progress;
 use crate::report::{ActReport, ActRobot, Report};
 
@@ -42,7 +42,7 @@ pub(super) fn acts(
         let duration = plan.map_or(0.0, |plan| choreography.acts[plan].duration().as_millis_f64());
         let told = &told[told.partition_point(|(at, _)| *at < act.timestamp)..];
         let report = serde_json::to_value(act).ok();
-        let over = fate::over(told, &act.act, act.number, act.timestamp);
+        let over = over(told, &act.act, act.number, act.timestamp);
         let phases = Phases::of(told, &act.act, act.start);
         acts.push(Played {
             name: act.act.clone(),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::{Value, json};
+use serde_json::Value;
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
@@ -10,42 +10,13 @@ use super::document::{
     Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
 };
 use super::events;
-use super::fate::{self, Fate};
-use super::history::{History, HistorySource, KnownRobot, PlannedStep};
 use super::planned::{self, Places};
 use super::played::{Epoch, Phases, finished, instant};
 use super::written::Written;
 use crate::dry_run::act_of;
+use crate::history::{Fate, History, HistorySource, KnownRobot, PlannedStep, over};
 
 impl History {
-    /// What is known of how it went: the name, the outcome and the reports of the acts that have ended, as in a report.
-    #[must_use]
-    pub fn report(&self) -> Value {
-        let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
-        // Attempts that were withdrawn and repeated are no acts of a report.
-        let ended = ended.filter(|(_, record)| record["again"] != true);
-        let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
-        let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
-        let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
-        json!({
-            "scenario": self.scenario,
-            "outcome": outcome.map(|(_, record)| &record["outcome"]),
-            "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
-            "spread_ms": spread,
-            "acts": acts,
-            // Neither kind of file states the totals of each robot over all acts.
-            "robots": null,
-            "failures": self.failures(),
-        })
-    }
-
-    pub(crate) fn of_kind<'a>(
-        &'a self,
-        kind: &'a str,
-    ) -> impl Iterator<Item = &'a (Timestamp<Server>, Value)> {
-        self.records.iter().filter(move |(_, record)| record["record"] == *kind)
-    }
-
     pub(super) fn mission(&self, written: Option<&Written<'_>>, columns: &mut Columns) -> Mission {
         let (places, robots) = match written {
             Some(written) => {
@@ -152,7 +123,7 @@ impl History {
         let told = if self.told.is_empty() { &self.records } else { &self.told };
         // The commitment is written down before it is made: where it is known when that was, this counts.
         let committed = if self.told.is_empty() { written("committed") } else { phases.committed };
-        let over = fate::over(told, &name, act.number, act.timestamp);
+        let over = over(told, &name, act.number, act.timestamp);
         let robots = robots(act, report, &self.told, (places, epoch));
         let at = |instant: Option<Timestamp<Server>>| instant.map(|instant| epoch.millis(instant));
         Played {

@@ -8,9 +8,9 @@ use urrcp::Command;
 
 use super::columns::Columns;
 use super::document::Plan;
-use super::history::History;
 use super::planned::{self, Places};
 use super::played::instant;
+use crate::history::History;
 
 /// A scenario as it compiles, next to its files.
 #[derive(Clone, Copy, Debug)]

@@ -1,18 +1,5 @@
-//! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
+//! The report of a mission. Its text is written by [`show`](crate::show).
 
-mod busy;
-mod course;
-pub(crate) mod gantt;
-pub(crate) mod graph;
-#[cfg(test)]
-mod kinds;
-pub(crate) mod local;
-pub mod picture;
-mod reading;
-mod required;
-mod ruler;
-pub(crate) mod table;
-mod text;
 mod wake_up;
 mod withdrawal;
 
@@ -28,13 +15,6 @@ use crate::mission::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Pref
 use crate::recording::Recorded;
 use crate::requirements::Judged;
 use crate::server_clock::NtpState;
-pub(crate) use course::course_lines;
-pub(crate) use required::requirements_table;
-pub use text::report_text;
-pub(crate) use text::{
-    TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration, plan_table,
-    preflight_table,
-};
 pub use wake_up::HostWakeUp;
 pub use withdrawal::Withdrawal;
 

@@ -49,7 +49,7 @@ impl HostWakeUp {
     }
 
     /// Sentences for people.
-    pub(super) fn sentences(&self) -> impl Iterator<Item = String> {
+    pub(crate) fn sentences(&self) -> impl Iterator<Item = String> {
         let measured = format!(
             "this host wakes up {} late (median), {} (p99), {} at most; {}",
             self.median, self.p99, self.longest, self.scheduling

@@ -23,11 +23,10 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{AbortHandle, spawn_blocking};
 use tokio::time::timeout;
 
-use super::Operator;
 use super::desk::{Challenge, Desk, Presented};
 use crate::journal::private;
 use crate::mission::Rest;
-use crate::stop_lane::{StopLane, Voice};
+use crate::stop_lane::{Operator, StopLane, Voice};
 
 /// Longest word that is listened to, in bytes: a word and the name of an act.
 const LINE_MAX: u64 = 4_096;

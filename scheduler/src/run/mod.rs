@@ -7,7 +7,7 @@ mod world;
 
 use std::collections::BTreeSet;
 
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 use urrcp::{DeviceId, Server, Timestamp};
 
 use self::watch::Watches;
@@ -16,35 +16,11 @@ use crate::drive::drive;
 use crate::journal::Journal;
 use crate::link::{Endpoint, SharedScripts};
 use crate::mission::robot_state::RobotState;
-use crate::mission::{Mission, Progress, Rest};
+use crate::mission::{Mission, Progress};
 use crate::recording::Recorder;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
-use crate::stop_lane::{Before, StopLane};
-
-/// What the operator asks for while a mission runs.
-#[derive(Debug)]
-#[non_exhaustive]
-pub enum Operator {
-    /// Let the act begin that waits for it.
-    Go {
-        /// Which act is meant; `None`: whichever waits.
-        act: Option<String>,
-        /// Who says so, where that is another than who began the mission.
-        by: Option<String>,
-        /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
-        answer: oneshot::Sender<Result<String, String>>,
-    },
-    /// Stop all robots and wait for their confirmation.
-    Stop {
-        /// How they come to rest.
-        rest: Rest,
-        /// Who says so, where that is another than who began the mission.
-        by: Option<String>,
-    },
-    /// Leave at once.
-    Leave,
-}
+use crate::stop_lane::{Before, Operator, StopLane};
 
 /// What goes with a mission.
 #[derive(Debug, Default)]

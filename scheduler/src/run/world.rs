@@ -7,15 +7,15 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
+use super::Keep;
 use super::watch::Watches;
-use super::{Keep, Operator};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, News, Writer};
 use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
 use crate::mission::{Event, Mission, Progress, Record};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
-use crate::stop_lane::{Before, Passage, StopLane};
+use crate::stop_lane::{Before, Operator, Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;

@@ -15,7 +15,7 @@ pub fn trace(ran: &Ran) -> String {
         let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
     }
     if let Some(report) = &ran.report {
-        let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
+        let _infallible = writeln!(text, "{}", crate::show::report_text(report, crate::show::UNBOUNDED));
     }
     for violation in super::judge(ran).violations {
         let _infallible = writeln!(text, "VIOLATED {violation}");

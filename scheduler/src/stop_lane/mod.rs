@@ -22,10 +22,9 @@ use urrcp::{DeviceId, Message, SessionId};
 pub(crate) use self::sent::Passage;
 use self::sent::{Book, Sent};
 use self::stopping::Guard;
-pub use self::words::{MissionOver, Voice};
+pub use self::words::{MissionOver, Operator, Voice};
 use crate::link::{Asked, Endpoint, Link, Waiting};
 use crate::mission::Rest;
-use crate::run::Operator;
 use crate::server_clock::ServerClock;
 pub use crate::signals::OnHangUp;
 

@@ -5,15 +5,38 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tokio::sync::mpsc::error::TrySendError;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 
 use super::Alarm;
 use crate::mission::Rest;
-use crate::run::Operator;
 use crate::signals::{Asked, Signals, die_of};
 
 /// Once told to leave at once, or when the mission is over, the process may take this long to say what it has to.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
+
+/// What the operator asks for while a mission runs.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Operator {
+    /// Let the act begin that waits for it.
+    Go {
+        /// Which act is meant; `None`: whichever waits.
+        act: Option<String>,
+        /// Who says so, where that is another than who began the mission.
+        by: Option<String>,
+        /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
+        answer: oneshot::Sender<Result<String, String>>,
+    },
+    /// Stop all robots and wait for their confirmation.
+    Stop {
+        /// How they come to rest.
+        rest: Rest,
+        /// Who says so, where that is another than who began the mission.
+        by: Option<String>,
+    },
+    /// Leave at once.
+    Leave,
+}
 
 /// Speaks for the operator: the mission hears every word, and the robots hear of a stop at once.
 #[derive(Clone, Debug)]

@@ -5,7 +5,7 @@ use downbeat_scripts::shown::within;
 
 use super::figures::{Quantiles, Share};
 use super::results::Results;
-use crate::report::{requirements_table, table::Rows};
+use crate::show::{requirements_table, table::Rows};
 
 /// Reasons and robots that are listed; JSON has all.
 const LISTED_MAX: usize = 12;

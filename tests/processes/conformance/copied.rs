@@ -6,7 +6,8 @@ use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, mpsc};
 
 use downbeat::conformance::{Options, Verdict, examine};
-use downbeat::report::{Outcome, report_text};
+use downbeat::report::Outcome;
+use downbeat::show::report_text;
 use downbeat_robot::{Host, HostOptions, serve};
 use tokio::net::TcpListener;
 use urrcp::{

@@ -10,7 +10,7 @@ use ratatui::widgets::{Cell, Row as TableRow, Table, Widget};
 use urrcp::{Server, Span, Timestamp};
 
 use super::model::{Confirmed, Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
-use crate::report::local::{seconds_of_day, time_as_of};
+use crate::show::local::{seconds_of_day, time_as_of};
 
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 const DIM: Style = Style::new().add_modifier(Modifier::DIM);

@@ -14,8 +14,7 @@ use super::frame::Help;
 use super::{Scene, Shown, show, terminal};
 use crate::cli::console;
 use crate::mission::Rest;
-use crate::run::Operator;
-use crate::stop_lane::{StopLane, Voice};
+use crate::stop_lane::{Operator, StopLane, Voice};
 
 /// For so long Ctrl-Z waits for the display to leave the screen.
 const LIFT_MAX: Duration = Duration::from_millis(200);

@@ -4,7 +4,7 @@ use downbeat_scripts::counted;
 use urrcp::{Server, Timestamp};
 
 use crate::mission::{Preflight, Progress, Rest, SkewBudget, Verdict};
-use crate::report::local::{time_as_of, time_of_day};
+use crate::show::local::{time_as_of, time_of_day};
 
 /// The sentence of an event, if there is one.
 pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<String> {

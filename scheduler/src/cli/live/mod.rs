@@ -23,8 +23,8 @@ use self::model::Model;
 use self::painter::{Colours, Painter};
 use super::{Format, console};
 use crate::mission::Progress;
-use crate::report::{UNBOUNDED, preflight_table};
 use crate::server_clock::ServerClock;
+use crate::show::{UNBOUNDED, preflight_table};
 
 /// What the display is drawn from.
 struct Scene {

@@ -9,8 +9,8 @@ use tokio::sync::mpsc;
 use super::{Stopped, failed, usage};
 use crate::cli::Exit;
 use crate::journal::{self, Journal, Opened, OpenedRobot};
-use crate::run::Operator;
 use crate::server_clock::ServerClock;
+use crate::stop_lane::Operator;
 
 /// Removes old journals and begins this one.
 ///

@@ -278,10 +278,10 @@ fn scripts_of_a_long_movement_that_have_ended_are_asked_for_at_once() {
 /// The outcome and the reason of a mission that is withdrawn with this outcome. Its robot confirms the stop.
 fn withdrawn(moved: bool, outcome: Outcome) -> (Outcome, Option<String>) {
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
-    let on = crate::journal::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
+    let on = crate::mission::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
     let robots = [(RobotId::new("r0").unwrap(), on)].into();
     let failures = vec![Failure { robot: RobotId::new("r0").unwrap(), kind: broken() }];
-    let left = crate::journal::Left { robots, moved, failures, ..Default::default() };
+    let left = crate::mission::Left { robots, moved, failures, ..Default::default() };
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
     let ending = (outcome, "why".to_owned());
     let mission =

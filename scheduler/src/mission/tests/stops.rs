@@ -189,7 +189,7 @@ fn while_a_mission_stops_a_robot_that_is_heard_again_is_not_told_of() {
 
 #[test]
 fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
-    let left = crate::journal::LeftOn {
+    let left = crate::mission::LeftOn {
         devices: ["a", "b"].map(|device| device.parse().unwrap()).into(),
         shift: ms(7),
         leases: vec![Some(urrcp::Millis::from_span(ms(2_000))), None],
@@ -198,8 +198,8 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
         for (leases, expected) in
             [(left.leases.clone(), vec![Some(renewed + ms(2_000)), None]), (Vec::new(), vec![Some(renewed)])]
         {
-            let left = crate::journal::Left {
-                robots: [("r0".parse().unwrap(), crate::journal::LeftOn { leases, ..left.clone() })].into(),
+            let left = crate::mission::Left {
+                robots: [("r0".parse().unwrap(), crate::mission::LeftOn { leases, ..left.clone() })].into(),
                 own_ids: [("r0".parse().unwrap(), "UR5-1".parse().unwrap())].into(),
                 renewed_until: until,
                 ..Default::default()
@@ -222,8 +222,8 @@ fn what_another_process_left_is_taken_back_at_once_when_the_links_stand() {
 
 #[test]
 fn the_end_of_a_script_without_a_name_does_not_confirm_the_stop_of_a_mission_that_is_withdrawn() {
-    let on = crate::journal::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
-    let left = crate::journal::Left { robots: [("r0".parse().unwrap(), on)].into(), ..Default::default() };
+    let on = crate::mission::LeftOn { devices: ["a".parse().unwrap()].into(), ..Default::default() };
+    let left = crate::mission::Left { robots: [("r0".parse().unwrap(), on)].into(), ..Default::default() };
     let participants = vec![Participant::new("r0".parse().unwrap(), robot("r0", Tells::Reports, 2).block)];
     let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
     let ending = (Outcome::Stopped, "why".to_owned());

@@ -263,7 +263,7 @@ impl World {
         let goes_on = |kept: &&Kept| intention == Intention::Resume && kept.fate() == Fate::Resume;
         let resumed = kept.filter(goes_on).and_then(|kept| {
             let (participants, ended) = (participants.clone(), ended_acts(&bytes));
-            Mission::resume(choreography, participants, options.clone(), kept, ended, now).ok()
+            Mission::resume(choreography, participants, options.clone(), &kept.unfinished(), ended, now).ok()
         });
         let left = kept.map(Kept::left).unwrap_or_default();
         let how = if resumed.is_some() { "resumed" } else { "withdrawn" };

@@ -10,7 +10,7 @@ use super::thinned::thinned;
 use super::{Frame, LEFT, NAME_MAX, escaped};
 use crate::dry_run::{Played, act_of};
 use crate::report::ActReport;
-use crate::report::busy::interpolation;
+use crate::show::busy::interpolation;
 
 const LANE: f64 = 34.0;
 const HEADER: f64 = 22.0;

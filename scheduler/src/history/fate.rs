@@ -7,7 +7,7 @@ use urrcp::{Server, Timestamp};
 /// What became of an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Fate {
+pub(crate) enum Fate {
     /// All its robots but those that were left out did all their steps.
     Played,
     /// It had begun, and ended before its time.
@@ -22,7 +22,7 @@ pub(super) enum Fate {
 
 impl Fate {
     /// By the report of an act, as it is in JSON; without one the act has not ended, as far as is known.
-    pub(super) fn of(report: Option<&Value>) -> Self {
+    pub(crate) fn of(report: Option<&Value>) -> Self {
         let Some(report) = report else { return Self::Open };
         let robots = report["robots"].as_array().into_iter().flatten();
         let (left_out, taking_part): (Vec<&Value>, Vec<&Value>) =
@@ -44,8 +44,19 @@ impl Fate {
     }
 }
 
+/// What became of an act, by its report as JSON, for people.
+#[must_use]
+pub fn fate_text(report: &Value) -> &'static str {
+    match Fate::of(Some(report)) {
+        Fate::Played => "played",
+        Fate::Stopped => "stopped on the way",
+        Fate::Withdrawn => "withdrawn before anything moved",
+        Fate::Unknown | Fate::Open => "its end is not known",
+    }
+}
+
 /// When an act was over, or everything was being stopped, after it was sent at `sent`.
-pub(super) fn over(
+pub(crate) fn over(
     told: &[(Timestamp<Server>, Value)],
     name: &str,
     number: u32,

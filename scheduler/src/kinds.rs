@@ -7,12 +7,12 @@ use downbeat_scripts::LatencySource;
 use serde_json::Value;
 use strum::VariantNames;
 
-use super::{DeviceState, Outcome, SCHEMA, StopState};
 use crate::cli::InsideWhat;
 use crate::mission::robot_state::Standing;
 use crate::mission::{
     ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, TransferReport, Verdict,
 };
+use crate::report::{DeviceState, Outcome, SCHEMA, StopState};
 use crate::requirements::Judgement;
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";

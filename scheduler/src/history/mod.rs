@@ -1,4 +1,6 @@
-//! What a journal or a recording has kept of a mission that was played.
+//! Missions that were played, read from their journals and recordings.
+
+mod fate;
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -8,11 +10,14 @@ use std::path::{Path, PathBuf};
 use mcap::MessageStream;
 use mcap::read::Options;
 use serde::Deserialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 use urrcp::{InitializationBlock, Interpolation, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::journal::{self, Unreadable};
 use crate::mission::promised_name;
+
+pub use self::fate::fate_text;
+pub(crate) use self::fate::{Fate, over};
 
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
@@ -73,11 +78,11 @@ pub(crate) struct KnownRobot {
     pub(crate) id: RobotId,
     pub(crate) init: Option<InitializationBlock>,
     /// Steps of scripts when they are due: by device and request.
-    pub(super) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
+    pub(crate) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
     /// What it said of its devices, when that arrived.
-    pub(super) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
+    pub(crate) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
     /// Offset and round trip of each exchange, in milliseconds.
-    pub(super) clock: Vec<(Timestamp<Server>, f64, f64)>,
+    pub(crate) clock: Vec<(Timestamp<Server>, f64, f64)>,
     /// Questions that it has answered with its times.
     pub(crate) exchanges: Vec<Exchange>,
     /// When questions that it has not answered yet were sent, by their name and own timestamp.
@@ -109,10 +114,10 @@ const QUESTIONS: [(&str, &str); 2] =
 
 /// A step of a script.
 #[derive(Clone, Debug)]
-pub(super) struct PlannedStep {
-    pub(super) due: Timestamp<Server>,
-    pub(super) value: f64,
-    pub(super) control: String,
+pub(crate) struct PlannedStep {
+    pub(crate) due: Timestamp<Server>,
+    pub(crate) value: f64,
+    pub(crate) control: String,
 }
 
 /// A file of which no mission can be shown.
@@ -138,6 +143,34 @@ pub enum NoHistory {
 }
 
 impl History {
+    /// What is known of how it went: the name, the outcome and the reports of the acts that have ended, as in a report.
+    #[must_use]
+    pub fn report(&self) -> Value {
+        let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
+        // Attempts that were withdrawn and repeated are no acts of a report.
+        let ended = ended.filter(|(_, record)| record["again"] != true);
+        let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
+        let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
+        let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
+        json!({
+            "scenario": self.scenario,
+            "outcome": outcome.map(|(_, record)| &record["outcome"]),
+            "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
+            "spread_ms": spread,
+            "acts": acts,
+            // Neither kind of file states the totals of each robot over all acts.
+            "robots": null,
+            "failures": self.failures(),
+        })
+    }
+
+    pub(crate) fn of_kind<'a>(
+        &'a self,
+        kind: &'a str,
+    ) -> impl Iterator<Item = &'a (Timestamp<Server>, Value)> {
+        self.records.iter().filter(move |(_, record)| record["record"] == *kind)
+    }
+
     /// Reads a journal, a mission's folder, or a recording, as far as it is whole.
     ///
     /// # Errors

@@ -15,9 +15,9 @@ use downbeat_scripts::{Act, FleetRobot};
 use self::cues::Cues;
 use self::head::Kind;
 use self::lanes::Lanes;
-use super::ActReport;
 use super::ruler::{Tick, length, ticks};
 use crate::dry_run::Played;
+use crate::report::ActReport;
 
 /// Pixels to the left and right of the time, for names and ranges.
 const LEFT: f64 = 170.0;

@@ -10,15 +10,13 @@ use urrcp::{DeviceId, Latency, RobotId, Span};
 use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
 use super::table::{Rows, wrapped};
-use super::{
-    ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
-};
-use crate::mission::TransferReport;
+use super::{course_lines, requirements_table};
 use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
     AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow,
-    SkewBudget, Verdict,
+    SkewBudget, TransferReport, Verdict,
 };
+use crate::report::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();

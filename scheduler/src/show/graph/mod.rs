@@ -131,7 +131,7 @@ fn act_node(index: usize, act: &Act, written: &[WrittenCue]) -> ActNode {
         id: act_id(index),
         act: act.name.clone(),
         duration_ms: act.plan.duration(),
-        waits_for: Some(crate::page::waits(&act.wait)).filter(|waits| !waits.is_empty()),
+        waits_for: Some(crate::show::waits(&act.wait)).filter(|waits| !waits.is_empty()),
         cues: cues.map(cue).collect(),
         relations: relations.filter_map(|told| told.gap.map(|gap| edge(&told.text, gap))).collect(),
     }
@@ -213,7 +213,7 @@ pub(super) mod tests {
     use downbeat_scripts::{Fleet, NoFiles, Source, compile, outline};
 
     /// Marks alone need no robots.
-    pub(in crate::report::graph) fn graph(text: &str) -> Graph {
+    pub(in crate::show::graph) fn graph(text: &str) -> Graph {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
         let fleet = Fleet::default();
         let compiled = compile(&source, &fleet, &NoFiles);
@@ -265,10 +265,10 @@ acts:
     }
 
     /// A name with everything that means something in DOT, Mermaid or HTML.
-    pub(in crate::report::graph) const HOSTILE: &str =
+    pub(in crate::show::graph) const HOSTILE: &str =
         r#"a"]; end <script>alert(1)</script> & #quot; `x` \" %% {{ | -->"#;
 
-    pub(in crate::report::graph) fn hostile() -> Graph {
+    pub(in crate::show::graph) fn hostile() -> Graph {
         let name = serde_json::Value::from(format!("{HOSTILE}\n2"));
         graph(&format!("scenario: {name}\nacts:\n  - {{act: {name}, cues: [{{cue: {name}, at: 0s}}]}}\n"))
     }

@@ -1,0 +1,18 @@
+//! Conditions that acts wait for.
+
+use downbeat_scripts::{SensorRange, Wait};
+
+/// What an act waits for, for people; nothing if it follows the act before it at once.
+pub(crate) fn waits(wait: &Wait) -> String {
+    match wait {
+        Wait::Operator => "the operator".to_owned(),
+        Wait::Instant(at) => at.to_string(),
+        Wait::TimeOfDay(time) => format!("{time} after midnight"),
+        Wait::Sensor { robot, sensor, range } => match range {
+            SensorRange::Above(bound) => format!("{robot}/{sensor} above {bound}"),
+            SensorRange::Below(bound) => format!("{robot}/{sensor} below {bound}"),
+            SensorRange::Within(least, most) => format!("{robot}/{sensor} from {least} to {most}"),
+        },
+        Wait::Done => String::new(),
+    }
+}
