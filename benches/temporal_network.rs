@@ -1,7 +1,7 @@
 //! Temporal networks of 100,000 cues, compared with petgraph's Bellman-Ford on the same graphs; one change compared with solving again;
 //! orders of job shops compared with their proven optima.
 //!
-//! `cargo bench -p downbeat-scripts --bench temporal_network`
+//! `cargo bench -p downbeat-timing --bench temporal_network`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
@@ -9,7 +9,7 @@
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use downbeat_scripts::timing::{ConstraintId, Effort, Event, Network, Ordering, Solved, Task, order};
+use downbeat_timing::{ConstraintId, Effort, Event, Network, Ordering, Solved, Task, order};
 use petgraph::algo::bellman_ford;
 use petgraph::graph::{DiGraph, NodeIndex};
 use urrcp::Span;

@@ -11,7 +11,7 @@
 //! tools, and [`export`] writes what a scenario compiles to as theirs.
 //!
 //! Within the crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile` (robots, times, movements:
-//! `timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings carry a path into the tree; `locate`
+//! `downbeat-timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings carry a path into the tree; `locate`
 //! turns it into line and column only when there is something to report.
 
 mod address;
@@ -68,7 +68,6 @@ mod source;
 mod space;
 mod syntax;
 mod tags;
-pub mod timing;
 mod transit;
 mod world;
 

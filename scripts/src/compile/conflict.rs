@@ -2,12 +2,12 @@
 
 use std::collections::HashMap;
 
+use downbeat_timing::{Bound, Conflict, ConstraintId, Link};
 use urrcp::Span;
 
 use crate::duration::written;
 use crate::finding::{Code, Part, Pending, Place, names};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
-use crate::timing::{Bound, Conflict, ConstraintId, Link};
 
 /// Most links of a chain that are reported.
 const LINKS_MAX: usize = 24;

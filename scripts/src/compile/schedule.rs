@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 
+use downbeat_timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
 use urrcp::{ControlType, Span};
 
 use super::cast::{Cast, Members};
@@ -15,7 +16,6 @@ use crate::node::shortened;
 use crate::plan::{PlannedCue, Repetition};
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
 use crate::slips;
-use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
 
 /// When a cue takes place.
 #[derive(Clone, Debug)]

@@ -18,6 +18,11 @@ pub use network::{ConstraintId, Event, Network, Schedule};
 pub use order::{Effort, Found, Ordering, Task, order};
 pub use solved::Solved;
 
+/// The example of the README is compiled with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;
+
 #[cfg(test)]
 mod real;
 #[cfg(test)]
