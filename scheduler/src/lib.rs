@@ -32,7 +32,7 @@
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
-//! | [`calibrate`], [`onset`] | how long devices take from a command to visible motion |
+//! | [`calibrate`], [`downbeat_onset`] | how long devices take from a command to visible motion |
 //! | [`session`] | on whose behalf robots are driven |
 //! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; room for many sockets |
 
@@ -53,7 +53,6 @@ mod kinds;
 pub mod link;
 pub mod measured;
 pub mod mission;
-pub mod onset;
 pub mod open_files;
 mod operations;
 pub mod page;

@@ -1,12 +1,12 @@
 //! The measurement of one device: readings at rest, movements to and fro until the spread is known, and back.
 
+use downbeat_onset::{Commanded, Estimate, Latencies, Readable, Sample, Trial, Unclear, estimate};
 use downbeat_scripts::Lag;
 use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
 
 use super::NotMeasured;
 use super::plan::PlannedDevice;
 use super::talk::{Talk, TalkError};
-use crate::onset::{Commanded, Estimate, Latencies, Readable, Sample, Trial, Unclear, estimate};
 
 /// Readings before anything moves.
 const AT_REST: usize = 24;

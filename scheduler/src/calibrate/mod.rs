@@ -1,5 +1,5 @@
 //! Measuring how long devices take from a command to visible motion: each is moved by a small amount to and fro, as its fleet file
-//! permits, while its sensor is read; [`onset`](crate::onset) says when it began to move.
+//! permits, while its sensor is read; [`downbeat_onset`] says when it began to move.
 //!
 //! ```text
 //!   fleet ─▶ plan: what may be moved, how far, how fast
@@ -14,11 +14,11 @@ mod measure;
 mod plan;
 mod talk;
 
+use downbeat_onset::Unclear;
+
 pub use measure::{Measured, Progress, measure};
 pub use plan::{PlannedDevice, PlannedRobot, Unplanned, plan};
 pub use talk::{Talk, TalkError};
-
-use crate::onset::Unclear;
 
 /// Why a device was not measured.
 #[derive(Debug, thiserror::Error)]

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use downbeat_onset::Reading;
 use downbeat_scripts::{ClockMode, FleetRobot};
 use tokio::sync::mpsc;
 use urrcp::{
@@ -14,7 +15,6 @@ use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::link::{Endpoint, Link};
 use crate::mission::Event;
-use crate::onset::Reading;
 use crate::server_clock::ServerClock;
 use crate::session::Session;
 

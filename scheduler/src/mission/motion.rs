@@ -3,6 +3,7 @@
 
 use std::collections::VecDeque;
 
+use downbeat_onset::{Commanded, Readable, Reading, Sample, Trial};
 use downbeat_scripts::{Calibration, Lag, Taken};
 use serde::{Deserialize, Serialize};
 use urrcp::{
@@ -11,7 +12,6 @@ use urrcp::{
 
 use super::act::Act;
 use super::robot_state::RobotState;
-use crate::onset::{self, Commanded, Readable, Reading, Sample, Trial};
 
 /// A device is watched from so long before its movement, if the act is committed by then.
 const BEFORE: Span = Span::from_millis(80);
@@ -192,11 +192,11 @@ impl Watched {
         let movement = from.map_or(0.0, |from| self.movement.to - from);
         let readable = Readable { range: self.range, visible: self.visible };
         let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), movement, samples };
-        let found = onset::onset(&trial, readable, self.lag);
+        let found = downbeat_onset::onset(&trial, readable, self.lag);
         // One motion alone hardly tells a late begin from a slow one.
         let without_lag = match self.lag {
             Some(_) => found,
-            None => onset::onset(
+            None => downbeat_onset::onset(
                 &trial,
                 readable,
                 Some(Lag { time_constant: Span::ZERO, lags: 1, later: Span::ZERO }),
