@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use urrcp::{ControlResponse, Robot, Timestamp};
 
 use crate::device::Effect;
-use crate::robot::LinkId;
+use crate::ids::LinkId;
 
 /// Names a question whether the hardware has taken what it was told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -15,12 +15,13 @@ use urrcp::{
 };
 
 use crate::held::{Held, Limit, Steps};
+use crate::ids::{CommandId, LinkId};
 use crate::late_steps::LateSteps;
 use crate::lease::{LastHeard, Lease};
 use crate::plans::Lookahead;
 use crate::reach::Reach;
-use crate::robot::LinkId;
 use crate::signal::{Rates, Signal, default_of, first_value, rest_of, with_values};
+use crate::tolerance::START_LATE_MAX;
 
 /// What a driver does with a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,16 +110,9 @@ pub(crate) enum Effect {
     },
 }
 
-/// Counts the commands that a device has accepted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct CommandId(u64);
-
 /// The message of `link_lost` for a command whose `pending_until` has passed.
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
-/// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
-/// out of sync.
-pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 /// A stop takes back what its own party sends up to this long after its receipt, whatever its own timestamp.
 pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a

@@ -7,8 +7,9 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
 use crate::driver::{Demand, Mailbox, News, PlanNews, Wanted};
+use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
-use crate::robot::{Input, LinkId, Output, Robot, SetValue};
+use crate::robot::{Input, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
 
 /// A robot whose values drive hardware.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use urrcp::{ControlError, ControlRequest, ErrorCode, Robot, Span, Timestamp};
 
-use crate::robot::LinkId;
+use crate::ids::LinkId;
 
 /// Readings that may be open at a time; more are refused.
 pub(crate) const READINGS_MAX: usize = 64;
@@ -45,12 +45,8 @@ const READING_WAIT_MS: f64 = 1_000.0;
 /// And at most, whatever the sensor declares.
 const READING_WAIT_MS_MAX: f64 = 60_000.0;
 
-/// A value of a script that is later than this is not set any more.
-pub(crate) const STALE: Duration = Duration::from_millis(250);
 /// A start is near from so long before it on.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
-/// Silence that counts as such where something is held, beyond twice what the calls of the hardware take.
-pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 
 /// Names a reading that the hardware was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -4,10 +4,9 @@ use urrcp::{
     ControlType, Interpolation, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp,
 };
 
-use crate::device::CommandId;
+use crate::ids::{CommandId, LinkId};
 use crate::late_steps::LateSteps;
 use crate::lease::{self, LastHeard, Lease};
-use crate::robot::LinkId;
 
 /// A command that has been accepted and has not ended.
 #[derive(Clone, Debug)]

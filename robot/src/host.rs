@@ -21,14 +21,15 @@ use self::executor::{Order, Told, prepared_thread};
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
 use self::outbox::{Inbox, outbox};
+use crate::budget::Strangers;
 use crate::driver::Mailbox;
 use crate::figures::Figures;
+use crate::ids::LinkId;
 use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Refusals;
-use crate::robot::{Input, LinkId};
+use crate::robot::Input;
 use crate::scheduling::{Realtime, Scheduling};
-use crate::serve::Strangers;
 
 /// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
 const WINDOW: usize = 32;

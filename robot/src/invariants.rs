@@ -21,7 +21,8 @@ use urrcp::{
     InitializationBlock, InitializationRequest, Label, Message, SessionId, Status, Timestamp,
 };
 
-use crate::robot::{Input, LinkId, Output, Robot};
+use crate::ids::LinkId;
+use crate::robot::{Input, Output, Robot};
 use crate::role::{Proof, Role};
 pub use described::drive_all;
 use judge::Judge;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashSet};
 
 use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
-use crate::robot::LinkId;
+use crate::ids::LinkId;
 
 /// When each party was last heard. Links that are down stay silent, so their leases run out.
 #[derive(Clone, Debug)]

@@ -74,6 +74,8 @@
 )]
 
 mod answers;
+#[cfg(feature = "host")]
+mod budget;
 pub mod clock;
 mod confirmation;
 mod counts;
@@ -88,6 +90,7 @@ mod hardware;
 mod held;
 #[cfg(feature = "host")]
 mod host;
+mod ids;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
 #[cfg(any(feature = "sealed", feature = "tls"))]
@@ -132,13 +135,14 @@ pub use device::{Motion, MotionLimits};
 pub use hardware::ReadingId;
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
+pub use ids::LinkId;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 pub use key_file::KeyFileError;
 pub use peer::Peer;
 pub use plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};
 #[cfg(feature = "host")]
 pub use refusals::{Reason, Refusals};
-pub use robot::{Input, LinkId, Output, Robot, SetValue};
+pub use robot::{Input, Output, Robot, SetValue};
 pub use role::{Proof, Role, Roles};
 #[cfg(feature = "host")]
 pub use run::{RunError, run};

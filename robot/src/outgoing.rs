@@ -2,7 +2,7 @@
 
 use urrcp::Message;
 
-use crate::robot::LinkId;
+use crate::ids::LinkId;
 
 /// What leaves a robot.
 #[derive(Clone, Debug)]

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{Label, Robot, SessionId, Span, Timestamp};
 
+use crate::ids::LinkId;
 use crate::lease::LastHeard;
-use crate::robot::LinkId;
 use crate::role::Proof;
 
 /// An idle robot whose session has been silent for this long may be claimed by another.

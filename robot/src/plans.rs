@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 
 use urrcp::{ControlError, DeviceId, Interpolation, RequestId, Robot, Setpoint, Span, Timestamp};
 
-use crate::device::CommandId;
 use crate::held::Held;
+use crate::ids::CommandId;
 use crate::late_steps::LateSteps;
 use crate::tolerance::Tolerance;
 
@@ -118,8 +118,6 @@ pub enum PlanEvent {
 
 /// How far a driver may be off when it names a time: what it says was not later than now.
 const GRAIN: Span = Span::from_millis(10);
-/// So long after a start or an end the driver must have said that it was.
-pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
 /// An edge that looks for a report so much too late was itself held up, and the report may still wait for it.
 const HELD_UP: Span = Span::from_millis(100);
 

@@ -20,6 +20,7 @@ use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::counts::Counts;
 use crate::device::{DeviceMachine, Effect, Motion, MotionLimits, Rest};
 use crate::hardware::{Hardware, ReadingId};
+use crate::ids::LinkId;
 use crate::lease::LastHeard;
 #[cfg(feature = "host")]
 use crate::parties::Claimant;
@@ -27,10 +28,6 @@ use crate::parties::Parties;
 use crate::plans::{PlanCancel, PlanPart, Plans};
 use crate::role::Proof;
 use crate::tolerance::Tolerance;
-
-/// One connection of a server with this robot.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct LinkId(pub u64);
 
 /// What reaches a robot on a link.
 #[derive(Clone, Debug)]

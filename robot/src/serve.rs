@@ -1,6 +1,5 @@
 //! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to a peer that writes these.
 
-mod budget;
 mod connection;
 mod described;
 mod places;
@@ -14,7 +13,6 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 
-pub(crate) use self::budget::Strangers;
 use self::connection::{Patience, Shared, carry};
 use self::described::Described;
 use self::places::{Places, Ticket};

@@ -9,9 +9,11 @@ use urrcp::{
 };
 
 use crate::device::MotionLimits;
-use crate::hardware::{ReadingId, SILENCE_MAX};
-use crate::robot::{Input, LinkId, Output, Robot};
+use crate::hardware::ReadingId;
+use crate::ids::LinkId;
+use crate::robot::{Input, Output, Robot};
 use crate::set_log::LogEntry;
+use crate::tolerance::SILENCE_MAX;
 #[cfg(all(test, feature = "host"))]
 use crate::tolerance::Tolerance;
 

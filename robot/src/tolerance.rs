@@ -1,15 +1,18 @@
 //! By how much a robot may be late before it ends what is out of sync.
 
-#[cfg(feature = "host")]
 use std::time::Duration;
 
 use urrcp::Span;
 
-use crate::device::START_LATE_MAX;
-#[cfg(feature = "host")]
-use crate::hardware::SILENCE_MAX;
-use crate::hardware::STALE;
-use crate::plans::REPORT_WAIT;
+/// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command, which would be out of
+/// sync.
+pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
+/// A value of a script that is later than this is no longer set.
+pub(crate) const STALE: Duration = Duration::from_millis(250);
+/// The driver reports a start or an end within this time.
+pub(crate) const REPORT_WAIT: Span = Span::from_millis(750);
+/// Silence of the hardware that counts if it holds something, in addition to twice the duration of its calls.
+pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 
 /// Limits of lateness, of the robot, the thread that runs it and its hardware. Products use the defaults; a test whose machine may be
 /// slow sets its own.

@@ -161,7 +161,7 @@ impl Pulse {
 #[expect(clippy::disallowed_methods, reason = "an instant to begin with")]
 mod tests {
     use super::*;
-    use crate::hardware::SILENCE_MAX;
+    use crate::tolerance::SILENCE_MAX;
 
     const NEAR: Duration = Duration::from_millis(25);
 

@@ -7,8 +7,9 @@ use urrcp::Timestamp;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::{Mailbox, News};
 use crate::edge::Edge;
+use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
-use crate::robot::{Input, LinkId, Robot};
+use crate::robot::{Input, Robot};
 use crate::set_log::LogEntry;
 use crate::simulated::SimulatedRobot;
 

@@ -15,11 +15,12 @@ use super::outbox::Outbox;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::News;
 use crate::figures::Figures;
+use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
 use crate::precise_wait::{PreciseWait, Woken};
 use crate::refusals::{Reason, Refusals};
-use crate::robot::{Input, LinkId};
+use crate::robot::Input;
 use crate::scheduling::{Realtime, Scheduling};
 
 /// A sleep may end so late.

@@ -7,7 +7,8 @@ use urrcp::{
 };
 
 use super::{BEGIN, Violation, hold};
-use crate::robot::{Input, LinkId, Output, Robot};
+use crate::ids::LinkId;
+use crate::robot::{Input, Output, Robot};
 
 const LINK: LinkId = LinkId(1);
 /// From one bound to the other.

@@ -8,7 +8,8 @@ use urrcp::{
 use super::judge::Judge;
 use super::model::{Order, Party};
 use super::{Violation, hold};
-use crate::robot::{LinkId, Output};
+use crate::ids::LinkId;
+use crate::robot::Output;
 
 type Now = Timestamp<urrcp::Robot>;
 

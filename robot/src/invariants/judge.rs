@@ -9,8 +9,10 @@ use urrcp::{
 
 use super::model::{DeviceModel, Heard, Order, Party, Way, cancels_from};
 use super::{Violation, hold};
-use crate::device::{Motion, START_LATE_MAX};
-use crate::robot::{LinkId, Output, SetValue};
+use crate::device::Motion;
+use crate::ids::LinkId;
+use crate::robot::{Output, SetValue};
+use crate::tolerance::START_LATE_MAX;
 
 type Now = Timestamp<urrcp::Robot>;
 

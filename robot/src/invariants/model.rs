@@ -8,8 +8,8 @@ use urrcp::{
     Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-use crate::device::START_LATE_MAX;
-use crate::robot::LinkId;
+use crate::ids::LinkId;
+use crate::tolerance::START_LATE_MAX;
 
 type Now = Timestamp<Robot>;
 

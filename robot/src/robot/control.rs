@@ -5,8 +5,10 @@ use urrcp::{
     Status, StatusValue, Timestamp,
 };
 
-use super::{LinkId, Now, Output, Robot, tell};
-use crate::device::{CommandId, DeviceMachine, Rest};
+use super::{Now, Output, Robot, tell};
+use crate::device::{DeviceMachine, Rest};
+use crate::ids::CommandId;
+use crate::ids::LinkId;
 use crate::role::{Role, is_stop};
 
 /// The party to which the robot belongs.

@@ -11,10 +11,11 @@ use urrcp::{
 };
 
 use super::control::Owner;
-use super::{LinkId, Now, Output, Robot, tell};
+use super::{Now, Output, Robot, tell};
 use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::device::{DeviceMachine, Effect, Rest};
 use crate::hardware::{Asker, Hardware, OpenReading, ReadingId, START_NEAR, Standing, unanswered};
+use crate::ids::LinkId;
 #[cfg(feature = "host")]
 use crate::signal::Signal;
 #[cfg(feature = "host")]

@@ -6,9 +6,10 @@ use urrcp::{
 };
 
 use super::control::Owner;
-use super::{LinkId, Now, Output, Robot};
+use super::{Now, Output, Robot};
 use crate::answers::Known;
 use crate::held::{Held, Limit};
+use crate::ids::LinkId;
 
 impl Robot {
     pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {

@@ -5,7 +5,8 @@ use urrcp::{
     InquiryResponse, Message, Status,
 };
 
-use super::{LinkId, Now, Output, Robot, tell};
+use super::{Now, Output, Robot, tell};
+use crate::ids::LinkId;
 use crate::role::Role;
 
 impl Robot {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Timestamp};
 
 use super::{Now, Output, Robot, SetValue};
-use crate::device::{CommandId, Effect, Motion, Rest};
+use crate::device::{Effect, Motion, Rest};
+use crate::ids::CommandId;
 use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
 
 impl Robot {

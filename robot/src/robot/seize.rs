@@ -3,8 +3,9 @@
 use urrcp::SessionId;
 
 use super::control::Owner;
-use super::{LinkId, Now, Output, Robot};
+use super::{Now, Output, Robot};
 use crate::device::{DeviceMachine, Rest};
+use crate::ids::LinkId;
 
 impl Robot {
     /// Takes the robot for this session, whose peer may do so. What others hold ends and every device comes to rest

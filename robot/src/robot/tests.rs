@@ -15,8 +15,9 @@ use urrcp::{
     StatusValue, Step, StopCondition, Timestamp,
 };
 
-use super::{Input, LinkId, Output, Robot, SetValue};
+use super::{Input, Output, Robot, SetValue};
 use crate::device::{Motion, MotionLimits};
+use crate::ids::LinkId;
 
 const LINK: LinkId = LinkId(1);
 /// Begin of all tests, in nanoseconds.

@@ -15,9 +15,9 @@ use urrcp::{
     encode_as,
 };
 
-use super::budget::{Budget, Strangers};
 use super::described::Described;
 use super::places::Ticket;
+use crate::budget::{Budget, Strangers};
 use crate::hardware::Standing;
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
 use crate::parties::Claimant;

@@ -1,7 +1,7 @@
 //! What a driver's thread is given next, and what it is spared.
 
 use super::*;
-use crate::hardware::STALE;
+use crate::tolerance::STALE;
 
 #[test]
 fn a_value_is_too_old_only_beyond_its_bound() {

@@ -3,7 +3,8 @@
 use std::time::Instant;
 
 use super::*;
-use crate::hardware::{ReadingId, STALE};
+use crate::hardware::ReadingId;
+use crate::tolerance::STALE;
 
 /// Hardware that the test answers for, call by call.
 struct Told<F> {

@@ -90,7 +90,7 @@ const FIRST_MESSAGES: u64 = 16;
 
 /// What one peer may send from now on.
 #[derive(Debug)]
-pub(super) struct Budget {
+pub(crate) struct Budget {
     standing: Standing,
     bytes: Bucket,
     messages: Bucket,
@@ -99,7 +99,7 @@ pub(super) struct Budget {
 }
 
 impl Budget {
-    pub(super) fn new(now: Instant, standing: Standing) -> Self {
+    pub(crate) fn new(now: Instant, standing: Standing) -> Self {
         let share = share_of(standing);
         Self {
             standing,
@@ -111,19 +111,19 @@ impl Budget {
     }
 
     /// The peer stands to the robot in this way now.
-    pub(super) fn follow(&mut self, now: Instant, standing: Standing) {
+    pub(crate) fn follow(&mut self, now: Instant, standing: Standing) {
         if self.standing != standing {
             *self = Self { heard: self.heard, ..Self::new(now, standing) };
         }
     }
 
-    pub(super) fn came(&mut self, now: Instant, bytes: usize) {
+    pub(crate) fn came(&mut self, now: Instant, bytes: usize) {
         self.bytes.take(now, tokens(bytes));
     }
 
     /// A message, or a line in its place, was read in this time. `answer` is the length of a long answer: to send it is work
     /// too, though less than to read as much.
-    pub(super) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
+    pub(crate) fn read(&mut self, now: Instant, strangers: &Strangers, took: Duration, answer: usize) {
         self.heard += 1;
         self.messages.take(now, 1.0);
         self.reading.take(now, took.as_secs_f64());
@@ -134,7 +134,7 @@ impl Budget {
     }
 
     /// How long nothing more is to be read.
-    pub(super) fn pause(&mut self, now: Instant, strangers: &Strangers) -> Duration {
+    pub(crate) fn pause(&mut self, now: Instant, strangers: &Strangers) -> Duration {
         let own =
             [&mut self.bytes, &mut self.messages, &mut self.reading].map(|bucket| bucket.empty_for(now));
         let shared = if self.shares() { strangers.empty_for(now) } else { Duration::ZERO };
@@ -177,19 +177,19 @@ impl Strangers {
     }
 
     /// Waits until no other of them reads a message.
-    pub(super) async fn turn(&self) -> Option<SemaphorePermit<'_>> {
+    pub(crate) async fn turn(&self) -> Option<SemaphorePermit<'_>> {
         // The semaphore is never closed.
         self.turn.acquire().await.ok()
     }
 
     /// How many more long lines may be read at once.
     #[cfg(test)]
-    pub(super) fn long_lines_left(&self) -> usize {
+    pub(crate) fn long_lines_left(&self) -> usize {
         self.long_lines.available_permits()
     }
 
     /// Waits for leave to send a long line to a robot that belongs to no session; `None` when that takes too long.
-    pub(super) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
+    pub(crate) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
         let leave = Arc::clone(&self.long_lines).acquire_owned();
         tokio::time::timeout(patience, leave).await.ok()?.ok()
     }
