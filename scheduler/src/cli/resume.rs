@@ -20,9 +20,9 @@ use super::withdraw::{
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
 use crate::certificate;
 use crate::fleet::{self, Drivers, EndpointError, StartPrograms};
-use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot, ended_acts};
+use crate::journal::{Contents, Found, Journal, Life, Opened, OpenedRobot};
 use crate::link::Endpoint;
-use crate::mission::{Changed, Mission, MissionOptions};
+use crate::mission::{Changed, Fate, Mission, MissionOptions, ended_acts};
 use crate::report::Report;
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
@@ -74,11 +74,11 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
         Ok(taken) => taken,
         Err(reason) => return failed(&format!("{}: {reason}", found.opened.session)),
     };
-    if let Fate::Withdraw(why) = taken.kept.fate() {
+    if let Fate::Withdraw(why) = taken.contents.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
-        let rest = taken.kept.stopping.as_ref().map(|stopping| stopping.rest).unwrap_or_default();
-        let ending = taken.kept.ending(why);
-        let programs = programs_to_reach(&taken.kept, args, format);
+        let rest = taken.contents.kept.stopping.as_ref().map(|stopping| stopping.rest).unwrap_or_default();
+        let ending = taken.contents.kept.ending(why);
+        let programs = programs_to_reach(&taken.contents.opened, args, format);
         return super::with_runtime(async {
             let how = How {
                 scheduler: Scheduler::Gone,
@@ -118,7 +118,7 @@ fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Fo
 /// A mission that goes on.
 struct Resumption<'a> {
     found: Found,
-    kept: Kept,
+    contents: Contents,
     journal: Journal,
     choreography: Choreography,
     fleet: Fleet,
@@ -153,10 +153,10 @@ impl<'a> Resumption<'a> {
             .map_err(|why| failed(&why))?;
         let metrics = args.metrics.serve(format).map_err(|why| failed(&why))?;
         let traces = args.traces.open().map_err(|why| failed(&why))?;
-        let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
+        let (contents, journal) = taken.journal().map_err(|reason| failed(&reason))?;
         Ok(Self {
             found,
-            kept,
+            contents,
             journal,
             choreography,
             fleet,
@@ -198,7 +198,7 @@ impl<'a> Resumption<'a> {
         };
         let (choreography, ended) = (self.choreography.clone(), ended_acts(&bytes));
         let resumed =
-            Mission::resume(choreography, participants, options, &self.kept.unfinished(), ended, clock.now());
+            Mission::resume(choreography, participants, options, &self.contents.kept, ended, clock.now());
         drop(bytes);
         let mission = match resumed {
             Ok(mission) => mission,
@@ -275,8 +275,7 @@ fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Resu
 }
 
 /// The programs of a mission that is withdrawn, as far as they may be started; why others may not is told.
-fn programs_to_reach(kept: &Kept, args: &ResumeArgs, format: Format) -> Programs {
-    let opened = &kept.opened;
+fn programs_to_reach(opened: &Opened, args: &ResumeArgs, format: Format) -> Programs {
     let is_program = |robot: &&OpenedRobot| matches!(robot.address.parse(), Ok(Address::Program { .. }));
     let driven: Vec<_> = opened.robots.iter().filter(is_program).map(|robot| &robot.robot).collect();
     if driven.is_empty() {

@@ -18,7 +18,7 @@ use super::withdraw::{
 };
 use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::StartPrograms;
-use crate::journal::{Found, Kept, Life};
+use crate::journal::{Contents, Found, Life};
 use crate::mission::Rest;
 use crate::report::Withdrawal;
 use crate::run::control::{self, Ending, Unheard};
@@ -327,9 +327,9 @@ async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     let journal = found.clone();
     // The other missions are stopped meanwhile.
     let read = tokio::task::spawn_blocking(move || journal.read().map_err(|error| error.to_string()));
-    let kept: Result<Kept, String> = read.await.map_err(|error| error.to_string()).flatten();
-    match kept {
-        Ok(kept) => Stopped::of(mission, withdraw(&kept, how).await),
+    let contents: Result<Contents, String> = read.await.map_err(|error| error.to_string()).flatten();
+    match contents {
+        Ok(contents) => Stopped::of(mission, withdraw(&contents, how).await),
         Err(reason) => Stopped::of(mission, Err(reason)),
     }
 }

@@ -14,9 +14,9 @@ use super::live::Live;
 use super::run::{listen, stop_lane};
 use super::{Format, console, identity, robot};
 use crate::fleet::{self, Drivers};
-use crate::journal::{FileDisk, Found, Journal, Kept, Opened, OpenedRobot, Torn, read};
+use crate::journal::{Contents, FileDisk, Found, Journal, Opened, OpenedRobot, read};
 use crate::link::Site;
-use crate::mission::{Left, LeftOn, Mission, MissionOptions, Outcome, Record, Rest};
+use crate::mission::{Left, LeftOn, Mission, MissionOptions, Outcome, Record, Rest, Torn};
 use crate::report::{Report, StopState, Withdrawal};
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
@@ -28,7 +28,7 @@ const RECORD_MAX: Duration = Duration::from_secs(5);
 
 /// The journal of a mission whose scheduler is gone, under its lock.
 pub(super) struct Taken {
-    pub(super) kept: Kept,
+    pub(super) contents: Contents,
     disk: FileDisk,
     folder: PathBuf,
 }
@@ -55,20 +55,20 @@ impl Taken {
             std::io::ErrorKind::WouldBlock => NotTaken::Held,
             _ => NotTaken::Journal(format!("cannot open the journal {}: {error}", path.display())),
         })?;
-        let kept = read(&path).map_err(|error| NotTaken::Journal(error.to_string()))?;
-        if kept.outcome.is_some() {
+        let contents = read(&path).map_err(|error| NotTaken::Journal(error.to_string()))?;
+        if contents.kept.outcome.is_some() {
             return Err(NotTaken::Ended);
         }
-        if let Some(torn) = kept.torn {
+        if let Some(torn) = contents.kept.torn {
             console::warn(&torn_text(torn));
         }
-        Ok(Self { kept, disk, folder: found.folder.clone() })
+        Ok(Self { contents, disk, folder: found.folder.clone() })
     }
 
     /// The journal, to be written further.
-    pub(super) fn journal(self) -> Result<(Kept, Journal), String> {
-        let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.kept.clone());
-        Ok((self.kept, journal.map_err(|error| error.to_string())?))
+    pub(super) fn journal(self) -> Result<(Contents, Journal), String> {
+        let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.contents.clone());
+        Ok((self.contents, journal.map_err(|error| error.to_string())?))
     }
 }
 
@@ -177,7 +177,7 @@ pub(super) async fn withdraw_and_record(
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // A stop from another terminal meanwhile is answered with the result of this one.
     let control = listen(&taken.folder, &lane, None);
-    let mut withdrawn = withdraw_as(&taken.kept, programs, ending, how, (lane, operator)).await?;
+    let mut withdrawn = withdraw_as(&taken.contents, programs, ending, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -197,8 +197,8 @@ pub(super) async fn withdraw_and_record(
 }
 
 /// Stops what a mission left behind. Starts no programs.
-pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
-    withdraw_as(kept, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
+pub(super) async fn withdraw(contents: &Contents, how: How) -> Result<Withdrawn, String> {
+    withdraw_as(contents, &Programs::new(), by_operator(), how, stop_lane(OnHangUp::End)?).await
 }
 
 /// The outcome of a mission that the operator stops, and its text for people.
@@ -207,27 +207,27 @@ pub(super) fn by_operator() -> (Outcome, String) {
 }
 
 async fn withdraw_as(
-    kept: &Kept,
+    contents: &Contents,
     programs: &Programs,
     ending: (Outcome, String),
     how: How,
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
-    let left = kept.left();
-    let (robots, inside) = robots_of(&kept.opened, &left, programs, how);
+    let left = contents.left();
+    let (robots, inside) = robots_of(&contents.opened, &left, programs, how);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
-    let clock = ServerClock::anchored(kept.opened.clock_offset);
+    let clock = ServerClock::anchored(contents.opened.clock_offset);
     let options = MissionOptions {
-        greeting: kept.opened.greeting,
+        greeting: contents.opened.greeting,
         patience: how.patience,
-        session: Some(kept.opened.drives_as()),
+        session: Some(contents.opened.drives_as()),
         ..MissionOptions::default()
     };
     let begun = clock.now();
-    let scenario = scenario_of(&kept.opened);
+    let scenario = scenario_of(&contents.opened);
     let participants = fleet::participants(&robots);
     let mission = Mission::withdraw(scenario, participants, options, &left, ending, how.rest, begun);
-    let site = identity::site_of(&kept.opened.keys)?;
+    let site = identity::site_of(&contents.opened.keys)?;
     let report = carry_out(mission, &robots, &site, clock, how, (lane, operator)).await?;
     Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
@@ -361,7 +361,7 @@ fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<
 }
 
 fn write_down(taken: Taken, begun: Timestamp<Server>, records: &[Record]) -> Result<(), String> {
-    let clock = ServerClock::anchored(taken.kept.opened.clock_offset);
+    let clock = ServerClock::anchored(taken.contents.opened.clock_offset);
     let (_, mut journal) = taken.journal()?;
     let at = |record: &Record| match record {
         // Leases run out from then on.

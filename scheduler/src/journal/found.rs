@@ -10,8 +10,9 @@ use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
 use super::private::{self, How, NotPrivate};
-use super::read::{bytes_of, whole};
-use super::{Kept, Opened, Unreadable, lock, read};
+use super::read::bytes_of;
+use super::{Contents, Opened, Unreadable, lock, read};
+use crate::mission::whole;
 
 /// A mission that left a folder.
 #[derive(Clone, Debug)]
@@ -124,7 +125,7 @@ impl Found {
     ///
     /// # Errors
     /// [`Unreadable`] where not even the first line is whole any more.
-    pub fn read(&self) -> Result<Kept, Unreadable> {
+    pub fn read(&self) -> Result<Contents, Unreadable> {
         read(&self.folder.join("journal"))
     }
 }

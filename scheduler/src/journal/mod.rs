@@ -4,7 +4,6 @@
 
 mod disk;
 mod found;
-mod kept;
 mod lock;
 pub(crate) mod private;
 mod read;
@@ -19,13 +18,12 @@ use downbeat_scripts::{Approach, Attempt, RateLimits, Refusal};
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
-use crate::mission::{FixedStarts, Greeting, Record};
+use crate::mission::{FixedStarts, Greeting, Record, dated_line, line_of, whole_length};
 use crate::session::{Session, SessionKey};
 pub use disk::{Disk, FileDisk, Name};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
-pub use kept::{Fate, Kept, Stopping};
 pub use private::NotPrivate;
-pub use read::{Records, Torn, Unreadable, ended_acts, read, records};
+pub use read::{Contents, Records, Unreadable, read, records};
 pub use writer::{News, Writer};
 pub(crate) use writer::{WAITING_MAX, append_all};
 
@@ -140,14 +138,6 @@ pub struct Asked {
     pub approach: Option<Approach>,
 }
 
-/// One line.
-#[derive(Serialize)]
-struct Line<'a, T> {
-    at: Timestamp<Server>,
-    #[serde(flatten)]
-    record: &'a T,
-}
-
 /// A journal could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the journal {}: {}", path.display(), Refusal::of(Attempt::Write(path), error).reason)]
@@ -163,7 +153,7 @@ pub struct JournalError {
 pub struct Journal<D = FileDisk> {
     disk: D,
     path: PathBuf,
-    kept: Option<Kept>,
+    contents: Option<Contents>,
     /// Durable records appended since it was opened.
     appended: u64,
     /// Those of them that are on the disk.
@@ -192,13 +182,13 @@ impl<D: Disk> Journal<D> {
     ///
     /// # Errors
     /// [`JournalError`] when the disk does not take the cut.
-    pub fn taken_up(mut disk: D, path: PathBuf, kept: Kept) -> Result<Self, JournalError> {
-        if kept.torn.is_some()
-            && let Err(error) = disk.truncate(kept.whole() as u64)
+    pub fn taken_up(mut disk: D, path: PathBuf, contents: Contents) -> Result<Self, JournalError> {
+        if contents.kept.torn.is_some()
+            && let Err(error) = disk.truncate(contents.kept.whole() as u64)
         {
             return Err(JournalError { path, error });
         }
-        Ok(Self { disk, path, kept: Some(kept), appended: 0, on_disk: 0, broken: None })
+        Ok(Self { disk, path, contents: Some(contents), appended: 0, on_disk: 0, broken: None })
     }
 
     /// The journal on a disk. What follows its last whole record is cut off. `path` is for error messages.
@@ -208,21 +198,21 @@ impl<D: Disk> Journal<D> {
     pub fn on(mut disk: D, path: PathBuf) -> Result<Self, JournalError> {
         let mut cut = || {
             let bytes = disk.read()?;
-            let whole = read::whole_length(&bytes);
+            let whole = whole_length(&bytes);
             if whole < bytes.len() {
                 disk.truncate(whole as u64)?;
             }
-            Ok(Kept::of_bytes(&bytes))
+            Ok(Contents::of_bytes(&bytes))
         };
         match cut() {
-            Ok(kept) => Ok(Self { disk, path, kept, appended: 0, on_disk: 0, broken: None }),
+            Ok(contents) => Ok(Self { disk, path, contents, appended: 0, on_disk: 0, broken: None }),
             Err(error) => Err(JournalError { path, error }),
         }
     }
 
     /// What it said when it was opened; `None` for a new one.
-    pub const fn kept(&self) -> Option<&Kept> {
-        self.kept.as_ref()
+    pub const fn contents(&self) -> Option<&Contents> {
+        self.contents.as_ref()
     }
 
     /// Writes the first line, which is on the disk when this returns.
@@ -236,7 +226,7 @@ impl<D: Disk> Journal<D> {
             #[serde(flatten)]
             opened: &'a Opened,
         }
-        let line = line(&Line { at, record: &Begin { record: "opened", opened } });
+        let line = dated_line(at, &Begin { record: "opened", opened });
         let written = line.and_then(|line| self.disk.append(&line)).and_then(|()| self.disk.sync());
         written.map_err(|error| JournalError { path: self.path.clone(), error })
     }
@@ -246,7 +236,7 @@ impl<D: Disk> Journal<D> {
     /// # Errors
     /// Why the disk does not take it; also for every record after one that was lost.
     pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
-        self.unless_broken(|disk| line(&Line { at, record }).and_then(|line| disk.append(&line)))?;
+        self.unless_broken(|disk| line_of(at, record).and_then(|line| disk.append(&line)))?;
         self.appended += u64::from(record.is_durable());
         Ok(())
     }
@@ -306,15 +296,6 @@ impl<D: Disk> Journal<D> {
     pub fn into_disk(self) -> D {
         self.disk
     }
-}
-
-/// The checksum, then JSON.
-fn line(line: &impl Serialize) -> io::Result<Vec<u8>> {
-    let json = serde_json::to_vec(line)?;
-    let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
-    bytes.extend_from_slice(&json);
-    bytes.push(b'\n');
-    Ok(bytes)
 }
 
 /// It is not known where missions leave their folders. A folder that every user can write to would not do: what is found there

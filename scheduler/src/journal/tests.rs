@@ -3,8 +3,8 @@ use urrcp::Span;
 use super::simulated::SimulatedDisk;
 use super::*;
 use crate::mission::{
-    ActFate, ActFlaws, ActOver, Failure, FailureKind, OutOfTolerance, Progressed, Promise, PromisedScript,
-    Rest, StepsLate,
+    ActFate, ActFlaws, ActOver, Failure, FailureKind, Fate, Kept, OutOfTolerance, Progressed, Promise,
+    PromisedScript, Rest, StepsLate, Stopping, Torn, line,
 };
 use crate::report::Outcome;
 
@@ -76,8 +76,8 @@ fn a_mission_has_begun_once_its_fleet_is_checked() {
 #[test]
 fn what_was_promised_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
-    let kept = read(&written(folder.path())).unwrap();
-    assert_eq!(kept.opened, opened());
+    let Contents { opened: first, kept, .. } = read(&written(folder.path())).unwrap();
+    assert_eq!(first, opened());
     let promises: Vec<_> =
         kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
     assert_eq!(promises, [(0, Progressed::Decided), (1, Progressed::Prepared)]);
@@ -90,7 +90,7 @@ fn a_mission_that_ended_is_known_as_such() {
     let path = written(folder.path());
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
-    assert_eq!(read(&path).unwrap().outcome, Some(serde_json::json!("done")));
+    assert_eq!(read(&path).unwrap().kept.outcome, Some(serde_json::json!("done")));
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases
     for record in [promise(0, vec![script("a", lease)]), promise(1, vec![script("b", None)])] {
         journal.append(at(2), &record).unwrap();
     }
-    let left = read(&folder.path().join("journal")).unwrap().left();
+    let left = read(&folder.path().join("journal")).unwrap().kept.left();
     let on = &left.robots[&RobotId::new("arm").unwrap()];
     assert_eq!(on.devices.iter().map(|device| device.as_str()).collect::<Vec<_>>(), ["a", "b"]);
     assert_eq!((on.shift, on.leases.as_slice()), (Span::from_millis(40), [lease, None].as_slice()));
@@ -126,7 +126,7 @@ fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases
 fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_it() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
-    let renewed_until = || read(&path).unwrap().left().renewed_until;
+    let renewed_until = || read(&path).unwrap().kept.left().renewed_until;
     let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
     let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(renewed_until(), None);
@@ -145,11 +145,11 @@ fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
     let path = written(folder.path());
     let robot = || RobotId::new("arm").unwrap();
     let append = |record| Journal::open(folder.path()).unwrap().append(at(5), &record).unwrap();
-    assert_eq!(read(&path).unwrap().stopped, []);
+    assert_eq!(read(&path).unwrap().kept.stopped, []);
     append(Record::StopConfirmed { robot: robot() });
-    assert_eq!(read(&path).unwrap().stopped, [robot()]);
+    assert_eq!(read(&path).unwrap().kept.stopped, [robot()]);
     append(Record::Dropped { robot: robot() });
-    let kept = read(&path).unwrap();
+    let kept = read(&path).unwrap().kept;
     assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
 }
 
@@ -167,7 +167,7 @@ fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended(
         bytes.extend(line(&ended).unwrap());
     }
     std::fs::write(&path, bytes).unwrap();
-    let kept = read(&path).unwrap();
+    let kept = read(&path).unwrap().kept;
     let spread = Span::from_micros(12_500);
     let expected = ActFlaws {
         unaccounted: vec![RobotId::new("arm").unwrap()],
@@ -191,7 +191,7 @@ fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played
         bytes.extend(line(&record).unwrap());
     }
     std::fs::write(&path, bytes).unwrap();
-    assert_eq!(read(&path).unwrap().course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
+    assert_eq!(read(&path).unwrap().kept.course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
 }
 
 fn life(folder: &Path) -> Life {
@@ -252,7 +252,7 @@ fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
     }
     if ends {
         let record = Record::Ended { outcome: Outcome::Done };
-        let line = line(&Line { at: at(number), record: &record }).unwrap();
+        let line = line_of(at(number), &record).unwrap();
         let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
         std::io::Write::write_all(&mut file, &line).unwrap();
     }
@@ -311,14 +311,14 @@ fn a_line_that_was_cut_off_or_changed_ends_what_is_believed() {
     for cut in lines[0] + 1..bytes.len() {
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let whole = lines.iter().filter(|end| **end < cut).count();
-        let kept = read(&path).unwrap();
+        let kept = read(&path).unwrap().kept;
         assert_eq!(kept.torn.is_some(), !lines.iter().any(|end| end + 1 == cut), "cut at {cut}");
         assert_eq!(kept.promises.len(), [0, 0, 1, 1, 2][whole]);
     }
     let mut changed = bytes;
     changed[lines[1] + 15] ^= 1;
     std::fs::write(&path, &changed).unwrap();
-    let kept = read(&path).unwrap();
+    let kept = read(&path).unwrap().kept;
     let bytes = changed.len() - lines[1] - 1;
     assert_eq!(kept.torn, Some(Torn { line: 3, bytes, whole_after: 1 }));
     assert_eq!(kept.fate(), Fate::Withdraw("its journal is damaged"));
@@ -346,7 +346,7 @@ fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
             journal.append(at(9), &record).unwrap();
         }
         drop(journal);
-        let kept = read(&path).unwrap();
+        let kept = read(&path).unwrap().kept;
         let whole = lines.iter().filter(|end| **end < cut).count();
         let before: &[_] = [
             &[][..],
@@ -375,11 +375,11 @@ fn a_journal_cut_within_its_first_line_can_begin_again() {
     for cut in 0..=first {
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let mut journal = Journal::open(folder.path()).unwrap();
-        assert!(journal.kept().is_none(), "cut at {cut}");
+        assert!(journal.contents().is_none(), "cut at {cut}");
         journal.begin(at(1), &opened()).unwrap();
         journal.append(at(2), &prepared(3)).unwrap();
         drop(journal);
-        assert_eq!(read(&path).unwrap().promises.len(), 1, "cut at {cut}");
+        assert_eq!(read(&path).unwrap().kept.promises.len(), 1, "cut at {cut}");
     }
 }
 
@@ -400,7 +400,7 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
         let at_risk = disk.at_risk();
         disk.lose_power(survive);
         let mut journal = on(disk);
-        let kept = journal.kept().unwrap().clone();
+        let kept = journal.contents().unwrap().kept.clone();
         assert_eq!(
             kept.promises[0].1 == Progressed::Decided,
             survive == at_risk,
@@ -409,7 +409,7 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
         assert_eq!(kept.torn.is_some(), survive > 0 && survive < at_risk);
         journal.append(at(3), &Record::Ended { outcome: Outcome::Stopped }).unwrap();
         let again = on(journal.into_disk());
-        assert_eq!(again.kept().unwrap().outcome, Some(serde_json::json!("stopped")));
+        assert_eq!(again.contents().unwrap().kept.outcome, Some(serde_json::json!("stopped")));
         if survive == at_risk {
             return;
         }
@@ -433,9 +433,9 @@ fn a_full_disk_is_said_once_for_all_and_leaves_a_journal_that_can_be_taken_up() 
         let mut disk = journal.into_disk();
         disk.make_room();
         let mut journal = on(disk);
-        assert_eq!(journal.kept().unwrap().promises.len(), taken as usize, "room {room}");
+        assert_eq!(journal.contents().unwrap().kept.promises.len(), taken as usize, "room {room}");
         journal.append(at(2), &prepared(taken)).unwrap();
-        assert_eq!(on(journal.into_disk()).kept().unwrap().promises.len(), taken as usize + 1);
+        assert_eq!(on(journal.into_disk()).contents().unwrap().kept.promises.len(), taken as usize + 1);
     }
 }
 
@@ -455,7 +455,7 @@ async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
         recorded = if let News::Recorded(count) = news { count } else { panic!("{news:?}") };
     }
     let journal = writer.finish().await.unwrap();
-    assert_eq!(on(journal.into_disk()).kept().unwrap().promises.len(), 2);
+    assert_eq!(on(journal.into_disk()).contents().unwrap().kept.promises.len(), 2);
 }
 
 #[tokio::test]
@@ -512,7 +512,7 @@ fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lo
         journal.append(at(3), &prepared(1)).unwrap();
         assert_eq!(journal.sync(), Ok(2));
         drop(journal);
-        assert_eq!(read(&state.join("m/journal")).unwrap().promises.len(), 2);
+        assert_eq!(read(&state.join("m/journal")).unwrap().kept.promises.len(), 2);
     }
 }
 
@@ -549,11 +549,11 @@ async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durabl
     writer.write(at(3), prepared(1)).unwrap();
     assert_eq!(writer.next().await, News::WrittenAgain);
     while writer.next().await != News::Recorded(2) {}
-    assert_eq!(read(&mission.join("journal")).unwrap().promises.len(), 2);
+    assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
     // The thread also notices it without a record.
     std::fs::remove_dir_all(stage.path().join("state")).unwrap();
     assert_eq!(writer.next().await, News::WrittenAgain);
-    assert_eq!(read(&mission.join("journal")).unwrap().promises.len(), 2);
+    assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
 }
 
 #[test]
@@ -588,7 +588,7 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
         journal.begin(at(1), &opened()).unwrap();
         records.iter().for_each(|record| journal.append(at(2), record).unwrap());
         assert!(journal.sync().is_ok());
-        read(&folder.path().join("journal")).unwrap().fate()
+        read(&folder.path().join("journal")).unwrap().kept.fate()
     };
     assert_eq!(fate(vec![]), Fate::Withdraw("no act was under way"));
     assert_eq!(fate(vec![prepared(0), decided(0)]), Fate::Resume);
@@ -600,7 +600,7 @@ fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided
     // Cut off within the second promise, which was not sent before it was on the disk.
     bytes.truncate(bytes.len() - 5);
     std::fs::write(&path, bytes).unwrap();
-    assert_eq!(read(&path).unwrap().fate(), Fate::Resume);
+    assert_eq!(read(&path).unwrap().kept.fate(), Fate::Resume);
     let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
     assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
 }
@@ -612,7 +612,7 @@ fn kept(records: &[Record]) -> Kept {
     journal.begin(at(1), &opened()).unwrap();
     records.iter().for_each(|record| journal.append(at(2), record).unwrap());
     assert!(journal.sync().is_ok());
-    read(&folder.path().join("journal")).unwrap()
+    read(&folder.path().join("journal")).unwrap().kept
 }
 
 #[test]
@@ -661,7 +661,7 @@ fn failures_are_read_back_and_those_of_a_later_version_are_left_out() {
     let mut bytes = std::fs::read(&path).unwrap();
     bytes.extend(line(&later).unwrap());
     std::fs::write(&path, bytes).unwrap();
-    assert_eq!(read(&path).unwrap().failures, []);
+    assert_eq!(read(&path).unwrap().kept.failures, []);
 }
 
 #[test]
@@ -681,7 +681,7 @@ fn a_mission_whose_act_was_withdrawn_and_prepared_again_can_be_resumed() {
     let mut append = |record: serde_json::Value| {
         bytes.extend(line(&record).unwrap());
         std::fs::write(&path, &bytes).unwrap();
-        read(&path).unwrap()
+        read(&path).unwrap().kept
     };
     let withdrawn = append(serde_json::json!({
         "at": at(3), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "withdrawn", "again": true,

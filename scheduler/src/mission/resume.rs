@@ -7,9 +7,9 @@ use downbeat_scripts::{Choreography, Requirements};
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::act::{Act, Reached};
+use super::kept::{Kept, Left, Progressed};
 use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing, Stop};
-use super::unfinished::{Left, Progressed, Unfinished};
 use super::{ActReport, Failure, Join, Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 
 /// A promise does not fit the choreography as it is now.
@@ -32,25 +32,25 @@ impl Mission {
         choreography: impl Into<Arc<Choreography>>,
         participants: Vec<Participant>,
         options: MissionOptions,
-        unfinished: &Unfinished<'_>,
+        kept: &Kept,
         ended: impl Iterator<Item = ActReport>,
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
         let lost = |error: super::MissingParticipant| Changed { what: error.to_string() };
         let mut mission = Self::new(choreography, participants, options, now).map_err(lost)?;
         for robot in &mut mission.robots {
-            if unfinished.dropped.contains(&robot.id) {
+            if kept.dropped.contains(&robot.id) {
                 robot.standing = Standing::Out;
             }
         }
-        unfinished.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
-        mission.note_failures_of(unfinished.failures);
-        mission.list_ended(ended, unfinished.ended_acts);
-        for ActOver { act, fate } in unfinished.course {
+        kept.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
+        mission.note_failures_of(&kept.failures);
+        mission.list_ended(ended, kept.ended_acts);
+        for ActOver { act, fate } in &kept.course {
             let course = mission.fates.get_mut(*act);
             course.into_iter().for_each(|course| course.note(fate.clone()));
         }
-        for (promise, progressed) in unfinished.promises {
+        for (promise, progressed) in &kept.promises {
             match progressed {
                 Progressed::Prepared => {}
                 Progressed::Decided => mission.take_up(promise, Reached::Decision, now)?,
@@ -62,7 +62,7 @@ impl Mission {
             return Err(Changed { what: "no act was decided and has not ended".to_owned() });
         }
         mission.phase = Phase::Performing;
-        mission.stop_those_left_out(unfinished, now);
+        mission.stop_those_left_out(kept, now);
         // The leases have been running out since the other process died.
         mission.next_round = Some(now);
         Ok(mission)
@@ -133,17 +133,18 @@ impl Mission {
     }
 
     /// Stops robots that were left out and have not confirmed their stop: the previous process may have died before it sent one.
-    fn stop_those_left_out(&mut self, unfinished: &Unfinished<'_>, now: Timestamp<Server>) {
+    fn stop_those_left_out(&mut self, kept: &Kept, now: Timestamp<Server>) {
+        let left = kept.left();
         for robot in 0..self.robots.len() {
             let id = &self.robots[robot].id;
-            if !unfinished.dropped.contains(id) {
+            if !kept.dropped.contains(id) {
                 continue;
             }
-            if unfinished.stopped.contains(id) {
+            if kept.stopped.contains(id) {
                 self.robots[robot].stop = Stop::Confirmed(Rest::InPlace);
                 continue;
             }
-            self.holds_still(robot, &unfinished.left, now);
+            self.holds_still(robot, &left, now);
             self.stop_robot(now, robot, Rest::InPlace);
         }
     }

@@ -8,7 +8,7 @@ use urrcp::{
 };
 
 use super::*;
-use crate::journal::Kept;
+
 use crate::mission::bench::{ms, refusal, report, response};
 
 /// From a message to its answer.
@@ -66,8 +66,7 @@ impl Played {
         let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
         let choreography = Arc::clone(&self.mission.choreography);
         let mission =
-            Mission::resume(choreography, participants, options, &kept.unfinished(), ended.into_iter(), now)
-                .unwrap();
+            Mission::resume(choreography, participants, options, kept, ended.into_iter(), now).unwrap();
         let all: Vec<usize> = (0..mission.robots.len()).collect();
         let arrivals = all.into_iter().map(|robot| (now, Event::LinkUp { robot })).collect();
         let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());

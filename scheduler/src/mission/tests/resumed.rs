@@ -4,21 +4,11 @@ use super::again::{chained, second};
 use super::course::{broken, fates, without_those_that_fail};
 use super::played::Played;
 use super::*;
-use crate::journal::{Journal, Kept, ended_acts};
 
-/// The state of a mission according to its journal, and the reports of the acts that have ended.
+/// The state of a mission according to its records, and the reports of the acts that have ended.
 fn kept(played: &Played) -> (Kept, Vec<ActReport>) {
-    let opened = serde_json::json!({
-        "session": "s", "pid": 1, "scenario": "s.yaml", "fleet": "f.yaml", "robots": [], "clock_offset_ms": 0,
-        "greeting": Greeting::Skip, "asked": {"act": null, "from": null, "only": [], "speed": null},
-    });
-    let folder = tempfile::tempdir().unwrap();
-    let mut journal = Journal::open(folder.path()).unwrap();
-    journal.begin(at(0), &serde_json::from_value(opened).unwrap()).unwrap();
-    played.recorded.iter().for_each(|record| journal.append(at(1), record).unwrap());
-    assert!(journal.sync().is_ok());
-    let ended = ended_acts(&journal.bytes().unwrap()).collect();
-    (crate::journal::read(&folder.path().join("journal")).unwrap(), ended)
+    let lines: Vec<_> = played.recorded.iter().flat_map(|record| line_of(at(1), record).unwrap()).collect();
+    (Kept::of_bytes(&lines), ended_acts(&lines).collect())
 }
 
 /// The mission as another process resumes it, `millis` milliseconds after its process has died.

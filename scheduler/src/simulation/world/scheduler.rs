@@ -9,10 +9,10 @@ use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 use super::{BEGIN, Due, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{
-    Asked, Fate, Journal, Kept, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all, ended_acts,
+use crate::journal::{Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all};
+use crate::mission::{
+    Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, ended_acts,
 };
-use crate::mission::{Event, Greeting, Mission, Outcome, Progress, Promise, Record, Rest};
 use crate::simulation::{Drawn, Fault, Happened};
 
 /// Whether the process is there.
@@ -176,7 +176,8 @@ impl World {
                 disk.lose_power(survive);
             }
             side.journal = on(disk);
-            let read = side.journal.as_ref().and_then(Journal::kept).map_or(0, Kept::whole);
+            let read =
+                side.journal.as_ref().and_then(Journal::contents).map_or(0, |contents| contents.kept.whole());
             if read < synced {
                 self.note(Happened::Forgotten(synced - read));
             }
@@ -243,8 +244,9 @@ impl World {
     }
 
     fn take_up(&mut self, intention: Intention) {
-        let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
-        if self.scheduler.process == Process::Gone && kept.is_some_and(|kept| kept.outcome.is_none()) {
+        let contents = self.scheduler.journal.as_ref().and_then(Journal::contents);
+        let is_open = contents.is_some_and(|contents| contents.kept.outcome.is_none());
+        if self.scheduler.process == Process::Gone && is_open {
             self.scheduler.process = Process::TakenUp(intention);
         }
     }
@@ -257,15 +259,16 @@ impl World {
         let now = self.now + side.ahead;
         let bytes = self.scheduler.journal.as_mut().and_then(|journal| journal.bytes().ok());
         let bytes = bytes.unwrap_or_default();
-        let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
+        let contents = self.scheduler.journal.as_ref().and_then(Journal::contents);
+        let kept = contents.map(|contents| &contents.kept);
         let (participants, options) = (participants(&self.drawn), options(&self.drawn));
         let choreography = self.drawn.choreography.clone();
         let goes_on = |kept: &&Kept| intention == Intention::Resume && kept.fate() == Fate::Resume;
         let resumed = kept.filter(goes_on).and_then(|kept| {
             let (participants, ended) = (participants.clone(), ended_acts(&bytes));
-            Mission::resume(choreography, participants, options.clone(), &kept.unfinished(), ended, now).ok()
+            Mission::resume(choreography, participants, options.clone(), kept, ended, now).ok()
         });
-        let left = kept.map(Kept::left).unwrap_or_default();
+        let left = contents.map(Contents::left).unwrap_or_default();
         let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
         self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
         let ending = match (intention, kept.map(|kept| (kept, kept.fate()))) {

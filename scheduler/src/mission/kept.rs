@@ -1,26 +1,19 @@
-//! The state of a mission according to its journal.
+//! The state of a mission according to its records.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{DeviceId, RequestId, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use super::read::{Torn, begins_with, sound, whole_length};
-use super::{Opened, OpenedRobot};
-use crate::mission::{
-    ActFate, ActFlaws, ActOver, Failure, Left, LeftOn, OutOfTolerance, Outcome, Progressed, Promise, Rest,
-    StepsLate, Unfinished,
-};
+use super::lines::{begins_with, sound, whole_length};
+use super::record::{ActFlaws, ActOver, OutOfTolerance, Promise, StepsLate};
+use super::{ActFate, Failure, Outcome, Rest};
 
-/// The state of a mission according to its journal.
-#[derive(Clone, Debug)]
+/// The state of a mission according to its records.
+#[derive(Clone, Debug, Default)]
 pub struct Kept {
-    /// Its first line.
-    pub opened: Opened,
-    /// When the first line was written.
-    pub opened_at: Timestamp<Server>,
     /// Acts that were promised and have not ended, in order, each with its progress.
     pub promises: Vec<(Promise, Progressed)>,
     /// Number of acts that have ended, without attempts that were repeated.
@@ -43,7 +36,7 @@ pub struct Kept {
     pub stopped: Vec<RobotId>,
     /// The outcome as in the report; `None` if the mission was cut off.
     pub outcome: Option<Value>,
-    /// The rest of the journal from the first line that is not whole, if any.
+    /// The rest from the first line that is not whole, if any.
     pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
@@ -63,6 +56,54 @@ pub struct Stopping {
     /// How the stop brings robots to rest.
     #[serde(default)]
     pub rest: Rest,
+}
+
+/// What a mission left on its robots, which another process withdraws.
+#[derive(Clone, Debug, Default)]
+pub struct Left {
+    /// The robots that were sent anything.
+    pub robots: BTreeMap<RobotId, LeftOn>,
+    /// The ids by which robots call themselves, if these differ from their ids in the fleet file.
+    pub own_ids: BTreeMap<RobotId, RobotId>,
+    /// No lease was renewed after this instant; `None` if leases may have been renewed until now.
+    pub renewed_until: Option<Timestamp<Server>>,
+    /// Whether robots may have moved.
+    pub moved: bool,
+    /// The failures of robots.
+    pub failures: Vec<Failure>,
+}
+
+/// What a mission left on a robot.
+#[derive(Clone, Debug, Default)]
+pub struct LeftOn {
+    /// The devices that were sent anything.
+    pub devices: BTreeSet<DeviceId>,
+    /// The offset that was added to timestamps for its clock.
+    pub shift: Span,
+    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
+    pub leases: Vec<Option<Millis>>,
+}
+
+/// The progress of an act that was promised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progressed {
+    /// Its requests were sent, or were about to be.
+    Prepared,
+    /// All robots had accepted.
+    Decided,
+    /// Leases were carried over its start, or were about to be.
+    Committed,
+}
+
+/// Records with a line that was cut off or changed. The contents of that line and of those after it are not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Torn {
+    /// The number of the line, counted from 1.
+    pub line: usize,
+    /// Bytes from there to the end.
+    pub bytes: usize,
+    /// Whole lines behind it: the file was damaged, not only cut off.
+    pub whole_after: usize,
 }
 
 /// The fields that are read of most lines. The reports of acts, which fill most of a long journal, are skipped.
@@ -122,17 +163,13 @@ pub enum Fate {
 }
 
 impl Kept {
-    /// Reads the state from the bytes of a journal; `None` if the first line is not whole.
-    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
+    /// Reads the state from the bytes of a journal. Lines that are no records, such as the first one, are ignored.
+    #[must_use]
+    pub fn of_bytes(bytes: &[u8]) -> Self {
         let (believed, rest) = bytes.split_at(whole_length(bytes));
-        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(sound);
-        let first: Value = serde_json::from_slice(lines.next()?).ok()?;
-        let opened = Opened::deserialize(&first).ok()?;
-        let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
-        let mut count = 1;
+        let (mut kept, mut under_way, mut count) = (Self::default(), Vec::new(), 0);
         kept.whole = believed.len();
-        let mut under_way = Vec::new();
-        for json in lines {
+        for json in believed.split_inclusive(|byte| *byte == b'\n').filter_map(sound) {
             kept.take(json, &mut under_way);
             count += 1;
         }
@@ -145,35 +182,12 @@ impl Kept {
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
         }
-        Some(kept)
-    }
-
-    /// The state after the first line of the journal.
-    fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
-        Self {
-            opened,
-            opened_at,
-            promises: Vec::new(),
-            ended_acts: 0,
-            course: Vec::new(),
-            flaws: Vec::new(),
-            failures: Vec::new(),
-            dropped: Vec::new(),
-            unnamed: Vec::new(),
-            stopping: None,
-            stopping_since: None,
-            stopped: Vec::new(),
-            outcome: None,
-            torn: None,
-            touched: BTreeMap::new(),
-            shifts: BTreeMap::new(),
-            translated: HashMap::new(),
-            whole: 0,
-        }
+        kept
     }
 
     /// Bytes of its whole lines at the beginning.
-    pub(crate) const fn whole(&self) -> usize {
+    #[must_use]
+    pub const fn whole(&self) -> usize {
         self.whole
     }
 
@@ -219,10 +233,7 @@ impl Kept {
     /// What the mission left on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
-        let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
-        let own_ids = self.opened.robots.iter().filter_map(own_id).collect();
         let mut left = Left {
-            own_ids,
             renewed_until: self.stopping_since,
             moved: self.may_have_moved(),
             failures: self.failures.clone(),
@@ -239,21 +250,6 @@ impl Kept {
             }
         }
         left
-    }
-
-    /// What another process needs to continue the mission.
-    #[must_use]
-    pub fn unfinished(&self) -> Unfinished<'_> {
-        Unfinished {
-            promises: &self.promises,
-            ended_acts: self.ended_acts,
-            course: &self.course,
-            flaws: &self.flaws,
-            failures: &self.failures,
-            dropped: &self.dropped,
-            stopped: &self.stopped,
-            left: self.left(),
-        }
     }
 
     /// A promise with the offsets with which its scripts were sent.

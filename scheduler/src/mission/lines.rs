@@ -1,0 +1,83 @@
+//! The lines of a journal: a checksum, then JSON.
+
+use std::io;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use urrcp::{Server, Timestamp};
+
+use super::{ActReport, Record};
+
+/// The line of a record.
+///
+/// # Errors
+/// The record cannot be written as JSON.
+pub fn line_of(at: Timestamp<Server>, record: &Record) -> io::Result<Vec<u8>> {
+    dated_line(at, record)
+}
+
+/// The line of something with its time.
+///
+/// # Errors
+/// It cannot be written as JSON.
+pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<Vec<u8>> {
+    #[derive(Serialize)]
+    struct Dated<'a, T> {
+        at: Timestamp<Server>,
+        #[serde(flatten)]
+        record: &'a T,
+    }
+    line(&Dated { at, record })
+}
+
+/// The checksum, then JSON.
+///
+/// # Errors
+/// It cannot be written as JSON.
+pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
+    let json = serde_json::to_vec(json)?;
+    let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
+    bytes.extend_from_slice(&json);
+    bytes.push(b'\n');
+    Ok(bytes)
+}
+
+/// Bytes of the whole lines at the beginning.
+pub fn whole_length(bytes: &[u8]) -> usize {
+    let lines = bytes.split_inclusive(|byte| *byte == b'\n');
+    lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
+}
+
+/// What a whole line says.
+pub fn whole(line: &[u8]) -> Option<Value> {
+    serde_json::from_slice(sound(line)?).ok()
+}
+
+/// The JSON of a line that is as it was written.
+pub fn sound(line: &[u8]) -> Option<&[u8]> {
+    let line = line.strip_suffix(b"\n")?;
+    let (sum, json) = line.split_at_checked(9)?;
+    let sum = u32::from_str_radix(std::str::from_utf8(sum.strip_suffix(b" ")?).ok()?, 16).ok()?;
+    (crc32fast::hash(json) == sum).then_some(json)
+}
+
+/// Whether a line is of this kind. The kind follows the time of the line.
+pub fn begins_with(json: &[u8], kind: &[u8]) -> bool {
+    let begin = &json[..json.len().min(128)];
+    begin.windows(kind.len()).any(|bytes| bytes == kind)
+}
+
+/// The reports of the acts that have ended, in order, without attempts that were repeated. Reports that cannot be read, for
+/// example those of an earlier version, are left out.
+pub fn ended_acts(bytes: &[u8]) -> impl Iterator<Item = ActReport> {
+    #[derive(Deserialize)]
+    struct Ended {
+        report: ActReport,
+        #[serde(default)]
+        again: bool,
+    }
+    let lines = bytes.split_inclusive(|byte| *byte == b'\n').map_while(sound);
+    let ended = lines.filter(|json| begins_with(json, br#","record":"act_ended","#));
+    let ended = ended.filter_map(|json| serde_json::from_slice::<Ended>(json).ok());
+    ended.filter(|ended| !ended.again).map(|ended| ended.report)
+}
