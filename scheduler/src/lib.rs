@@ -39,35 +39,29 @@
 pub mod calibrate;
 pub mod certificate;
 mod cli;
-pub mod clock;
 mod compare;
 pub mod conformance;
-pub mod drive;
 pub mod dry_run;
 pub mod fleet;
 pub mod history;
 pub mod journal;
 pub mod keys;
-#[cfg(test)]
-mod kinds;
 pub mod link;
 pub mod measured;
-pub mod mission;
 pub mod open_files;
 mod operations;
 pub mod page;
 pub mod recording;
-pub mod report;
-pub mod requirements;
 pub mod run;
 pub mod server_clock;
-pub mod session;
 pub mod show;
 mod signals;
 pub mod simulation;
 pub mod stop_lane;
 pub mod trials;
-pub mod zone;
+
+pub use downbeat_mission as mission;
+pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
 
 #[doc(hidden)]
 pub use cli::main;

@@ -13,7 +13,7 @@ use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 use urrcp::{Server, Span, Timestamp};
 
-use crate::clock::{ClockEstimate, ClockSample, Drift};
+use crate::clock::{ClockEstimate, ClockSample, NtpState};
 
 /// NTP exchanges asked for; all their bounds count.
 const NTP_SAMPLES: usize = 5;
@@ -176,25 +176,6 @@ async fn exchange(
         at,
     };
     Ok((sample, result.stratum()))
-}
-
-/// How the server's clock stands to NTP during a mission.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct NtpState {
-    /// NTP time minus the server's clock, which was set to NTP time when it was anchored: what has come between since.
-    #[serde(rename = "offset_change_ms")]
-    pub offset_change: Span,
-    /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
-    #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
-    pub uncertainty: Option<Span>,
-    /// How fast NTP time gains on the server's clock, once it is known.
-    #[serde(flatten)]
-    pub drift: Option<Drift>,
-    /// How often NTP time contradicted itself: the NTP server was set, or lies.
-    pub steps: u32,
-    /// Since when the NTP server has not answered, if it has not for several questions.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub lost_since: Option<Timestamp<Server>>,
 }
 
 /// Asks an NTP server again and again, until it is dropped.

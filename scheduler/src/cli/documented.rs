@@ -1,9 +1,13 @@
 //! What the documents say of commands, options and exit codes is so.
 
+use std::collections::BTreeSet;
+
 use clap::CommandFactory;
 use strum::VariantNames;
 
+use super::withdraw::InsideWhat;
 use super::{Cli, Exit};
+use crate::report::SCHEMA;
 
 fn document(name: &str) -> String {
     let path = format!("{}/../{name}", env!("CARGO_MANIFEST_DIR"));
@@ -105,4 +109,12 @@ fn every_option_that_a_document_names_exists() {
             assert!(known.contains(option), "{name}: no command takes --{option}");
         }
     }
+}
+
+#[test]
+fn the_schema_of_reports_lists_everything_that_ran_in_the_process_of_a_scheduler() {
+    let schema: serde_json::Value = serde_json::from_str(SCHEMA).unwrap();
+    let listed = schema.pointer("/properties/inside/items/properties/what/enum").unwrap();
+    let listed: BTreeSet<&str> = listed.as_array().unwrap().iter().filter_map(|word| word.as_str()).collect();
+    assert_eq!(listed, InsideWhat::VARIANTS.iter().copied().collect());
 }

@@ -50,9 +50,6 @@ mod trials;
 mod withdraw;
 mod world;
 
-#[cfg(test)]
-pub(crate) use withdraw::InsideWhat;
-
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

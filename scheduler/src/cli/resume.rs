@@ -324,7 +324,7 @@ async fn go_on(
     let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
     let control = listen(&found.folder, &lane, identity::desk(&found.opened.keys));
     let choreography = Arc::new(mission.choreography().clone());
-    let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+    let ids: Vec<_> = mission.robot_ids().cloned().collect();
     metrics.add_mission(clock, (ids.clone(), &endpoints), host.as_ref(), &mut keep.watches);
     traces.add_mission(clock, &mission, &mut keep.watches);
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));

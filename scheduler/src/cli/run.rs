@@ -574,7 +574,12 @@ impl Work<'_> {
         if let Some(recorder) = keep.recording.take() {
             report.recording = Some(recorder.finish().await);
         }
-        report.wake_up = wake_up.map(|wake_up| HostWakeUp::of(&wake_up, host.as_ref().and(tolerance)));
+        report.wake_up = wake_up.map(|wake_up| {
+            let WakeUp { scheduling, median, p99, longest } = wake_up;
+            let measured =
+                HostWakeUp { median, p99, longest, scheduling: scheduling.to_string(), warning: None };
+            measured.judged_by(host.as_ref().and(tolerance))
+        });
         robot::stop_for(&mut report, host);
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;

@@ -105,7 +105,7 @@ pub(super) struct Inside {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
-pub(crate) enum InsideWhat {
+pub(super) enum InsideWhat {
     /// A simulated robot: it ended, or stands still, with the process.
     Simulated,
     /// A driver of hardware.

@@ -144,7 +144,7 @@ impl Rehearsal {
 
     /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
     pub fn set_reading(&mut self, robot: &RobotId, sensor: &DeviceId, value: f64) -> bool {
-        let index = self.mission.robots().iter().position(|state| state.id == *robot);
+        let index = self.mission.robot_ids().position(|id| id == robot);
         let has = |index: &usize| {
             let device = self.robots[*index].robot().block().device(sensor.as_str());
             device.is_some_and(|device| device.available_control_types.sensor().is_some())
@@ -176,7 +176,7 @@ impl Rehearsal {
     pub fn play_before(self, audience: &mut impl Audience) -> Played {
         let Self { mut mission, robots, begin, logs, circumstances } = self;
         let operator = VirtualOperator::new(mission.choreography());
-        let ids = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+        let ids = mission.robot_ids().cloned().collect();
         let mut world = VirtualWorld::new(robots, ids, begin, (operator, circumstances), logs, audience);
         let report = at_once(drive(&mut mission, &mut world));
         // A virtual process is not killed.

@@ -1,5 +1,7 @@
 //! Whole missions in virtual time: what must hold whatever a robot does.
 
+mod motions;
+
 use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_scripts::{

@@ -65,7 +65,7 @@ impl Rehearsal {
         let leases = scripts.filter_map(|script| Some(script.stop_condition.running?.span()));
         let lease = leases.max().unwrap_or_default();
         let acts = choreography.acts.iter().map(|act| act.plan.duration()).max().unwrap_or_default();
-        let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+        let ids: Vec<_> = mission.robot_ids().cloned().collect();
         let mut watcher = Watcher(vec![Watched::default(); ids.len()]);
         let mut world =
             VirtualWorld::new(robots, ids, begin, (operator, circumstances), Logs::Watched, &mut watcher);

@@ -21,7 +21,7 @@ use crate::clock::ClockSample;
 use crate::mission::{Progress, Record};
 use crate::session;
 
-pub use recorder::{Recorded, Recorder};
+pub use recorder::Recorder;
 
 /// A recording could not be written.
 #[derive(Debug, thiserror::Error)]

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::time::Duration;
 
-use serde::Serialize;
 use tokio::sync::oneshot;
 
 use super::Recording;
+use crate::report::Recorded;
 
 /// Notes that may wait for the disk; further ones are missing in the file.
 const WAITING_MAX: usize = 65_536;
@@ -17,15 +17,6 @@ const FINISH_MAX: Duration = Duration::from_secs(5);
 
 /// Something for the recording.
 type Note = Box<dyn FnOnce(&mut Recording) + Send>;
-
-/// What became of a recording.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Recorded {
-    /// The file.
-    pub path: PathBuf,
-    /// Why it is not whole; `None`: it is.
-    pub failure: Option<String>,
-}
 
 /// Hands what is said to the thread that writes it.
 #[derive(Debug)]

@@ -5,17 +5,14 @@ pub mod desk;
 pub(crate) mod watch;
 mod world;
 
-use std::collections::BTreeSet;
-
 use tokio::sync::mpsc;
-use urrcp::{DeviceId, Server, Timestamp};
+use urrcp::{Server, Timestamp};
 
 use self::watch::Watches;
 use self::world::RealWorld;
 use crate::drive::drive;
 use crate::journal::Journal;
 use crate::link::{Endpoint, SharedScripts};
-use crate::mission::robot_state::RobotState;
 use crate::mission::{Mission, Progress};
 use crate::recording::Recorder;
 use crate::report::Report;
@@ -36,12 +33,6 @@ pub struct Keep {
     pub stop_lane: Option<StopLane>,
     /// Who watches it.
     pub(crate) watches: Watches,
-}
-
-/// What the lane has to stop that another process has moved. A mission that does nothing but stop asks first which robot it
-/// has reached, and the lane would not.
-fn to_be_stopped(robot: &RobotState) -> BTreeSet<DeviceId> {
-    if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
 }
 
 /// Runs a mission to its end. `endpoints` are in the order of the mission's robots.
@@ -68,7 +59,7 @@ pub async fn run_and_keep(
     let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
     let before = Before {
         session: mission.options().session_on_the_wire(),
-        devices: mission.robots().iter().map(to_be_stopped).collect(),
+        devices: mission.moved_by_another().collect(),
     };
     let shared = SharedScripts::of(&mission, &endpoints);
     let mut world =

@@ -9,12 +9,13 @@ use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::Keep;
 use super::watch::Watches;
+use crate::clock::NtpState;
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, News, Writer};
 use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
 use crate::mission::{Event, Mission, Progress, Record};
 use crate::recording::{Recorder, Recording};
-use crate::server_clock::{NtpState, NtpWatch, ServerClock};
+use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Operator, Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.

@@ -11,10 +11,9 @@ use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
 use super::table::{Rows, wrapped};
 use super::{course_lines, requirements_table};
-use crate::mission::preflight::NOT_STRICT;
 use crate::mission::{
-    AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow,
-    SkewBudget, TransferReport, Verdict,
+    AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, NOT_STRICT, Preflight,
+    PreflightRow, SkewBudget, TransferReport, Verdict,
 };
 use crate::report::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState};
 

@@ -37,7 +37,7 @@ pub const PROMISES: &[Promise] = &[
          longer than 3 s, the mission samples the clocks for up to 4 s more: a robot may have been slow \
          only as long as thousands of others were connected to.",
         &[Test(
-            "scheduler/src/mission/tests/greeting.rs::a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused",
+            "scheduler/mission/src/tests/greeting.rs::a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused",
         )],
     ),
     (
@@ -75,14 +75,14 @@ pub const PROMISES: &[Promise] = &[
         "A device with a first keyframe later than 0 s jumps only if its largest speed is too low for the \
          distance.",
         &[Test(
-            "scheduler/src/mission/tests/greeting.rs::a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere",
+            "scheduler/mission/src/tests/greeting.rs::a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere",
         )],
     ),
     (
         Mission,
         "Lamps and other devices that hold their value and have no limit never jump.",
         &[Test(
-            "scheduler/src/mission/tests/greeting.rs::a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere",
+            "scheduler/mission/src/tests/greeting.rs::a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere",
         )],
     ),
     (Mission, "A start that jumps is refused.", &[Simulation('m', "19-a-start-jumps")]),
@@ -145,7 +145,7 @@ pub const PROMISES: &[Promise] = &[
          and during a stop, and sends nothing else until the robot has answered.",
         &[
             Test(
-                "scheduler/src/mission/tests/greeting.rs::robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent",
+                "scheduler/mission/src/tests/greeting.rs::robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent",
             ),
             Test(
                 "tests/processes/security/identity.rs::a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_predecessor_has_failed",
@@ -157,7 +157,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "Stops wait for the answer for 250 ms at most.",
         &[Test(
-            "scheduler/src/mission/tests/greeting.rs::a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not",
+            "scheduler/mission/src/tests/greeting.rs::a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not",
         )],
     ),
     (
@@ -172,7 +172,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "A go counts for the act that waits for it now; `go ACT` counts only for the act that it names.",
         &[Test(
-            "scheduler/src/mission/tests.rs::a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not",
+            "scheduler/mission/src/tests.rs::a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not",
         )],
     ),
     (
@@ -188,9 +188,9 @@ pub const PROMISES: &[Promise] = &[
         "No robot makes the others wait without bound: the part of the lead that follows from links and \
          clocks is at most 1.5 s of *prepare*, and the lease before the start at most 10 s.",
         &[
-            Test("scheduler/src/mission/lead.rs::a_very_slow_link_does_not_make_the_show_wait_without_bound"),
+            Test("scheduler/mission/src/lead.rs::a_very_slow_link_does_not_make_the_show_wait_without_bound"),
             Test(
-                "scheduler/src/mission/tests/hostile.rs::no_robot_makes_the_others_wait_for_a_lease_without_bound",
+                "scheduler/mission/src/tests/hostile.rs::no_robot_makes_the_others_wait_for_a_lease_without_bound",
             ),
         ],
     ),
@@ -203,7 +203,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "If the disk takes longer than *prepare*, nothing is sent.",
         &[Test(
-            "scheduler/src/mission/act/tests/preparing.rs::a_promise_that_is_not_on_the_disk_in_time_is_not_sent",
+            "scheduler/mission/src/act/tests/preparing.rs::a_promise_that_is_not_on_the_disk_in_time_is_not_sent",
         )],
     ),
     (
@@ -212,7 +212,7 @@ pub const PROMISES: &[Promise] = &[
          the mission ends before anything is sent (`journal_lost`).",
         &[
             Test(
-                "scheduler/src/mission/tests/course.rs::the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience",
+                "scheduler/mission/src/tests/course.rs::the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience",
             ),
             Test(
                 "scheduler/src/simulation/tests.rs::a_disk_that_stands_still_ends_the_mission_before_anything_moves",
@@ -231,10 +231,10 @@ pub const PROMISES: &[Promise] = &[
          with `run --start-within 10s`, which permits a start up to 10 s after the fixed one.",
         &[
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time",
+                "scheduler/mission/src/tests/again.rs::an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time",
             ),
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_with_an_instant_of_its_own_is_not_prepared_again",
+                "scheduler/mission/src/tests/again.rs::an_act_with_an_instant_of_its_own_is_not_prepared_again",
             ),
         ],
     ),
@@ -242,7 +242,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "A start by `--at` that is too soon is later within the same time.",
         &[Test(
-            "scheduler/src/mission/tests/again.rs::a_start_that_is_too_soon_is_later_within_the_permitted_time",
+            "scheduler/mission/src/tests/again.rs::a_start_that_is_too_soon_is_later_within_the_permitted_time",
         )],
     ),
     (
@@ -257,7 +257,7 @@ pub const PROMISES: &[Promise] = &[
         "If an act reaches such a day only in the course of the mission, it starts at the instant at \
          which the clocks skip its time, and the mission reports this.",
         &[Test(
-            "scheduler/src/mission/act/tests/waiting.rs::an_act_whose_time_clocks_skip_starts_as_they_skip_it_and_says_so",
+            "scheduler/mission/src/act/tests/waiting.rs::an_act_whose_time_clocks_skip_starts_as_they_skip_it_and_says_so",
         )],
     ),
     (
@@ -265,10 +265,10 @@ pub const PROMISES: &[Promise] = &[
         "After the decision, the mission asks every robot in rounds whether it still holds its scripts.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::the_commitment_needs_every_answer_to_one_of_the_last_two_rounds",
+                "scheduler/mission/src/act/tests/approaching.rs::the_commitment_needs_every_answer_to_one_of_the_last_two_rounds",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
+                "scheduler/mission/src/act/tests/approaching.rs::every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
             ),
         ],
     ),
@@ -277,10 +277,10 @@ pub const PROMISES: &[Promise] = &[
         "Only the commitment moves this limit, to one second or more after the start of each script.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_limit_ends_before_the_start_by_the_same_clock_however_far_that_was_set",
+                "scheduler/mission/src/act/tests/approaching.rs::a_limit_ends_before_the_start_by_the_same_clock_however_far_that_was_set",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_script_that_is_sent_once_its_act_is_committed_may_start",
+                "scheduler/mission/src/act/tests/approaching.rs::a_script_that_is_sent_once_its_act_is_committed_may_start",
             ),
         ],
     ),
@@ -290,10 +290,10 @@ pub const PROMISES: &[Promise] = &[
          sent before this instant starts no robot.",
         &[
             Test(
-                "scheduler/src/mission/act/timing.rs::whatever_is_sent_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
+                "scheduler/mission/src/act/timing.rs::whatever_is_sent_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
+                "scheduler/mission/src/act/tests/approaching.rs::every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start",
             ),
         ],
     ),
@@ -304,10 +304,10 @@ pub const PROMISES: &[Promise] = &[
          that.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases",
+                "scheduler/mission/src/act/tests/approaching.rs::a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases",
             ),
             Test(
-                "scheduler/src/mission/act/timing.rs::a_clock_is_allowed_for_while_two_rounds_are_left_and_the_lease_can_carry_it",
+                "scheduler/mission/src/act/timing.rs::a_clock_is_allowed_for_while_two_rounds_are_left_and_the_lease_can_carry_it",
             ),
         ],
     ),
@@ -317,13 +317,13 @@ pub const PROMISES: &[Promise] = &[
          scripts, that every clock is still right, and that the commitment is on disk.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::the_commitment_needs_every_answer_to_one_of_the_last_two_rounds",
+                "scheduler/mission/src/act/tests/approaching.rs::the_commitment_needs_every_answer_to_one_of_the_last_two_rounds",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment",
+                "scheduler/mission/src/act/tests/approaching.rs::a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::the_commitment_is_on_the_disk_before_any_robot_is_told",
+                "scheduler/mission/src/act/tests/approaching.rs::the_commitment_is_on_the_disk_before_any_robot_is_told",
             ),
         ],
     ),
@@ -333,7 +333,7 @@ pub const PROMISES: &[Promise] = &[
         "If a robot is missing 5 ms before the last instant at which the commitment still reaches every \
          robot (the brink, less 8 ms or two round trips), it has failed.",
         &[Test(
-            "scheduler/src/mission/act/tests/approaching.rs::a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it",
+            "scheduler/mission/src/act/tests/approaching.rs::a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it",
         )],
     ),
     (
@@ -349,7 +349,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "With `on_failure: stop`, the mission sends nothing but stops, and all leases end at the brink.",
         &[Test(
-            "scheduler/src/mission/tests.rs::a_mission_that_stops_sends_no_script_that_an_act_still_wants",
+            "scheduler/mission/src/tests.rs::a_mission_that_stops_sends_no_script_that_an_act_still_wants",
         )],
     ),
     (
@@ -357,10 +357,10 @@ pub const PROMISES: &[Promise] = &[
         "If the disk or this machine is too slow, no robot starts (`commitment_late`).",
         &[
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_slow_disk_withdraws_the_act_while_nothing_has_moved",
+                "scheduler/mission/src/act/tests/approaching.rs::a_slow_disk_withdraws_the_act_while_nothing_has_moved",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards",
+                "scheduler/mission/src/act/tests/approaching.rs::a_process_that_stood_still_over_the_commitment_writes_none_down_afterwards",
             ),
         ],
     ),
@@ -369,7 +369,7 @@ pub const PROMISES: &[Promise] = &[
         "If this machine was too slow to start an act, nothing moves, and the mission withdraws the act.",
         &[
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_longer_lead",
+                "scheduler/mission/src/tests/again.rs::an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_longer_lead",
             ),
             Test(
                 "tests/processes/missions/again.rs::a_scheduler_that_stalls_over_the_commitment_starts_all_robots_a_little_later",
@@ -379,14 +379,14 @@ pub const PROMISES: &[Promise] = &[
     (
         Mission,
         "Once every robot has confirmed its stop, the mission prepares the act again, at most twice.",
-        &[Test("scheduler/src/mission/tests/again.rs::an_act_is_prepared_again_twice_at_most")],
+        &[Test("scheduler/mission/src/tests/again.rs::an_act_is_prepared_again_twice_at_most")],
     ),
     (
         Mission,
         "If all robots in the act are silent, the mission makes a third attempt before they count as \
          failed.",
         &[Test(
-            "scheduler/src/mission/tests/again.rs::silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent",
+            "scheduler/mission/src/tests/again.rs::silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent",
         )],
     ),
     (
@@ -395,15 +395,15 @@ pub const PROMISES: &[Promise] = &[
          the act starts at a fixed time that `--start-within` does not extend, or if another act plays \
          and a robot of the new act does not declare `pending_until`.",
         &[
-            Test("scheduler/src/mission/tests/again.rs::an_act_that_a_robot_has_begun_is_not_prepared_again"),
+            Test("scheduler/mission/src/tests/again.rs::an_act_that_a_robot_has_begun_is_not_prepared_again"),
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop",
+                "scheduler/mission/src/tests/again.rs::an_act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop",
             ),
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_with_an_instant_of_its_own_is_not_prepared_again",
+                "scheduler/mission/src/tests/again.rs::an_act_with_an_instant_of_its_own_is_not_prepared_again",
             ),
             Test(
-                "scheduler/src/mission/tests/again.rs::an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer",
+                "scheduler/mission/src/tests/again.rs::an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer",
             ),
         ],
     ),
@@ -411,20 +411,20 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "After the commitment the rounds continue until all robots should have started.",
         &[Test(
-            "scheduler/src/mission/act/tests/approaching.rs::after_the_commitment_rounds_continue_until_the_robots_have_started",
+            "scheduler/mission/src/act/tests/approaching.rs::after_the_commitment_rounds_continue_until_the_robots_have_started",
         )],
     ),
     (
         Mission,
         "They pause from a round trip and 1 ms before the planned start, 5 ms at most, until 1 ms after \
          it: messages would take cores from robots that start on this host.",
-        &[Test("scheduler/src/mission/act/timing.rs::what_can_wait_is_not_sent_while_robots_start")],
+        &[Test("scheduler/mission/src/act/timing.rs::what_can_wait_is_not_sent_while_robots_start")],
     ),
     (
         Mission,
         "If not all robots have answered before the start, the report has no `window_ms`.",
         &[Test(
-            "scheduler/src/mission/act/tests/approaching.rs::no_window_is_told_if_a_robot_has_not_answered_the_commitment_before_the_start",
+            "scheduler/mission/src/act/tests/approaching.rs::no_window_is_told_if_a_robot_has_not_answered_the_commitment_before_the_start",
         )],
     ),
     (
@@ -450,14 +450,14 @@ pub const PROMISES: &[Promise] = &[
         "A scheduler that stands still over that instant blames no robot: answers may have come that it \
          has not read, and a withdrawal would come too late.",
         &[Test(
-            "scheduler/src/mission/act/tests/approaching.rs::a_process_that_stood_still_until_no_withdrawal_helps_blames_no_robot_whose_answer_it_has_not_read",
+            "scheduler/mission/src/act/tests/approaching.rs::a_process_that_stood_still_until_no_withdrawal_helps_blames_no_robot_whose_answer_it_has_not_read",
         )],
     ),
     (
         Mission,
         "The mission asks all robots at least once a second, and three times within the shortest lease.",
         &[Test(
-            "scheduler/src/mission/tests/course.rs::robots_are_asked_three_times_a_lease_while_they_play",
+            "scheduler/mission/src/tests/course.rs::robots_are_asked_three_times_a_lease_while_they_play",
         )],
     ),
     (
@@ -472,10 +472,10 @@ pub const PROMISES: &[Promise] = &[
          nothing overtakes a script that waits.",
         &[
             Test(
-                "scheduler/src/mission/ledger/tests.rs::nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open",
+                "scheduler/mission/src/ledger/tests.rs::nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open",
             ),
             Test(
-                "scheduler/src/mission/ledger/tests.rs::whatever_ends_lets_the_next_script_follow_of_whichever_act",
+                "scheduler/mission/src/ledger/tests.rs::whatever_ends_lets_the_next_script_follow_of_whichever_act",
             ),
         ],
     ),
@@ -489,7 +489,7 @@ pub const PROMISES: &[Promise] = &[
         "If a robot with `reports` does not report a start or an end within 500 ms and two round trips, \
          the mission asks it; if it stays silent for the same time again, it has failed.",
         &[Test(
-            "scheduler/src/mission/act/tests/playing.rs::an_overdue_report_is_asked_for_and_then_its_robot_has_failed",
+            "scheduler/mission/src/act/tests/playing.rs::an_overdue_report_is_asked_for_and_then_its_robot_has_failed",
         )],
     ),
     (
@@ -497,7 +497,7 @@ pub const PROMISES: &[Promise] = &[
         "This holds only once the robot has answered a question sent after the report was due, so a \
          scheduler that was suspended blames no robot.",
         &[Test(
-            "scheduler/src/mission/tests/lost.rs::reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed",
+            "scheduler/mission/src/tests/lost.rs::reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed",
         )],
     ),
     (
@@ -505,7 +505,7 @@ pub const PROMISES: &[Promise] = &[
         "If the robot answers inquiries, the answer has to report on the script; a robot that ignores \
          the script's name has failed after the same time.",
         &[Test(
-            "scheduler/src/mission/tests/lost.rs::a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up",
+            "scheduler/mission/src/tests/lost.rs::a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up",
         )],
     ),
     (
@@ -513,7 +513,7 @@ pub const PROMISES: &[Promise] = &[
         "From a robot with neither, nothing can be learned: its script counts as over 15 ms, and the \
          amount by which its clock may be late, after the planned end.",
         &[Test(
-            "scheduler/src/mission/act/tests/playing.rs::scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown",
+            "scheduler/mission/src/act/tests/playing.rs::scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown",
         )],
     ),
     (
@@ -521,7 +521,7 @@ pub const PROMISES: &[Promise] = &[
         "If a robot does not answer in time, or if the leases cannot be shortened, no robot starts \
          (`commitment_late`), and the mission does not blame a robot for its silence.",
         &[Test(
-            "scheduler/src/mission/act/tests/approaching.rs::a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_keeps_the_act_from_starting",
+            "scheduler/mission/src/act/tests/approaching.rs::a_robot_that_fell_silent_while_this_machine_stood_still_over_the_last_rounds_keeps_the_act_from_starting",
         )],
     ),
     (
@@ -529,7 +529,7 @@ pub const PROMISES: &[Promise] = &[
         "If the queue is still full, the robot refuses the next script, and the mission sends it again \
          within 50 ms or a round trip, whichever is longer.",
         &[Test(
-            "scheduler/src/mission/script/tests.rs::a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name",
+            "scheduler/mission/src/script/tests.rs::a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name",
         )],
     ),
     (
@@ -550,7 +550,7 @@ pub const PROMISES: &[Promise] = &[
         "If it never joins, or connects only after the last of its acts has begun, the mission is done \
          without it (`done_without`), and the report names it (`never_joined`).",
         &[Test(
-            "scheduler/src/mission/tests/greeting.rs::a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out",
+            "scheduler/mission/src/tests/greeting.rs::a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out",
         )],
     ),
     (
@@ -558,7 +558,7 @@ pub const PROMISES: &[Promise] = &[
         "The times in an answer decide how long all robots wait for each other, so only answers to open \
          questions count.",
         &[Test(
-            "scheduler/src/mission/exchanges.rs::an_answer_counts_once_and_only_to_a_question_that_was_asked",
+            "scheduler/mission/src/exchanges.rs::an_answer_counts_once_and_only_to_a_question_that_was_asked",
         )],
     ),
     (
@@ -567,7 +567,7 @@ pub const PROMISES: &[Promise] = &[
          (`ignored_answers` in the report) and mean nothing.",
         &[
             Test(
-                "scheduler/src/mission/exchanges.rs::an_answer_counts_once_and_only_to_a_question_that_was_asked",
+                "scheduler/mission/src/exchanges.rs::an_answer_counts_once_and_only_to_a_question_that_was_asked",
             ),
             Test(
                 "tests/processes/security/flooding.rs::an_answer_to_a_question_that_was_never_asked_delays_nobody",
@@ -578,7 +578,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "Its link is closed, and the mission connects to it again only to stop it.",
         &[Test(
-            "scheduler/src/mission/tests/hostile.rs::a_robot_that_floods_has_failed_and_is_connected_to_again_only_to_be_stopped",
+            "scheduler/mission/src/tests/hostile.rs::a_robot_that_floods_has_failed_and_is_connected_to_again_only_to_be_stopped",
         )],
     ),
     (
@@ -595,7 +595,7 @@ pub const PROMISES: &[Promise] = &[
          starts of such a robot as `1/1 claimed`:",
         &[
             Test(
-                "scheduler/src/mission/script/tests.rs::of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or_after",
+                "scheduler/mission/src/script/tests.rs::of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or_after",
             ),
             Test(
                 "tests/processes/terminal/commands.rs::a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start",
@@ -606,14 +606,14 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "`steps` | more steps than the script has | at most those",
         &[Test(
-            "scheduler/src/mission/claim/tests.rs::a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer",
+            "scheduler/mission/src/claim/tests.rs::a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer",
         )],
     ),
     (
         Mission,
         "`late_steps` | more late steps than steps done | at most those",
         &[Test(
-            "scheduler/src/mission/claim/tests.rs::a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer",
+            "scheduler/mission/src/claim/tests.rs::a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer",
         )],
     ),
     (
@@ -622,7 +622,7 @@ pub const PROMISES: &[Promise] = &[
          others as one that starts late.",
         &[
             Test(
-                "scheduler/src/mission/tests.rs::steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_left_out_do_not_count",
+                "scheduler/mission/src/tests.rs::steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_left_out_do_not_count",
             ),
             Test(
                 "tests/processes/missions/told.rs::steps_that_were_later_than_is_tolerated_are_named_and_are_no_success",
@@ -632,7 +632,7 @@ pub const PROMISES: &[Promise] = &[
     (
         Mission,
         "If it does not, the report only counts its late steps.",
-        &[Test("scheduler/src/mission/script/tests.rs::steps_and_late_steps_never_become_fewer")],
+        &[Test("scheduler/mission/src/script/tests.rs::steps_and_late_steps_never_become_fewer")],
     ),
     (
         Mission,
@@ -643,7 +643,7 @@ pub const PROMISES: &[Promise] = &[
                 "scheduler/src/journal/tests.rs::what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended",
             ),
             Test(
-                "scheduler/src/mission/tests/resumed.rs::a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome",
+                "scheduler/mission/src/tests/resumed.rs::a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome",
             ),
         ],
     ),
@@ -655,13 +655,13 @@ pub const PROMISES: &[Promise] = &[
          still move.",
         &[
             Test(
-                "scheduler/src/mission/tests/course.rs::a_failure_may_lead_to_another_act_once_all_are_at_rest",
+                "scheduler/mission/src/tests/course.rs::a_failure_may_lead_to_another_act_once_all_are_at_rest",
             ),
             Test(
-                "scheduler/src/mission/tests/course.rs::a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission",
+                "scheduler/mission/src/tests/course.rs::a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission",
             ),
             Test(
-                "scheduler/src/mission/tests/transfer.rs::after_a_failure_the_others_go_home_and_the_robot_that_failed_stays",
+                "scheduler/mission/src/tests/transfer.rs::after_a_failure_the_others_go_home_and_the_robot_that_failed_stays",
             ),
         ],
     ),
@@ -682,7 +682,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "All robots come to rest first.",
         &[Test(
-            "scheduler/src/mission/tests/transfer.rs::robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions",
+            "scheduler/mission/src/tests/transfer.rs::robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions",
         )],
     ),
     (
@@ -701,10 +701,10 @@ pub const PROMISES: &[Promise] = &[
         "If a robot has failed, does not answer inquiries, or has lost its link, it stays where it is.",
         &[
             Test(
-                "scheduler/src/mission/tests/transfer.rs::after_a_failure_the_others_go_home_and_the_robot_that_failed_stays",
+                "scheduler/mission/src/tests/transfer.rs::after_a_failure_the_others_go_home_and_the_robot_that_failed_stays",
             ),
             Test(
-                "scheduler/src/mission/tests/transfer.rs::a_robot_that_is_gone_does_not_keep_the_others_from_home",
+                "scheduler/mission/src/tests/transfer.rs::a_robot_that_is_gone_does_not_keep_the_others_from_home",
             ),
         ],
     ),
@@ -712,14 +712,14 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "If a robot has not confirmed its stop and may still move, all robots stay where they are.",
         &[Test(
-            "scheduler/src/mission/tests/transfer.rs::as_long_as_a_robot_may_still_move_nobody_goes_home",
+            "scheduler/mission/src/tests/transfer.rs::as_long_as_a_robot_may_still_move_nobody_goes_home",
         )],
     ),
     (
         Mission,
         "If the operator says stop during the act, all robots come to rest again.",
         &[Test(
-            "scheduler/src/mission/tests/transfer.rs::a_stop_on_the_way_home_leaves_the_robots_where_they_are_and_a_second_home_changes_nothing",
+            "scheduler/mission/src/tests/transfer.rs::a_stop_on_the_way_home_leaves_the_robots_where_they_are_and_a_second_home_changes_nothing",
         )],
     ),
     (
@@ -734,7 +734,7 @@ pub const PROMISES: &[Promise] = &[
          scheduler has ended or does not answer, and `downbeat stop --home` has only the journal.",
         &[
             Test(
-                "scheduler/src/mission/tests/transfer.rs::robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions",
+                "scheduler/mission/src/tests/transfer.rs::robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_positions",
             ),
             Test(
                 "tests/processes/missions/rest.rs::a_stop_leaves_every_robot_where_it_is_and_says_so_and_one_that_says_home_does_not",
@@ -865,10 +865,10 @@ pub const PROMISES: &[Promise] = &[
         "Promises and commitments are on disk before the mission continues.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/preparing.rs::nothing_is_sent_before_the_promise_is_on_the_disk",
+                "scheduler/mission/src/act/tests/preparing.rs::nothing_is_sent_before_the_promise_is_on_the_disk",
             ),
             Test(
-                "scheduler/src/mission/act/tests/approaching.rs::the_commitment_is_on_the_disk_before_any_robot_is_told",
+                "scheduler/mission/src/act/tests/approaching.rs::the_commitment_is_on_the_disk_before_any_robot_is_told",
             ),
         ],
     ),
@@ -885,10 +885,10 @@ pub const PROMISES: &[Promise] = &[
          otherwise withdraws it (`commitment_late`), and blames no robot that it had no time to ask",
         &[
             Test(
-                "scheduler/src/mission/act/tests/resumed.rs::an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn",
+                "scheduler/mission/src/act/tests/resumed.rs::an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn",
             ),
             Test(
-                "scheduler/src/mission/act/tests/resumed.rs::no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it",
+                "scheduler/mission/src/act/tests/resumed.rs::no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it",
             ),
         ],
     ),
@@ -910,14 +910,14 @@ pub const PROMISES: &[Promise] = &[
         "If an act ended while no scheduler ran and the mission is stopped afterwards, the act is \
          `played` if a robot completed it, and `unknown` if no robot reports on it.",
         &[Test(
-            "scheduler/src/mission/tests/resumed.rs::an_act_that_ended_while_no_process_drove_it_was_not_stopped",
+            "scheduler/mission/src/tests/resumed.rs::an_act_that_ended_while_no_process_drove_it_was_not_stopped",
         )],
     ),
     (
         Mission,
         "If no robot can have moved, `failed` becomes `not_started`.",
         &[Test(
-            "scheduler/src/mission/tests/resumed.rs::a_withdrawn_mission_has_failed_if_anything_may_have_moved_and_has_not_started_otherwise",
+            "scheduler/mission/src/tests/resumed.rs::a_withdrawn_mission_has_failed_if_anything_may_have_moved_and_has_not_started_otherwise",
         )],
     ),
     (
@@ -978,7 +978,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "It does not send that stop again, so nothing stops the robot behind the other mission.",
         &[Test(
-            "scheduler/src/mission/tests/stops.rs::a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operator_wants_it_to_stop",
+            "scheduler/mission/src/tests/stops.rs::a_robot_that_another_session_has_taken_over_is_left_to_that_unless_the_operator_wants_it_to_stop",
         )],
     ),
     (
@@ -1059,10 +1059,10 @@ pub const PROMISES: &[Promise] = &[
          process that died, or if it now refuses the script as too late.",
         &[
             Test(
-                "scheduler/src/mission/act/tests/resumed.rs::what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown_by_its_time",
+                "scheduler/mission/src/act/tests/resumed.rs::what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown_by_its_time",
             ),
             Test(
-                "scheduler/src/mission/act/tests/resumed.rs::what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_may_have_sent_it",
+                "scheduler/mission/src/act/tests/resumed.rs::what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_may_have_sent_it",
             ),
         ],
     ),
@@ -1126,7 +1126,7 @@ pub const PROMISES: &[Promise] = &[
         &[
             Test("scripts/src/compile/cut.rs::movements_are_cut_at_rests_into_scripts_of_about_one_length"),
             Test(
-                "scheduler/src/mission/ledger/tests.rs::with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent",
+                "scheduler/mission/src/ledger/tests.rs::with_a_measured_clock_two_long_scripts_are_ahead_of_one_that_is_sent",
             ),
         ],
     ),
@@ -1147,7 +1147,7 @@ pub const PROMISES: &[Promise] = &[
         "The robot's clock may be off by the offset shown next to the error; this offset is known to \
          within the uncertainty shown.",
         &[Test(
-            "scheduler/src/clock/tests.rs::the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift",
+            "scheduler/mission/src/clock/tests.rs::the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift",
         )],
     ),
     (

@@ -1,0 +1,96 @@
+//! Clocks that drift while an act plays: later scripts are corrected when they are sent, and the act is judged at its end.
+
+use urrcp::{Server, Span, Timestamp};
+
+use super::playing::planned_end;
+use super::{Act, Member};
+use crate::clock::DRIFT_BOUND;
+use crate::robot_state::RobotState;
+use crate::script::ScriptRef;
+use crate::{ClockMode, Record};
+
+/// A clock that has changed by more was set: 50 ppm take more than five hours for it.
+const DRIFT_MAX: Span = Span::from_millis(1_000);
+
+impl Act {
+    /// Corrects the start of a later script for the drift of its robot's clock since the act was promised. `offset_at` is the time
+    /// by which that clock is ahead of the server's.
+    pub(crate) fn translate(
+        &mut self,
+        script: ScriptRef,
+        clock_steps: u32,
+        offset_at: impl FnOnce(Timestamp<Server>) -> Option<Span>,
+    ) -> Option<Record> {
+        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let lost = planned.shift_is_lost();
+        if planned.was_ever_sent() && !lost {
+            return None;
+        }
+        // The offset is right for the middle of the script, so it is off by half of the drift at either end.
+        let middle = timing.start + planned.plan.start.span() + planned.duration() / 2;
+        let before = member.before(script.script)?;
+        let since = planned.plan.start.span() - before.plan.start.span();
+        let slewed = Span::from_millis_f64(since.as_millis_f64() * DRIFT_BOUND);
+        let change = offset_at(middle)? - member.shift_of(before);
+        let change = match member.clock_steps {
+            Some(steps) if steps == clock_steps && change.abs() <= DRIFT_MAX => change,
+            // After a clock was set, a script continues with the offset of the one before.
+            Some(_) => Span::ZERO,
+            // A clock may have been set before this process took over: its offset is approached no faster than clocks drift.
+            None => change.clamp(Span::ZERO - slewed, slewed),
+        };
+        let shift = member.translation(script.script, change)?;
+        let request_id = planned.request_id()?.clone();
+        let member = &mut self.members[script.member];
+        member.change(script.script, |script| {
+            script.translate(shift);
+            if lost {
+                // Its robot may have it with another offset.
+                script.lose_shift();
+            }
+        });
+        (shift != member.shift && !lost).then_some(Record::Translated { request_id, shift })
+    }
+
+    /// How far apart, or off the plan, the robots that played it to its end certainly were, because their clocks drifted. A robot
+    /// whose clock was set meanwhile is not judged: its plan may not follow that clock.
+    pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
+        let start = self.timing.as_ref()?.start;
+        let range = |member: &Member| {
+            let robot = &robots[member.robot];
+            let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;
+            let is_same = robot.clock.steps() == member.clock_steps.unwrap_or_default();
+            let reading = robot.clock_at(planned_end(start, last)).filter(|_| is_same)?;
+            let off = reading.offset - member.shift_of(last);
+            // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well. The plan of an act
+            // that was taken up is that of the clock that this machine had before.
+            let by_plan = robot.settings.clock == ClockMode::Measured && member.clock_steps.is_some();
+            Some((off - reading.uncertainty, off + reading.uncertainty, by_plan))
+        };
+        let played = self.present().filter(|member| member.is_done());
+        let ranges: Vec<_> = played.filter_map(range).collect();
+        let least = ranges.iter().map(|(_, to, _)| *to).min()?;
+        let most = ranges.iter().map(|(from, ..)| *from).max()?;
+        let by_plan = ranges.iter().filter(|(.., by_plan)| *by_plan);
+        let off_plan = by_plan.map(|(from, to, _)| (*from).max(Span::ZERO - *to)).max();
+        off_plan.max(Some(most - least)).map(|apart| apart.max(Span::ZERO))
+    }
+}
+
+impl Member {
+    /// The largest offset with which the last script of a device was sent, or is to be sent.
+    pub(crate) fn last_shift(&self) -> Option<Span> {
+        let scripts = self.scripts();
+        let is_last = |index: &usize| *index + 1 == scripts.len() || self.before(index + 1).is_none();
+        (0..scripts.len()).filter(is_last).map(|index| self.shift_of(&scripts[index])).max()
+    }
+
+    /// The offset for a script that is sent for the first time, given its change since the script before. A script that follows
+    /// another one begins when that one has ended by the same clock, or later.
+    fn translation(&self, script: usize, change: Span) -> Option<Span> {
+        let (before, follows) = (self.before(script)?, &self.scripts()[script]);
+        let pause = follows.plan.start.span() - before.plan.start.span() - before.duration();
+        Some(self.shift_of(before) + change.max(Span::ZERO - pause))
+    }
+}

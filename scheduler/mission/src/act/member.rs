@@ -1,0 +1,323 @@
+//! A robot of an act: what it was sent, and whether it still takes part.
+
+use downbeat_scripts::DeviceScript;
+use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
+
+use super::timing::{Leases, Timing};
+use super::{NamedScripts, Question};
+use crate::ClockMode;
+use crate::robot_state::{RobotState, Standing};
+use crate::script::{Script, ScriptState};
+
+/// The limit of a committed script lies this long after its start, so that it never drops a script that may begin.
+const BEYOND_START: Span = Span::from_millis(1_000);
+
+/// Whether a robot still takes part in an act.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    Taking,
+    /// It was left out.
+    Dropped,
+}
+
+/// A robot of an act.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    /// Its index in the mission.
+    pub(crate) robot: usize,
+    pub(super) part: Part,
+    /// What is added to the act's timestamp so that it is right by the robot's own clock.
+    pub(super) shift: Span,
+    /// How often its robot's clock had been set when the act was sent; `None` if another process sent it.
+    pub(super) clock_steps: Option<u32>,
+    scripts: Vec<Script>,
+    /// One for each device, in order of their scripts.
+    chains: Vec<Chain>,
+    /// When it was last asked for reports that were overdue.
+    pub(super) asked: Option<Timestamp<Server>>,
+    /// When it was first asked for its newest overdue report.
+    pub(super) asked_since: Option<Timestamp<Server>>,
+}
+
+/// What requests are asked about together: those whose lease a question does not shorten come last, the others in order of the
+/// instant at which they begin after the start of the act.
+type Group = (bool, Option<Span>);
+
+/// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
+/// under way and not at all that ever were or will be.
+#[derive(Clone, Copy, Debug)]
+struct Chain {
+    first: usize,
+    /// Those before it have completed.
+    completed: usize,
+    /// Those from here on were never sent.
+    unsent: usize,
+    end: usize,
+}
+
+impl Member {
+    fn new(robot: usize, scripts: Vec<Script>) -> Self {
+        let mut chains: Vec<Chain> = Vec::new();
+        for (index, script) in scripts.iter().enumerate() {
+            let follows =
+                index.checked_sub(1).is_some_and(|before| scripts[before].plan.device == script.plan.device);
+            match chains.last_mut().filter(|_| follows) {
+                Some(chain) => chain.end = index + 1,
+                None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
+            }
+        }
+        let (part, shift, clock_steps) = (Part::Taking, Span::ZERO, None);
+        Self { robot, part, shift, clock_steps, scripts, chains, asked: None, asked_since: None }
+    }
+
+    /// Changes one of its scripts.
+    pub(super) fn change<R>(&mut self, script: usize, change: impl FnOnce(&mut Script) -> R) -> R {
+        let changed = change(&mut self.scripts[script]);
+        let place = self.chains.partition_point(|chain| chain.end <= script);
+        let chain = &mut self.chains[place];
+        if !self.scripts[script].is_planned() {
+            chain.unsent = chain.unsent.max(script + 1);
+        }
+        let completed =
+            self.scripts[chain.completed..chain.end].iter().take_while(|script| script.has_completed());
+        chain.completed += completed.count();
+        changed
+    }
+
+    /// Names its requests.
+    pub(super) fn name(&mut self, script: usize, id: Option<RequestId>) {
+        self.scripts[script].name(id);
+    }
+
+    /// Another process named it, and may have sent it with this offset. The record of another offset for a later script may be
+    /// lost if the clock of the robot is measured.
+    pub(super) fn taken_up(&mut self, script: usize, id: RequestId, (shift, clock): (Span, ClockMode)) {
+        let follows = self.before(script).is_some();
+        if !follows {
+            self.shift = shift;
+        }
+        let taken_up = &mut self.scripts[script];
+        taken_up.name(Some(id));
+        match follows && shift == self.shift && clock == ClockMode::Measured {
+            true => taken_up.lose_shift(),
+            false => taken_up.translate(shift),
+        }
+        self.scripts[script].taken_up();
+    }
+
+    /// The scripts that are under way: those that were sent and have not completed, and the next one of each device.
+    pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
+        let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);
+        self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
+    }
+
+    /// For each device its scripts that have not completed, in order of time.
+    pub(crate) fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = (usize, &Script)>> {
+        self.chains
+            .iter()
+            .map(|chain| (chain.completed..chain.end).map(|index| (index, &self.scripts[index])))
+    }
+
+    pub(crate) fn takes_part(&self) -> bool {
+        self.part == Part::Taking
+    }
+
+    pub(crate) fn scripts(&self) -> &[Script] {
+        &self.scripts
+    }
+
+    pub(crate) const fn shift(&self) -> Span {
+        self.shift
+    }
+
+    /// The offset that is added to the timestamp of this script's request.
+    pub(crate) fn shift_of(&self, script: &Script) -> Span {
+        script.shift().unwrap_or(self.shift)
+    }
+
+    /// The first script of every device and every other one that was sent in time is accepted.
+    pub(super) fn has_accepted(&self, timing: &Timing) -> bool {
+        self.unaccepted(timing).next().is_none()
+    }
+
+    /// Scripts that it still has to accept by the decision. One that got room behind another so late that it is not asked for
+    /// again may be answered later.
+    pub(super) fn unaccepted(&self, timing: &Timing) -> impl Iterator<Item = (usize, &Script)> {
+        let late = timing.ask_again();
+        let follows = move |script: &Script| script.is_out() && !script.was_sent_since(late);
+        let open = move |index: usize, script: &Script| self.before(index).is_none() || follows(script);
+        self.under_way().filter(move |(index, script)| !script.was_accepted() && open(*index, script))
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        self.chains.iter().all(|chain| chain.completed == chain.end)
+    }
+
+    /// Nothing of it is still to be sent or can still run.
+    pub(super) fn is_over(&self) -> bool {
+        self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
+    }
+
+    /// Its scripts on a device, in order of time.
+    pub(crate) fn on<'a>(&'a self, device: &'a DeviceId) -> impl Iterator<Item = (usize, &'a Script)> {
+        self.scripts.iter().enumerate().filter(move |(_, script)| script.plan.device == *device)
+    }
+
+    /// The first script of every device.
+    pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
+        self.chains.iter().map(|chain| &self.scripts[chain.first])
+    }
+
+    /// The script before this one on its device. Scripts of one device stand together, in order of time.
+    pub(super) fn before(&self, script: usize) -> Option<&Script> {
+        let before = self.scripts.get(script.checked_sub(1)?)?;
+        (before.plan.device == self.scripts[script].plan.device).then_some(before)
+    }
+
+    /// Its device has accepted the first script of its chain, or is to have been sent all of it by another process.
+    pub(super) fn may_follow(&self, script: usize) -> bool {
+        let chain = self.chains.iter().find(|chain| (chain.first..chain.end).contains(&script));
+        let first = chain.map(|chain| &self.scripts[chain.first]);
+        let taken_up = self.scripts[script].is_unaccounted();
+        self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
+    }
+
+    /// How many questions a round asks it on the way to its start, at most: one for each instant at which one of its devices
+    /// begins.
+    pub(crate) fn questions(&self) -> usize {
+        let mut begins: Vec<Span> = self.firsts().map(|script| script.plan.start.span()).collect();
+        begins.sort_unstable();
+        begins.dedup();
+        begins.len()
+    }
+
+    /// Whether scripts of its device wait to be sent behind this one.
+    pub(super) fn waits_for(&self, script: usize) -> bool {
+        self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)
+    }
+
+    /// How long after the start of the act a script begins whose pending lease is shortened: one that begins within a
+    /// lease of the start, and does not follow another of its device. Those that begin later lose their lease long before,
+    /// and those that follow others cannot begin without them.
+    pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
+        let offset = self.scripts[script].plan.start.span();
+        (offset < lease && self.before(script).is_none()).then_some(offset)
+    }
+
+    /// The instant of the robot's clock until which a script may wait for its start while its act is not committed.
+    pub(super) fn brink_of(&self, script: usize, timing: &Timing, ahead: Option<Span>) -> Timestamp<Robot> {
+        let offset = self.scripts[script].plan.start.span();
+        let shift = self.shift_of(&self.scripts[script]);
+        // A clock that was set forward since the script was sent brings its start forward, and not this limit.
+        let ahead = ahead.unwrap_or(shift).min(shift + timing.early());
+        (timing.brink() + offset + ahead).assume_clock()
+    }
+
+    /// The same instant for a committed act: it lies after the start of the script.
+    pub(super) fn beyond_start(&self, script: usize, timing: &Timing) -> Timestamp<Robot> {
+        let offset = self.scripts[script].plan.start.span();
+        (timing.start + offset + self.shift_of(&self.scripts[script]) + BEYOND_START).assume_clock()
+    }
+
+    /// The requests that the robot may have, grouped by the lease that an inquiry gives them.
+    pub(super) fn names(
+        &self,
+        timing: &Timing,
+        now: Timestamp<Server>,
+        ahead: Option<Span>,
+        question: Question,
+    ) -> Vec<NamedScripts> {
+        let shortens = question == Question::Shortens;
+        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        let mut groups: Vec<(Group, NamedScripts)> = Vec::new();
+        // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
+        let asked = |index: usize, script: &Script| {
+            script.is_unaccounted() && !(shortens && self.before(index).is_some())
+        };
+        for (index, script) in self.under_way().filter(|(index, script)| asked(*index, script)) {
+            let offset = self.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
+            let key = (offset.is_none(), offset);
+            // There are few: one for each instant at which devices begin.
+            let place = groups.binary_search_by_key(&key, |(key, _)| *key).unwrap_or_else(|place| {
+                let lease = offset.map(|offset| timing.lease_at(now) + offset);
+                groups.insert(place, (key, NamedScripts { lease, until: None, requests: Vec::new() }));
+                place
+            });
+            let group = &mut groups[place].1;
+            let until = match question {
+                Question::Asks => None,
+                Question::Shortens => offset.map(|_| self.brink_of(index, timing, ahead)),
+                Question::Extends => Some(self.beyond_start(index, timing)),
+            };
+            group.until = group.until.max(until);
+            group.requests.extend(script.request_id().cloned());
+        }
+        groups.into_iter().map(|(_, named)| named).collect()
+    }
+
+    /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin
+    /// unless that has begun, so it waits under the lease under which the other one runs, where that is the longer one.
+    pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
+        match self.before(script) {
+            None => Some(lease),
+            Some(before) => before.longest_lease().map(|running| running.max(lease)),
+        }
+    }
+
+    /// The pending lease of a script that waits while its act plays: it may have been shortened.
+    pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let shortened = timing.pace.leases == Leases::Shortened;
+        let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
+        match offset {
+            Some(offset) => Some(timing.final_lease() + offset),
+            None => self.pending_lease(script, timing.lead.lease),
+        }
+    }
+
+    /// The shortest of the leases that a script which is out has from now on: while it waits, the pending one counts as well.
+    pub(super) fn shortest_lease(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let waits = matches!(self.scripts[script].state(), ScriptState::Sent | ScriptState::Held);
+        let pending = waits.then(|| self.pending_lease_now(script, timing)).flatten();
+        pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
+    }
+
+    /// Whether it has answered that it holds the first script of every device, to a question sent at `since` or later. Those
+    /// that follow cannot begin without them, and may be sent until it is their turn. A robot that takes no inquiries is
+    /// held to its answers to other questions, if it ever gave one.
+    pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
+        let answered = robot.questions.answered();
+        if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
+            return false;
+        }
+        if !robot.takes_inquiries() {
+            return answered.is_none_or(|at| at >= since);
+        }
+        let held = |script: &Script| !script.is_out() || script.held_at().is_some_and(|at| at >= since);
+        answered.is_some_and(|at| at >= since) && self.firsts().all(held)
+    }
+}
+
+/// The members of an act: its robots that are there.
+pub(crate) fn members(plan: &downbeat_scripts::Plan, robots: &[RobotState]) -> Vec<Member> {
+    members_among(plan, robots, |robot| robot.standing == Standing::In)
+}
+
+/// The members of an act: its robots for which `has_part` holds.
+pub(super) fn members_among(
+    plan: &downbeat_scripts::Plan,
+    robots: &[RobotState],
+    has_part: impl Fn(&RobotState) -> bool,
+) -> Vec<Member> {
+    let index_of: std::collections::HashMap<_, _> =
+        robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+    let member = |planned: &downbeat_scripts::RobotPlan| {
+        let robot = *index_of.get(&planned.robot)?;
+        let script = |script: &DeviceScript| {
+            let device = robots[robot].block.as_ref().and_then(|block| block.device(script.device.as_str()));
+            Script::new(script, device.map(|device| device.interpolation).unwrap_or_default())
+        };
+        let scripts = || planned.scripts.iter().map(script).collect();
+        has_part(&robots[robot]).then(|| Member::new(robot, scripts()))
+    };
+    plan.robots.iter().filter_map(member).collect()
+}

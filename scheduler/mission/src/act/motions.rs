@@ -1,0 +1,57 @@
+//! The readings by which the motions of an act are verified.
+
+use urrcp::{Server, Timestamp};
+
+use super::{Act, ActAction, Stage};
+use crate::motion::{MotionReport, Watched};
+use crate::robot_state::{Reading, RobotState};
+
+impl Act {
+    /// From now on the first movement of each device that a sensor shows is watched.
+    pub(crate) fn verify_motions(&mut self, robots: &[RobotState]) {
+        self.watched = Watched::of(self, robots);
+    }
+
+    /// Asks the sensors whose turn it is.
+    pub(super) fn watch_motions(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
+        let (Some(timing), number) = (&self.timing, self.number) else { return Vec::new() };
+        if self.watched.is_empty() || !matches!(self.stage, Stage::Committed(_) | Stage::Playing(_)) {
+            return Vec::new();
+        }
+        let (start, members, place) = (timing.start, &self.members, &self.place);
+        let takes_part = |robot: usize| {
+            place.get(robot).copied().flatten().is_some_and(|place| members[place].takes_part())
+        };
+        let mut actions = Vec::new();
+        for (index, watched) in self.watched.iter_mut().enumerate() {
+            if takes_part(watched.robot()) && watched.due(start).is_some_and(|due| now >= due) {
+                watched.ask(now);
+                let what = Reading::Motion(number, index);
+                let (robot, sensor) = (watched.robot(), watched.sensor().clone());
+                actions.push(ActAction::Read { robot, sensor, what });
+            }
+        }
+        actions
+    }
+
+    pub(super) fn motion_due(&self) -> Option<Timestamp<Server>> {
+        let start = self.timing.as_ref()?.start;
+        let here = |watched: &&Watched| {
+            self.place_of(watched.robot()).is_some_and(|place| self.members[place].takes_part())
+        };
+        self.watched.iter().filter(here).filter_map(|watched| watched.due(start)).min()
+    }
+
+    pub(crate) fn motion_read(&mut self, index: usize, arrived: Timestamp<Server>, value: Option<f64>) {
+        if let Some(watched) = self.watched.get_mut(index) {
+            watched.answered(arrived, value);
+        }
+    }
+
+    /// What the sensors showed.
+    pub(crate) fn motions(&self, robots: &[RobotState]) -> Vec<MotionReport> {
+        let Some(timing) = &self.timing else { return Vec::new() };
+        let watched = self.watched.iter();
+        watched.map(|watched| watched.report(timing.start, &robots[watched.robot()])).collect()
+    }
+}

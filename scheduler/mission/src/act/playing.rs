@@ -1,0 +1,685 @@
+//! From the start to the end: who has started, how exactly, what frees room for further scripts, and who has ended.
+
+use urrcp::{ControlResponse, ErrorCode, RequestReport, RequestState, Robot, Server, Span, Timestamp};
+
+use super::timing::CLOCK_UNKNOWN;
+use super::{Act, ActAction, Member, Stage, Timing};
+use crate::Progress;
+use crate::claim::{Possible, Times, Told};
+use crate::failure_kind::FailureKind;
+use crate::robot_state::{Reading, RobotState};
+use crate::script::{News, Script, ScriptRef, ScriptState, error_of};
+
+/// How long after its instant a report may still arrive, in addition to the round trip.
+const REPORT_GRACE: Span = Span::from_millis(500);
+/// A script whose planned end has passed by this much has ended on a robot that cannot say so.
+pub(crate) const LAPSE: Span = Span::from_millis(15);
+/// Before a robot that does not report by itself is asked again what became of a script that should have ended.
+const ASK_AGAIN: Span = Span::from_millis(50);
+
+/// For so long the clock of a robot is awaited before its scripts are taken to be over.
+const CLOCK_AWAITED: Span = Span::from_millis(3_000);
+
+/// What coarse clocks may take from a time.
+const GRAIN: Span = Span::from_millis(5);
+
+/// An act that has started.
+#[derive(Clone, Debug)]
+pub(super) struct Playing {
+    /// When reports are next looked for; `None`: at once.
+    watch: Option<Timestamp<Server>>,
+    /// When the robots were last asked for overdue reports.
+    asked: Option<Timestamp<Server>>,
+    /// How long after its instant a report may still arrive, as it was when reports were last looked for.
+    grace: Span,
+    /// Members before it are done, or take part no longer.
+    done: usize,
+}
+
+impl Playing {
+    /// `at_once` is an instant that has passed.
+    pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
+        self.watch.unwrap_or(at_once)
+    }
+
+    pub(super) const fn recheck(&mut self) {
+        self.watch = None;
+    }
+}
+
+/// What an answer led to.
+#[derive(Debug)]
+pub(crate) struct Noted {
+    pub(crate) news: News,
+    pub(crate) actions: Vec<ActAction>,
+}
+
+impl Act {
+    pub(super) fn begin(&mut self, now: Timestamp<Server>) {
+        let playing = Playing { watch: Some(now), asked: None, grace: Span::ZERO, done: 0 };
+        self.stage = Stage::Playing(playing);
+    }
+
+    /// Takes an answer to a request of this act.
+    pub(crate) fn answered(
+        &mut self,
+        script: ScriptRef,
+        response: &ControlResponse,
+        arrived: Timestamp<Server>,
+        robots: &[RobotState],
+    ) -> Noted {
+        if self.script(script).had_another_name(response) {
+            return Noted { news: News::None, actions: Vec::new() };
+        }
+        if let Some(noted) = self.doubted(script, &Told::by_response(response, arrived), robots) {
+            return noted;
+        }
+        let robot = &robots[self.robot_of(script)];
+        let member = &mut self.members[script.member];
+        // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
+        let state = member.scripts()[script.script].state();
+        let full = !robot.tells_fates() && *state == ScriptState::Sent && is_full(response);
+        if full {
+            member.change(script.script, Script::refused_for_now);
+            return Noted { news: News::None, actions: Vec::new() };
+        }
+        if member.scripts()[script.script].may_have_been_played(response) {
+            member.change(script.script, Script::lapse);
+            let actions = vec![ActAction::Refill(vec![member.robot])];
+            self.look_again();
+            return Noted { news: News::Lapsed, actions };
+        }
+        let untold = self.may_have_begun_untold(script, response);
+        let member = &mut self.members[script.member];
+        let news = member.change(script.script, |script| match untold {
+            true => script.failed_untold(error_of(response)),
+            false => script.answered(response),
+        });
+        self.noted(script, news, robots)
+    }
+
+    /// The script failed after its planned start, and the robot does not report progress. It may have started: the `Started` response may
+    /// be lost, as it is if the robot reported to a process that has died.
+    fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let start =
+            self.timing.as_ref().map(|it| it.start + planned.plan.start.span() + member.shift_of(planned));
+        let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
+        let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
+        let accepted = match planned.state() {
+            ScriptState::Held => true,
+            ScriptState::Planned | ScriptState::Sent => planned.is_unheard_since_taken_up(),
+            _ => false,
+        };
+        due && untold && accepted
+    }
+
+    /// Takes what a robot reported of a request of this act.
+    pub(crate) fn reported(
+        &mut self,
+        script: ScriptRef,
+        report: &RequestReport,
+        (asked_at, said_at, arrived): (Timestamp<Server>, Timestamp<Robot>, Timestamp<Server>),
+        robots: &[RobotState],
+    ) -> Noted {
+        if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
+            return noted;
+        }
+        let start = self.timing.as_ref().map(|timing| timing.start + self.script(script).plan.start.span());
+        let member = &mut self.members[script.member];
+        if let Some((told, start)) = report.start_timestamp.zip(start)
+            && member.scripts()[script.script].shift_is_lost()
+        {
+            member.change(script.script, |script| script.translate(told - start.assume_clock()));
+        }
+        let known = &member.scripts()[script.script];
+        // The robot states the hash of a script only if it has accepted the script, perhaps from a process that has died.
+        let accepted = known.was_accepted() || report.content_hash.is_some();
+        let untold = report.steps_done.is_none() && accepted && !known.has_begun();
+        let due = start.is_some_and(|start| said_at >= (start + member.shift_of(known)).assume_clock());
+        let untold = report.error.clone().filter(|_| report.state == RequestState::Ended && untold && due);
+        let news = member.change(script.script, |script| match untold {
+            Some(error) => script.failed_untold(error),
+            None => script.reported(report, asked_at, said_at),
+        });
+        let begins = self
+            .timing
+            .as_ref()
+            .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
+        // It may have come, and been played, before the robot forgot it.
+        let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
+        let news = if over { member.change(script.script, Script::lose) } else { news };
+        self.noted(script, news, robots)
+    }
+
+    /// What is to be done where a robot says of a script what cannot be true; `None` where it can. Of a script that is over
+    /// nothing new is heard.
+    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
+        let member = &self.members[reference.member];
+        let script = &member.scripts()[reference.script];
+        let robot = member.robot;
+        let claim = self.possible(member, script, &robots[robot], told).contradicts(told);
+        let over = script.is_final();
+        let device = script.plan.device.clone();
+        let member = &mut self.members[reference.member];
+        let Some(claim) = claim else {
+            member.change(reference.script, |script| script.said(told));
+            return None;
+        };
+        member.change(reference.script, |script| script.discredit(&claim, told));
+        let failing = (robot, FailureKind::Claim { device, claim });
+        let actions = if over { Vec::new() } else { vec![ActAction::Fail(vec![failing])] };
+        let news = if over { News::None } else { News::Discredited };
+        Some(Noted { news, actions })
+    }
+
+    fn possible(&self, member: &Member, script: &Script, robot: &RobotState, told: &Told) -> Possible {
+        let reading = robot.clock_at(told.arrived());
+        let shift = member.shift_of(script);
+        let times = self.timing.as_ref().map(|timing| Times {
+            sent: timing.timestamp,
+            start: (timing.start + script.plan.start.span() + shift).assume_clock(),
+            duration: script.duration(),
+            offset: reading.map_or(shift, |reading| reading.offset),
+            uncertainty: reading.map_or(CLOCK_UNKNOWN, |reading| reading.uncertainty),
+            tolerance: self.written().plan.start_tolerance,
+        });
+        Possible { planned: script.steps_planned(), before: script.steps_said(), times }
+    }
+
+    fn noted(&mut self, script: ScriptRef, news: News, robots: &[RobotState]) -> Noted {
+        let member = &self.members[script.member];
+        let robot = member.robot;
+        let id = robots[robot].id.clone();
+        let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
+        let mut actions = Vec::new();
+        if news == News::Accepted && member.waits_for(script.script) {
+            // What follows the first script of a device is sent once that is there.
+            actions.push(ActAction::Refill(vec![robot]));
+        }
+        match &news {
+            // Robots are expected to drop these scripts: the act is prepared again with other requests.
+            News::Failed(_) | News::NeverReceived if self.is_lapsing() => {}
+            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
+                actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
+            }
+            News::Started => {
+                let error = self.start_error(member, &member.scripts()[script.script]);
+                actions.push(ActAction::Tell(Progress::Started { robot: id, error }));
+            }
+            News::Completed => {
+                if member.is_done() {
+                    actions.push(ActAction::Tell(Progress::Finished { robot: id, number: self.number }));
+                }
+                actions.push(ActAction::Refill(vec![robot]));
+                match robots[robot].reports() {
+                    true => self.watch_for(script.member, robots),
+                    // It is asked at the end of what is sent to it now.
+                    false => self.look_again(),
+                }
+            }
+            News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
+            // A robot that was left out does not fail again.
+            News::Failed(error) if member.takes_part() => {
+                let device = member.scripts()[script.script].plan.device.clone();
+                let kind = FailureKind::Script { device, error: error.clone() };
+                actions.push(ActAction::Fail(vec![(robot, kind)]));
+            }
+            News::None
+            | News::Accepted
+            | News::NeverReceived
+            | News::Failed(_)
+            | News::Discredited
+            | News::Lapsed => {}
+        }
+        Noted { news, actions }
+    }
+
+    /// Actual minus planned start, both by the robot's own clock.
+    pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
+        if script.shift_is_lost() {
+            return None;
+        }
+        let planned = self.timing.as_ref()?.start + script.starts() + member.shift_of(script);
+        Some(script.started_at()? - planned.assume_clock())
+    }
+
+    /// Whether a script can have come to its end when its robot's clock shows this, as far as clocks go.
+    pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let shift = member.shift_of(planned);
+        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + shift);
+        end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
+    }
+
+    /// How far an answer that a script has begun or ended is from the time that it was to begin or end at, by its robot's clock.
+    pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let start = self.timing.as_ref()?.start;
+        let due = match response.status {
+            urrcp::Status::Started => start + planned.starts(),
+            _ => planned_end(start, planned),
+        };
+        Some((response.timestamp - (due + member.shift_of(planned)).assume_clock()).abs())
+    }
+
+    /// Nobody knows any more what becomes of a script.
+    pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
+        self.members[script.member].change(script.script, Script::lapse);
+    }
+
+    /// Ends the act when all is done, and finds reports that are overdue.
+    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = self.read_what_is_due(now, robots);
+        if self.has_ended(now, robots) {
+            self.stage = Stage::Over;
+            return actions;
+        }
+        let Stage::Playing(playing) = &self.stage else { return actions };
+        if playing.watch.is_some_and(|at| now < at) {
+            return actions;
+        }
+        actions.extend(self.refill_lapsed(now, robots));
+        if self.has_ended(now, robots) {
+            self.stage = Stage::Over;
+            return actions;
+        }
+        actions.extend(self.ask_for_overdue(now, robots));
+        let next = self.next_watch(now, robots);
+        let grace = self.report_grace(robots);
+        if let Stage::Playing(playing) = &mut self.stage {
+            playing.watch = Some(next);
+            playing.grace = grace;
+        }
+        actions
+    }
+
+    fn has_ended(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        self.is_played(robots)
+            && !self.awaits_those_left_out(now, robots)
+            && self.rests_until().is_none_or(|end| now >= end)
+    }
+
+    /// When the last movement ends of those that continue after their last steps.
+    fn rests_until(&self) -> Option<Timestamp<Server>> {
+        let start = self.timing.as_ref()?.start;
+        let plans = self.present().flat_map(Member::scripts).map(|script| &script.plan);
+        let resting = plans.filter(|plan| plan.rest > Span::ZERO);
+        resting.map(|plan| start + plan.start.span() + plan.duration()).max()
+    }
+
+    /// Whether nothing of it can still run. Each event looks at the first that can.
+    fn is_played(&mut self, robots: &[RobotState]) -> bool {
+        let Stage::Playing(playing) = &mut self.stage else { return false };
+        let done = |member: &&Member| !member.takes_part() || member.is_done();
+        playing.done += self.members[playing.done..].iter().take_while(done).count();
+        let mut rest = self.members[playing.done..].iter().filter(|member| member.takes_part());
+        rest.all(|member| member.is_done() || (may_lapse(member, &robots[member.robot]) && member.is_over()))
+    }
+
+    /// Whether robots that were left out before this process took the act up may soon report which steps they played.
+    fn awaits_those_left_out(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        let may_answer = |member: &Member| {
+            let robot = &robots[member.robot];
+            robot.takes_inquiries() && !robot.is_gone() && self.unheard_of(member.robot).is_some()
+        };
+        now < self.since + REPORT_GRACE && self.members.iter().any(may_answer)
+    }
+
+    /// Another script of a member that reports by itself is what is awaited now. What is awaited of the others is the same.
+    fn watch_for(&mut self, member: usize, robots: &[RobotState]) {
+        let Stage::Playing(Playing { watch: Some(watch), grace, .. }) = &self.stage else { return };
+        let next = self.watched(&self.members[member], robots, *grace).flatten().min();
+        let next = next.map_or(*watch, |next| next.min(*watch));
+        if let Stage::Playing(playing) = &mut self.stage {
+            playing.watch = Some(next);
+        }
+    }
+
+    /// What is due by the clocks of single robots, before the act plays on all of them.
+    pub(super) fn look_for_ends(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = self.refill_lapsed(now, robots);
+        actions.extend(self.ask_for_overdue(now, robots));
+        actions
+    }
+
+    fn refill_lapsed(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let lapsed = self.lapse(now, robots);
+        if lapsed.is_empty() { Vec::new() } else { vec![ActAction::Refill(lapsed)] }
+    }
+
+    /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
+    fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
+        let Some(timing) = &self.timing else { return Vec::new() };
+        let grace = self.report_grace(robots);
+        let mut lapsed = Vec::new();
+        for member in self.members.iter_mut().filter(|member| member.takes_part()) {
+            let robot = &robots[member.robot];
+            // After a resumption the clock by which a robot plays is not known at first.
+            if robot.clock.samples() == 0 && now < self.since + CLOCK_AWAITED {
+                continue;
+            }
+            let over = |(index, script): (usize, &Script)| {
+                let at = lapses_at(timing, script, robot, grace);
+                (script.is_out() && at.is_some_and(|at| now >= at)).then_some(index)
+            };
+            let over: Vec<usize> = member.under_way().filter_map(over).collect();
+            for script in over {
+                member.change(script, Script::lapse);
+                lapsed.push(member.robot);
+            }
+            // Refused because the queue was full for a moment longer.
+            if lapses(robot) && member.under_way().any(|(_, script)| script.is_planned()) {
+                lapsed.push(member.robot);
+            }
+        }
+        lapsed.dedup();
+        lapsed
+    }
+
+    /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
+    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let grace = self.report_grace(robots);
+        let again = ASK_AGAIN.max((grace - REPORT_GRACE) / 2);
+        let mut ask = Vec::new();
+        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
+        for (place, member) in self.members.iter().enumerate().filter(|(_, member)| member.takes_part()) {
+            let robot = &robots[member.robot];
+            // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
+            if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
+                continue;
+            }
+            let due =
+                |script: &Script| self.report_due(member, script, robot, grace).filter(|due| now >= *due);
+            let mut scripts = member.under_way().map(|(_, script)| script);
+            let Some(script) = scripts.find(|script| due(script).is_some()) else { continue };
+            let newest = || member.under_way().filter_map(|(_, script)| due(script)).max();
+            let lost = |script: &Script| {
+                let due = self.report_due(member, script, robot, grace);
+                due.is_some_and(|due| now >= due + grace && was_asked(member, script, robot, (due, grace)))
+            };
+            if lost(script) {
+                let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
+                let awaited = format!("report of the {what} of `{}`", script.plan.device);
+                failing.push((member.robot, FailureKind::Silent { awaited, within: grace * 2 }));
+            } else if robot.takes_inquiries()
+                && may_be_asked(now, member.asked, newest(), robot, (again, grace))
+            {
+                let since = member.asked_since.filter(|since| newest().is_none_or(|due| *since >= due));
+                ask.push((place, since.unwrap_or(now)));
+            }
+        }
+        let mut actions = Vec::new();
+        if !ask.is_empty() {
+            if let Stage::Playing(playing) = &mut self.stage {
+                playing.asked = Some(now);
+            }
+            for (place, since) in &ask {
+                (self.members[*place].asked, self.members[*place].asked_since) = (Some(now), Some(*since));
+            }
+            let robots = ask.into_iter().map(|(place, _)| self.members[place].robot);
+            actions.push(ActAction::Ask(robots.collect()));
+        }
+        if !failing.is_empty() {
+            actions.push(ActAction::Fail(failing));
+        }
+        actions
+    }
+
+    /// When a robot is asked what became of a script; `None` once nothing is awaited. A robot that does not report by itself
+    /// is asked when the script should have ended.
+    fn report_due(
+        &self,
+        member: &Member,
+        script: &Script,
+        robot: &RobotState,
+        grace: Span,
+    ) -> Option<Timestamp<Server>> {
+        let timing = self.timing.as_ref()?;
+        if lost_with_its_process(script, robot) {
+            return None;
+        }
+        let late = late_of(timing, robot);
+        let begin = timing.start + script.plan.start.span() + late;
+        let start = timing.start + script.starts() + late;
+        let end = planned_end(timing.start, script) + late;
+        match script.state() {
+            // Sent when its device has room.
+            ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
+            ScriptState::Ended(_) => None,
+            ScriptState::Planned => Some(begin + grace),
+            _ if !robot.reports() => Some(end + LAPSE),
+            ScriptState::Unknown => Some(end),
+            ScriptState::Sent | ScriptState::Held => Some(start + grace),
+            ScriptState::Running => Some(end + grace),
+        }
+    }
+
+    /// When something is next looked for on a robot, for each of its scripts that are under way.
+    fn watched<'a>(
+        &'a self,
+        member: &'a Member,
+        robots: &'a [RobotState],
+        grace: Span,
+    ) -> impl Iterator<Item = [Timestamp<Server>; 2]> + 'a {
+        let robot = &robots[member.robot];
+        member.under_way().filter_map(move |(_, script)| {
+            if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
+                return Some([at; 2]);
+            }
+            let asked = self.report_due(member, script, robot, grace)?;
+            // A report that stays out is a failure after as long again.
+            Some([asked, asked + grace])
+        })
+    }
+
+    pub(super) fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
+        let grace = self.report_grace(robots);
+        let due = self.present().flat_map(|member| self.watched(member, robots, grace));
+        let answered = Some(self.since + REPORT_GRACE).filter(|_| self.awaits_those_left_out(now, robots));
+        let next = due
+            .flatten()
+            .chain(answered)
+            .chain(self.rests_until())
+            .filter(|at| *at > now)
+            .min()
+            .unwrap_or(now + grace);
+        next.min(now + self.patience_with_silent_ones(robots))
+    }
+
+    /// While a robot that does not report by itself owes an answer, or must be sent something again, it is asked soon.
+    fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
+        let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
+        let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
+        let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
+        let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
+        match silent && (asked || planned) {
+            true => {
+                ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+            }
+            false => Span::from_millis(3_600_000),
+        }
+    }
+
+    /// How long after its instant a report may still arrive.
+    pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
+        longest_round_trip(self, robots) * 2 + REPORT_GRACE
+    }
+
+    /// When a robot that cannot be heard has surely ended what it has of this act: its leases have run out, or, without
+    /// them, its scripts are over by `patience`. Before the start the decision and the commitment see to it.
+    pub(crate) fn gives_up(
+        &self,
+        robot: usize,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+        patience: Span,
+    ) -> Option<Timestamp<Server>> {
+        let member = self.member(robot).filter(|_| self.is_committed())?;
+        let timing = self.timing.as_ref()?;
+        let grace = self.report_grace(robots);
+        let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
+            let begins = timing.start + script.plan.start.span();
+            match script.longest_lease() {
+                Some(lease) => now.max(begins) + lease + grace,
+                None => planned_end(timing.start, script) + patience,
+            }
+        });
+        ends.max()
+    }
+
+    /// The leases under which its scripts play now, the shortest of a robot.
+    pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
+        let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
+        let member = self.member(robot).filter(|member| member.takes_part())?;
+        let begins = |script: &Script| timing.start + script.plan.start.span();
+        if member.firsts().map(begins).min().is_none_or(|first| now < first) {
+            return None;
+        }
+        let lease = |(index, script): (usize, &Script)| match now >= begins(script) {
+            true => script.shortest_lease(),
+            // Between two of its scripts the next one waits, and is lost when the longer of its leases has run out.
+            false => script.shortest_lease().max(member.pending_lease_now(index, timing)),
+        };
+        member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
+    }
+
+    /// The shortest of the leases under which robots play it that play another act as well.
+    pub(crate) fn lease_with(&self, other: &Self) -> Option<Span> {
+        let both = self.present().filter(|member| other.place_of(member.robot).is_some());
+        both.flat_map(Member::scripts).filter_map(Script::shortest_lease).min()
+    }
+
+    /// When the next of the scripts that a robot holds begins.
+    pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        let start = self.timing.as_ref()?.start;
+        let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
+        out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
+    }
+
+    /// The shortest of the leases that a script has from now on.
+    pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
+        self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
+    }
+
+    /// The shortest lease that this act needs renewed between its rounds.
+    pub(crate) fn shortest_lease(&self) -> Option<Span> {
+        let timing = self.timing.as_ref()?;
+        let before = (!self.is_playing()).then_some(timing.lead.lease);
+        let leases = self.present().flat_map(|member| {
+            let out = member.under_way().filter(|(_, script)| script.is_out());
+            out.filter_map(|(index, _)| member.shortest_lease(index, timing))
+        });
+        leases.chain(before).min()
+    }
+
+    /// Asks for the readings of the scenario whose time has come.
+    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = Vec::new();
+        while self.reading_due().is_some_and(|due| now >= due) {
+            let which = self.readings_asked;
+            self.readings_asked += 1;
+            let planned = &self.written().readings[which];
+            let what = Reading::Planned(self.number, which);
+            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
+            let robot = robots.iter().position(|state| state.id == planned.robot);
+            let robot = robot.filter(|robot| !left_out(*robot));
+            let sensor = planned.sensor.clone();
+            actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
+        }
+        actions
+    }
+
+    pub(super) fn reading_due(&self) -> Option<Timestamp<Server>> {
+        let planned = self.written().readings.get(self.readings_asked)?;
+        Some(self.timing.as_ref()?.start + planned.at)
+    }
+
+    /// A reading that the scenario asked for has come.
+    pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
+        if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
+            let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
+            self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
+        }
+    }
+}
+
+/// How much later than planned a robot may be by its own clock, as was told or as it shows by now, negative if it is surely
+/// earlier; where that is not known, as the latest of the fleet.
+pub(super) fn late_of(timing: &Timing, robot: &RobotState) -> Span {
+    let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
+    let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
+    told.max(shown).unwrap_or(timing.pace.late)
+}
+
+/// Whether a robot that was asked at `asked` for reports is asked again, the newest of which was due at `due`: not while an
+/// answer is still under way. A robot that cannot keep up would be asked ever more.
+fn may_be_asked(
+    now: Timestamp<Server>,
+    asked: Option<Timestamp<Server>>,
+    due: Option<Timestamp<Server>>,
+    robot: &RobotState,
+    (again, grace): (Span, Span),
+) -> bool {
+    let Some(asked) = asked else { return true };
+    let owed = robot.questions.unanswered().is_some_and(|open| open <= asked);
+    due.is_some_and(|due| asked < due) || now >= asked + if owed { grace } else { again }
+}
+
+/// Whether a robot had the opportunity to report on a script since `due`: while this process is suspended, and before it resumes a
+/// mission, it neither sends inquiries nor reads messages. A robot that reports by itself has done so before it answers a question. The
+/// answer to an inquiry that does not name the script counts only if the robot has ignored the name for `grace`.
+fn was_asked(
+    member: &Member,
+    script: &Script,
+    robot: &RobotState,
+    (due, grace): (Timestamp<Server>, Span),
+) -> bool {
+    let answered = robot.questions.answered();
+    if !robot.takes_inquiries() || script.is_planned() {
+        return answered >= Some(due);
+    }
+    let ignored = || member.asked_since.is_some_and(|since| since >= due && answered >= Some(since + grace));
+    script.reported_at() >= Some(due) || ignored()
+}
+
+/// What became of a script of a member may be left unknown when its time has passed.
+fn may_lapse(member: &Member, robot: &RobotState) -> bool {
+    lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
+}
+
+/// What became of its scripts cannot be learned from it.
+fn lapses(robot: &RobotState) -> bool {
+    !robot.tells_fates()
+}
+
+/// Its robot reports by itself and cannot be asked, and reported to a process that has died: nothing more may be heard of it.
+fn lost_with_its_process(script: &Script, robot: &RobotState) -> bool {
+    robot.reports() && !robot.takes_inquiries() && script.is_unheard_since_taken_up()
+}
+
+/// When nobody can tell any more what became of a script that is out; `None` where its robot tells.
+fn lapses_at(timing: &Timing, script: &Script, robot: &RobotState, grace: Span) -> Option<Timestamp<Server>> {
+    if script.is_final() {
+        return None;
+    }
+    let patience = match lapses(robot) {
+        true => LAPSE,
+        false if lost_with_its_process(script, robot) => grace,
+        false => return None,
+    };
+    Some(planned_end(timing.start, script) + late_of(timing, robot) + patience)
+}
+
+fn is_full(response: &ControlResponse) -> bool {
+    let code = error_of(response).code;
+    response.status == urrcp::Status::Failed && matches!(code, ErrorCode::Busy | ErrorCode::Overlap)
+}
+
+pub(super) fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
+    start + script.plan.start.span() + script.duration()
+}
+
+fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {
+    act.present().map(|member| robots[member.robot].round_trip()).max().unwrap_or_default()
+}

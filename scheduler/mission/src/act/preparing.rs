@@ -1,0 +1,272 @@
+//! All requests of an act with one timestamp, and one decision: all have accepted, or none starts.
+
+use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
+
+use super::approaching::Approach;
+use super::{Act, ActAction, Member, Stage, Timing};
+use crate::failure_kind::FailureKind;
+use crate::record::{Promise, PromisedScript, Record};
+use crate::robot_state::RobotState;
+use crate::rounds::HELD_UP;
+use crate::script::{Script, ScriptRef};
+use crate::skew::SkewBudget;
+use crate::{Outcome, Progress};
+
+/// Whether robots that have not answered were asked again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Asked {
+    Once,
+    Again,
+}
+
+/// An act whose requests are out.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Preparing {
+    asked: Asked,
+    /// Members before it have accepted everything.
+    accepted: usize,
+}
+
+impl Preparing {
+    pub(super) fn wakeup(self, timing: &Timing) -> Timestamp<Server> {
+        match self.asked {
+            Asked::Once => timing.ask_again(),
+            Asked::Again => timing.decision,
+        }
+    }
+}
+
+impl Act {
+    /// The instant at which it should start, once it is ready: the end of the act before, or the time that it waits for.
+    pub(crate) const fn target(&self) -> Option<Timestamp<Server>> {
+        match self.stage {
+            Stage::Ready { target, .. } => target,
+            _ => None,
+        }
+    }
+
+    /// Whether it is time to look whether it fits.
+    pub(crate) fn is_looked_at(&self, now: Timestamp<Server>) -> bool {
+        matches!(&self.stage, Stage::Ready { look, .. } if look.is_none_or(|at| now >= at))
+    }
+
+    /// It does not fit yet: look again then, or when something has changed.
+    pub(crate) fn look_again_at(&mut self, at: Option<Timestamp<Server>>) {
+        if let Stage::Ready { look, .. } = &mut self.stage {
+            *look = at;
+        }
+    }
+
+    /// All its robots have been left out: there is nothing to play.
+    pub(super) fn leave_if_deserted(&mut self) -> Vec<ActAction> {
+        if self.present().next().is_none() {
+            self.stage = Stage::Deserted;
+        }
+        Vec::new()
+    }
+
+    /// It is to be sent with these instants. `shift_of` tells what is added to its timestamp for each robot. Returns the names
+    /// under which requests are known forever, also after a crash of this machine.
+    pub(crate) fn promise(
+        &mut self,
+        timing: Timing,
+        robots: &[RobotState],
+        session: Option<&SessionId>,
+        shift_of: impl Fn(&RobotState) -> Span,
+    ) -> (Vec<(usize, RequestId, ScriptRef)>, Vec<ActAction>) {
+        let session = session.map(|session| format!("{session}/")).unwrap_or_default();
+        let micros = timing.timestamp.as_nanos() / 1_000;
+        let mut names = Vec::new();
+        for (m, member) in self.members.iter_mut().enumerate() {
+            member.shift = shift_of(&robots[member.robot]);
+            member.clock_steps = Some(robots[member.robot].clock.steps());
+            for s in 0..member.scripts().len() {
+                // Sessions are named by this program, far below the limit.
+                let id =
+                    RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok();
+                let reference = ScriptRef { act: self.number, member: m, script: s };
+                names.extend(id.clone().map(|id| (member.robot, id, reference)));
+                member.name(s, id);
+            }
+        }
+        let tell = Progress::Preparing {
+            act: self.name(),
+            timestamp: timing.timestamp,
+            start: timing.start,
+            lead: timing.lead,
+            skew: timing.skew.clone(),
+            slowest: timing.slowest.clone().map(|(robot, _)| robot),
+        };
+        let promise = self.promised(&timing, robots);
+        self.timing = Some(timing);
+        self.stage = Stage::Promised;
+        (names, vec![ActAction::Record(Record::Prepared(promise)), ActAction::Tell(tell)])
+    }
+
+    fn promised(&self, timing: &Timing, robots: &[RobotState]) -> Promise {
+        let script = |member: &Member, script: &Script| {
+            Some(PromisedScript {
+                robot: robots[member.robot].id.clone(),
+                device: script.plan.device.clone(),
+                request_id: script.request_id()?.clone(),
+                content_hash: script.content_hash(),
+                shift: member.shift,
+                start: script.plan.start,
+                duration: script.plan.script.duration(),
+                running: script.plan.stop_condition.running,
+            })
+        };
+        let of_member =
+            |member: &Member| member.scripts().iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
+        Promise {
+            number: self.number,
+            act: self.index,
+            timestamp: timing.timestamp,
+            start: timing.start,
+            lease: timing.lead.lease,
+            prepared_again: self.attempts,
+            scripts: self.present().flat_map(of_member).collect(),
+        }
+    }
+
+    /// The disk is slow: what is not promised in time is not sent.
+    pub(super) fn await_promise(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
+        match &self.timing {
+            Some(timing) if now >= timing.decision => {
+                vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })]
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The promise is on the disk: requests may go out.
+    pub(super) fn open(&mut self) -> Vec<ActAction> {
+        self.stage = Stage::Preparing(Preparing { asked: Asked::Once, accepted: 0 });
+        vec![ActAction::Refill(self.present().map(|member| member.robot).collect())]
+    }
+
+    /// A script's request is on its way.
+    pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
+        self.members[script.member].change(script.script, |script| script.sent(now));
+    }
+
+    /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
+    /// everything, else none starts.
+    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let (Stage::Preparing(preparing), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        // Each event looks at the first that has not accepted.
+        let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
+        preparing.accepted += self.members[preparing.accepted..].iter().take_while(accepted).count();
+        let all = preparing.accepted == self.members.len();
+        if !all && now < timing.decision {
+            if preparing.asked == Asked::Again || now < timing.ask_again() {
+                return Vec::new();
+            }
+            preparing.asked = Asked::Again;
+            return unanswered(self.number, timing, &self.members, robots);
+        }
+        if self.present().next().is_none() {
+            self.stage = Stage::Deserted;
+            return Vec::new();
+        }
+        // A decision that comes late would shorten what the leases need to run out before the start.
+        let too_late = now > timing.brink() - timing.lead.lease;
+        if !all {
+            // Where this process stood still, acceptances may have come that it has not read: only a link that is down is blamed.
+            let held_up = too_late && now > timing.decision + HELD_UP;
+            let blamed = |member: &&Member| !held_up || robots[member.robot].broken().is_some();
+            let slow: Vec<&Member> =
+                self.present().filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
+            if slow.is_empty() {
+                return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
+            }
+            let failure = |member: &Member| (member.robot, unaccepted(&robots[member.robot], member, timing));
+            return vec![ActAction::Fail(slow.into_iter().map(failure).collect())];
+        }
+        if too_late {
+            return vec![ActAction::Withdraw(Outcome::DecisionLate { by: now - timing.decision })];
+        }
+        self.decide(now, robots)
+    }
+
+    fn decide(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
+        let early = shown.map(|shown| self.allow_for_shown(now, &shown, robots)).unwrap_or_default();
+        if !early.is_empty() {
+            return vec![ActAction::Fail(early)];
+        }
+        let Some(timing) = &mut self.timing else { return Vec::new() };
+        timing.accepted_at = Some(now);
+        let (start, doubt) = (timing.start, timing.doubt());
+        tracing::info!(%start, "decided");
+        self.stage = Stage::Approaching(Approach::beginning(now));
+        let unnamed = self.present().map(|member| &robots[member.robot]);
+        let unnamed = unnamed.filter(|robot| !robot.takes_inquiries()).map(|robot| robot.id.clone());
+        let record = Record::Decided { number: self.number, unnamed: unnamed.collect(), doubt };
+        let tell = self.decided().map(ActAction::Tell);
+        std::iter::once(ActAction::Record(record)).chain(tell).collect()
+    }
+
+    /// Progress that is reported at the decision, and by a process that takes the act up before its commitment.
+    pub(crate) fn decided(&self) -> Option<Progress> {
+        let timing = self.timing.as_ref()?;
+        let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
+        let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
+        Some(Progress::Decided { act: self.name(), start, duration, leases_end, no_return, doubt })
+    }
+}
+
+/// What has not been answered is sent again, in case it was lost.
+fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
+    let waits =
+        |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();
+    let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
+    let open = waiting.flat_map(|(m, member)| member.unaccepted(timing).map(move |(s, _)| (m, s)));
+    open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()
+}
+
+fn unaccepted(robot: &RobotState, member: &Member, timing: &Timing) -> FailureKind {
+    match robot.broken() {
+        Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
+        None => {
+            FailureKind::Silent { awaited: awaited_acceptance(member, timing), within: timing.lead.prepare }
+        }
+    }
+}
+
+fn awaited_acceptance(member: &Member, timing: &Timing) -> String {
+    let open: Vec<_> =
+        member.unaccepted(timing).map(|(_, script)| format!("`{}`", script.plan.device)).collect();
+    match open.len() {
+        0..=4 => format!("acceptance by {}", open.join(", ")),
+        n => format!("acceptance by {} and {} more devices", open[..3].join(", "), n - 3),
+    }
+}
+
+/// The request of a script.
+pub(super) fn request(
+    timing: &Timing,
+    member: &Member,
+    index: usize,
+    session: Option<&SessionId>,
+) -> ControlRequest {
+    let script = &member.scripts()[index];
+    let offset = timing.start - timing.timestamp + script.plan.start.span();
+    ControlRequest {
+        timestamp: Some(timing.timestamp + member.shift_of(script)),
+        time_offset_to_start: Some(Millis::from_span(offset)),
+        device_id: script.plan.device.clone(),
+        stop_condition: Some(StopCondition {
+            pending: member.pending_lease(index, timing.lead.lease).map(Millis::from_span),
+            running: script.plan.stop_condition.running,
+        }),
+        pending_until: None,
+        request_id: script.request_id().cloned(),
+        content_hash: Some(script.content_hash()),
+        session: session.cloned(),
+        home: false,
+        command: Command::Script(script.plan.script.clone()),
+    }
+}

@@ -1,0 +1,135 @@
+//! An act that another process promised before it died.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::Arc;
+
+use downbeat_scripts::Choreography;
+use urrcp::{RequestId, Server, Span, Timestamp};
+
+use super::approaching::Approach;
+use super::member::{Part, members_among};
+use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
+use super::{Act, Member, Stage, Timing, places};
+use crate::lead::LeadTime;
+use crate::record::{Promise, PromisedScript};
+use crate::resume::Changed;
+use crate::robot_state::{RobotState, Standing};
+use crate::script::ScriptRef;
+
+/// How far the other process came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reached {
+    /// All had accepted.
+    Decision,
+    /// The commitment was on the disk.
+    Commitment,
+}
+
+/// Nothing has been measured yet: what a local network stays below.
+const ROUND_TRIP: Span = Span::from_millis(10);
+
+impl Act {
+    /// Takes up what was promised. An act that was not committed still has to be, if there is time; one that was may play.
+    ///
+    /// # Errors
+    /// [`Changed`] where what was promised is not what the choreography says.
+    pub(crate) fn take_up(
+        choreography: Arc<Choreography>,
+        promise: &Promise,
+        reached: Reached,
+        robots: &[RobotState],
+        now: Timestamp<Server>,
+    ) -> Result<Self, Changed> {
+        if promise.act >= choreography.acts.len() {
+            return Err(Changed { what: format!("there is no act {} any more", promise.act + 1) });
+        }
+        let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
+        // Includes robots that were left out after the promise: the report contains the steps that they played.
+        let sent: HashSet<_> = promise.scripts.iter().map(|script| &script.robot).collect();
+        act.members = members_among(&act.written().plan, robots, |robot| sent.contains(&robot.id));
+        act.place = places(&act.members);
+        let is_out = |member: &&mut Member| robots[member.robot].standing == Standing::Out;
+        act.members.iter_mut().filter(is_out).for_each(|member| member.part = Part::Dropped);
+        let mut promised: HashMap<_, VecDeque<&PromisedScript>> = HashMap::new();
+        for script in &promise.scripts {
+            promised.entry((script.robot.clone(), script.device.clone())).or_default().push_back(script);
+        }
+        for member in &mut act.members {
+            let robot = &robots[member.robot];
+            for index in 0..member.scripts().len() {
+                let script = &member.scripts()[index];
+                let same = |promised: &&PromisedScript| {
+                    promised.start == script.plan.start && promised.content_hash == script.content_hash()
+                };
+                let of_device = promised.get_mut(&(robot.id.clone(), script.plan.device.clone()));
+                let Some(promised) = of_device.and_then(VecDeque::pop_front).filter(same) else {
+                    let (robot, device) = (&robot.id, &script.plan.device);
+                    return Err(Changed {
+                        what: format!("`{robot}` device `{device}` was promised another script"),
+                    });
+                };
+                let id = promised.request_id.clone();
+                member.taken_up(index, id, (promised.shift, robot.settings.clock));
+            }
+        }
+        act.timing = Some(act.timing_of(promise));
+        act.attempts = promise.prepared_again;
+        act.stage = match reached {
+            Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
+            // The commitment is written down ahead of time, and was not sent yet.
+            Reached::Commitment if act.timing.as_ref().is_some_and(|timing| now < timing.critical()) => {
+                let mut approach = Approach::taken_up(now);
+                approach.recorded();
+                Stage::Approaching(approach)
+            }
+            Reached::Commitment => {
+                act.begin(now);
+                act.stage
+            }
+        };
+        Ok(act)
+    }
+
+    fn timing_of(&self, promise: &Promise) -> Timing {
+        let prepare = promise.start - promise.timestamp - promise.lease;
+        let tolerance = self.written().plan.start_tolerance;
+        let measured = Measured {
+            robots: self.members.len(),
+            scripts: promise.scripts.len(),
+            questions: 1,
+            leases: Leases::Fixed,
+            round_trip: ROUND_TRIP,
+            early: tolerance.min(CLOCK_UNKNOWN),
+            late: tolerance.min(CLOCK_UNKNOWN),
+            record: Span::ZERO,
+        };
+        let lead = LeadTime { prepare, lease: promise.lease, margin: Span::ZERO };
+        let pace = Pace::of(&measured, promise.lease);
+        Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
+    }
+
+    /// Scripts whose planned start has passed may have been sent: their robots are asked about all of them at once.
+    pub(crate) fn note_as_sent_until(&mut self, now: Timestamp<Server>) {
+        let Some(start) = self.timing.as_ref().map(|timing| timing.start) else { return };
+        for member in &mut self.members {
+            for index in 0..member.scripts().len() {
+                let script = &member.scripts()[index];
+                if script.is_planned() && start + script.plan.start.span() <= now {
+                    member.change(index, |script| script.sent(now));
+                }
+            }
+        }
+    }
+
+    /// The names of all its requests.
+    pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
+        let of_member = |(m, member): (usize, &super::Member)| {
+            let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {
+                let reference = ScriptRef { act: self.number, member: m, script: s };
+                Some((member.robot, script.request_id()?.clone(), reference))
+            });
+            named.collect::<Vec<_>>()
+        };
+        self.members.iter().enumerate().flat_map(of_member).collect()
+    }
+}

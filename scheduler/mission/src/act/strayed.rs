@@ -1,0 +1,117 @@
+//! Robots that will not start with the others though they hold their scripts: what shows it is their clock, or how long
+//! nothing reached them.
+
+use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
+
+use super::{Act, ActAction, Stage};
+use crate::failure_kind::FailureKind;
+use crate::robot_state::RobotState;
+use crate::script::{Script, ScriptState};
+use crate::skew::SkewBudget;
+
+/// What coarse clocks may take from a time.
+const GRAIN: Span = Span::from_millis(5);
+
+impl Act {
+    /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. One that
+    /// was set forward may have its robot start before the commitment, so it is looked at when it shows, and not only then.
+    pub(crate) fn strayed(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+        if !matches!(self.stage, Stage::Promised | Stage::Preparing(_) | Stage::Approaching(_)) {
+            return Vec::new();
+        }
+        let tolerance = self.written().plan.start_tolerance;
+        let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);
+        let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
+        self.by_index(strayed, robots)
+    }
+
+    fn by_index(
+        &self,
+        failing: Vec<(RobotId, FailureKind)>,
+        robots: &[RobotState],
+    ) -> Vec<(usize, FailureKind)> {
+        let index_of = |id| self.present().map(|member| member.robot).find(|robot| robots[*robot].id == id);
+        failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
+    }
+
+    /// While it approaches its start a clock has shown to be another one than when it was sent. Returns what there is to tell of
+    /// that: failures and silence are noticed as long before the start as the leases end now. What starts before its lease ends,
+    /// and there is no time left to let that end earlier, fails.
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        if !matches!(self.stage, Stage::Approaching(_)) {
+            return Vec::new();
+        }
+        let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
+        let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
+        let (Some(timing), Some(shown)) = (&self.timing, shown) else { return Vec::new() };
+        let before = (timing.no_return(), timing.doubt());
+        let early = self.allow_for_shown(now, &shown, robots);
+        if !early.is_empty() {
+            return vec![ActAction::Fail(early)];
+        }
+        let Some(timing) = &self.timing else { return Vec::new() };
+        let changed = before != (timing.no_return(), timing.doubt());
+        self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
+    }
+
+    /// Lets the leases end as early as the clocks of its robots show by now. Returns those that start earlier still, where there is
+    /// no time left for that.
+    pub(super) fn allow_for_shown(
+        &mut self,
+        now: Timestamp<Server>,
+        shown: &SkewBudget,
+        robots: &[RobotState],
+    ) -> Vec<(usize, FailureKind)> {
+        let Some(timing) = &mut self.timing else { return Vec::new() };
+        if timing.allow_for(now, shown.early_and_late()) {
+            return Vec::new();
+        }
+        let early = shown.earlier_than(timing.early_at_most());
+        self.by_index(early, robots)
+    }
+
+    /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for
+    /// longer than its lease. It may not be able to say so. Later than the last instant for a withdrawal it is let be.
+    pub(crate) fn ran_out(
+        &self,
+        now: Timestamp<Server>,
+        robot: usize,
+        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+    ) -> Option<FailureKind> {
+        let timing = self.timing.as_ref().filter(|timing| now <= timing.no_return())?;
+        let waits = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_) | Stage::Committed(_));
+        let member = self.member(robot).filter(|member| waits && member.takes_part())?;
+        let lease = timing.lead.lease;
+        let unreached = |script: &Script| Some(at - script.accepted_at()?.max(before));
+        let over = |script: &&Script| {
+            *script.state() == ScriptState::Held && unreached(script).is_some_and(|gap| gap > lease)
+        };
+        let script = member.firsts().find(over)?;
+        Some(link_lost(script, unreached(script)?, ("pending", lease)))
+    }
+
+    /// The same of a script that had begun by then: its robot has dropped it, and all that its device held behind it.
+    pub(crate) fn broke_off(
+        &self,
+        robot: usize,
+        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+    ) -> Option<FailureKind> {
+        let timing = self.timing.as_ref()?;
+        let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
+        member.under_way().filter(|(_, script)| script.is_unaccounted()).find_map(|(_, script)| {
+            let lease = script.longest_lease()?;
+            let begins = timing.start + script.plan.start.span() + member.shift_of(script);
+            let begins = begins.assume_clock();
+            let over = before + lease;
+            let broken = begins <= over && over < begins + script.duration() && over + GRAIN < at;
+            broken.then(|| link_lost(script, at - before, ("running", lease)))
+        })
+    }
+}
+
+fn link_lost(script: &Script, silence: Span, (which, lease): (&str, Span)) -> FailureKind {
+    let message =
+        format!("no question is known to have reached it for {silence}, and its {which} lease is {lease}");
+    let error = ControlError::new(ErrorCode::LinkLost, message);
+    FailureKind::Script { device: script.plan.device.clone(), error }
+}

@@ -1,0 +1,208 @@
+//! An act that another process has promised.
+
+use super::super::Reached;
+use super::*;
+use crate::record::Promise;
+use crate::{ActReport, DeviceState};
+
+fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
+    let tells = vec![Tells::Everything; scripts.len()];
+    let mut bench = Bench::new(&tells, scripts);
+    bench.promise(Leases::Shortened);
+    let Some((_, Record::Prepared(promise))) = bench.recorded.first().cloned() else { panic!("no promise") };
+    (bench, promise)
+}
+
+/// The other process died, and this one takes over so long before the start. What the robots held they hold.
+fn taken_up(reached: Reached, before_start: Span) -> Bench {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    let (other, promise) = promised(&scripts);
+    let robots = robots(&[Tells::Everything; 2], 2);
+    let now = promise.start - before_start;
+    let choreography = Arc::clone(&other.act.choreography);
+    let act = Act::take_up(choreography, &promise, reached, &robots, now).unwrap();
+    let mut bench = Bench { now, ..Bench::around(act, robots) };
+    for robot in 0..2 {
+        let script = bench.scripts_of(robot)[0];
+        bench.act.sent(at(2), script);
+        bench.sent.push((at(2), script));
+    }
+    bench
+}
+
+#[test]
+fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn() {
+    for (before_start, commits) in [(ms(330), true), (ms(200), false), (ms(20), false), (ms(-500), false)] {
+        let mut bench = taken_up(Reached::Decision, before_start);
+        bench.run_until(bench.start().max(bench.now));
+        assert_eq!(
+            bench.act.progress() == Progressed::Committed,
+            commits,
+            "{before_start}: {:?}",
+            bench.failed
+        );
+        let critical = bench.timing().critical();
+        let asked_late = bench.asked.iter().any(|question| question.at >= critical);
+        assert_eq!(asked_late, commits, "{before_start}");
+        assert_eq!(bench.commitments().is_empty(), !commits, "{before_start}");
+        assert_ne!(bench.failed.is_empty() && bench.withdrawn.is_none(), !commits, "{before_start}");
+    }
+}
+
+#[test]
+fn an_act_whose_commitment_was_written_down_ahead_of_time_is_still_committed_all_or_none() {
+    let mut bench = taken_up(Reached::Commitment, ms(400));
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    bench.run_until(bench.start());
+    assert_eq!(bench.act.progress(), Progressed::Committed);
+    assert!(bench.commitments().is_empty(), "it is on the disk already");
+    let critical = bench.timing().critical();
+    assert!(bench.asked.iter().any(|question| question.at >= critical));
+}
+
+#[test]
+fn no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it() {
+    for before_start in [200, 69, 20, -500] {
+        let mut bench = taken_up(Reached::Decision, ms(before_start));
+        bench.run_until(bench.start().max(bench.now));
+        assert!(bench.failed.is_empty(), "{before_start}: {:?}", bench.failed);
+        let withdrawn = bench.withdrawn.as_ref().map(|(_, outcome)| outcome);
+        assert!(matches!(withdrawn, Some(Outcome::CommitmentLate { .. })), "{before_start}: {withdrawn:?}");
+    }
+}
+
+#[test]
+fn an_act_that_was_only_decided_is_sent_again_where_it_never_came_and_not_committed_where_it_is_lost() {
+    let mut bench = taken_up(Reached::Decision, ms(330));
+    bench.sent.clear();
+    bench.run_until(bench.start());
+    assert_eq!((bench.sent_to(0).len(), bench.sent_to(1).len()), (1, 1));
+    assert_eq!(bench.act.progress(), Progressed::Committed);
+
+    let mut bench = Bench {
+        mum: vec![1],
+        says_always: Some(RequestState::Unknown),
+        ..taken_up(Reached::Decision, ms(330))
+    };
+    bench.run_until(bench.start());
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, _)]) && bench.commitments().is_empty());
+}
+
+#[test]
+fn an_act_that_was_committed_plays_on() {
+    let mut bench = taken_up(Reached::Commitment, ms(100));
+    assert!(bench.act.is_committed());
+    bench.ask(0);
+    bench.ask(1);
+    bench.run_to_the_end();
+    assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
+}
+
+#[test]
+fn what_ended_without_a_scheduler_is_asked_for_before_a_robot_has_failed() {
+    let mut bench = taken_up(Reached::Commitment, ms(-10_000));
+    bench.pump();
+    bench.run_until(bench.now + ms(1));
+    assert!(bench.failed.is_empty(), "{:?}", bench.failed);
+    bench.ask(0);
+    bench.ask(1);
+    bench.run_until(bench.now + ms(5_000));
+    assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
+}
+
+#[test]
+fn what_a_robot_does_not_know_after_its_start_is_lost_and_never_sent_late() {
+    let mut bench = taken_up(Reached::Commitment, ms(-1_000));
+    bench.sent.clear();
+    let script = bench.scripts_of(1)[0];
+    bench.report(script, bench.now, RequestState::Unknown);
+    assert_eq!(bench.state(1, 0), &ScriptState::Unknown, "it may have played");
+    assert_eq!(bench.sent, []);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]), "{:?}", bench.failed);
+}
+
+#[test]
+fn of_a_script_that_another_process_may_have_sent_nobody_says_that_it_was_not() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("a", 500, 400), ("a", 1_000, 400)]];
+    let (other, promise) = promised(&scripts);
+    let robots = robots(&[Tells::Everything], 2);
+    let choreography = Arc::clone(&other.act.choreography);
+    let take_up =
+        |reached| Act::take_up(Arc::clone(&choreography), &promise, reached, &robots, promise.start).unwrap();
+    for reached in [Reached::Commitment, Reached::Decision] {
+        let report = ActReport::new(&take_up(reached), &robots).unwrap();
+        let states: Vec<_> = report.robots[0].devices.iter().map(|script| script.state).collect();
+        assert_eq!(states, [DeviceState::Unknown; 3], "{reached:?}");
+    }
+}
+
+#[test]
+fn what_was_promised_has_to_be_what_the_choreography_says() {
+    let (other, promise) = promised(&[&[("a", 0, 400)]]);
+    let robots = robots(&[Tells::Everything], 2);
+    let take_up = |choreography, promise: &Promise| {
+        Act::take_up(choreography, promise, Reached::Decision, &robots, at(5)).map(|act| act.all_names())
+    };
+    let same = take_up(Arc::clone(&other.act.choreography), &promise).unwrap();
+    assert_eq!(same.iter().map(|(_, id, _)| id).collect::<Vec<_>>(), [&promise.scripts[0].request_id]);
+    assert!(take_up(bench::played(&[&[("a", 0, 401)]]), &promise).is_err(), "another movement");
+    assert!(take_up(bench::played(&[&[("b", 0, 400)]]), &promise).is_err(), "another device");
+    assert!(take_up(bench::played(&[&[("a", 10, 400)]]), &promise).is_err(), "another time");
+    assert!(take_up(Arc::clone(&other.act.choreography), &Promise { act: 1, ..promise.clone() }).is_err());
+}
+
+#[test]
+fn what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown_by_its_time() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 400)]];
+    let mut other = Bench::new(&[Tells::Reports], &scripts);
+    other.promise(Leases::Fixed);
+    let Some((_, Record::Prepared(promise))) = other.recorded.first().cloned() else { panic!("no promise") };
+    for after_start in [100, 450, 10_000] {
+        let robots = robots(&[Tells::Reports], 2);
+        let now = promise.start + ms(after_start);
+        let choreography = Arc::clone(&other.act.choreography);
+        let act = Act::take_up(choreography, &promise, Reached::Commitment, &robots, now).unwrap();
+        let mut bench = Bench { now, ..Bench::around(act, robots) };
+        let script = bench.scripts_of(0)[0];
+        bench.act.sent(now, script);
+        bench.ask(0);
+        bench.run_until(now + ms(60_000));
+        assert!(bench.failed.is_empty(), "{after_start}: {:?}", bench.failed);
+        assert_eq!(bench.state(0, 0), &ScriptState::Unknown, "{after_start}");
+        assert!(bench.act.is_over(), "{after_start}");
+    }
+}
+
+#[test]
+fn what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_may_have_sent_it() {
+    let mut bench = taken_up(Reached::Commitment, ms(-1_000));
+    let script = bench.scripts_of(0)[0];
+    bench.refuse(script, ErrorCode::Late);
+    assert_eq!((bench.state(0, 0), bench.failed.len()), (&ScriptState::Unknown, 0));
+}
+
+#[test]
+fn a_script_that_another_process_may_have_sent_and_that_fails_after_its_start_may_have_begun() {
+    for (before_start, begun) in [(ms(-500), true), (ms(500), false)] {
+        let mut bench = taken_up(Reached::Commitment, before_start);
+        let script = bench.scripts_of(0)[0];
+        bench.refuse(script, ErrorCode::Cancelled);
+        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, begun, "{before_start}");
+        assert_eq!(bench.failed.len(), 1, "{before_start}");
+    }
+}
+
+#[test]
+fn a_script_of_which_a_robot_reports_the_hash_was_accepted_and_may_have_begun() {
+    for accepted in [true, false] {
+        let mut bench = taken_up(Reached::Commitment, ms(-500));
+        let (script, now) = (bench.scripts_of(0)[0], bench.now);
+        let known = bench.act.script(script);
+        let (id, hash) = (known.request_id().cloned().unwrap(), known.content_hash());
+        let report = bench::report(&id, RequestState::Ended, accepted.then_some(hash));
+        let report = urrcp::RequestReport { error: bench::refusal(ErrorCode::Internal), ..report };
+        let _noted = bench.act.reported(script, &report, (now, by_robot(now), now), &bench.robots);
+        assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, accepted);
+    }
+}

@@ -1,0 +1,149 @@
+//! What an act waits for before it is sent.
+
+use downbeat_scripts::{Wait, Way};
+use urrcp::{Server, Span, Timestamp};
+
+use super::{Act, ActAction, Stage, act_name};
+use crate::robot_state::{Reading, RobotState};
+use crate::zone::SkippedTime;
+use crate::{MissionOptions, Progress};
+
+/// Between two readings of a sensor that an act waits for.
+const POLL: Span = Span::from_millis(100);
+
+/// An act whose condition does not hold yet.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Waiting {
+    /// The operator said go.
+    go_received: bool,
+    /// What it waits for has been told.
+    announced: bool,
+    /// When its sensor is read next.
+    poll: Option<Timestamp<Server>>,
+    /// What its sensor read last.
+    read: Option<f64>,
+}
+
+impl Act {
+    /// Looks whether its condition holds.
+    pub(super) fn wait(
+        &mut self,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+        options: &MissionOptions,
+    ) -> Vec<ActAction> {
+        let fixed = self.fixed_target(options).map(instant_of);
+        let Stage::Waiting(waiting) = &mut self.stage else { return Vec::new() };
+        let written = &self.choreography.acts[self.index];
+        if let Some(fixed) = fixed {
+            // An act begins when the one before it has ended, however early it was meant to.
+            let target = Some(self.before.map_or(fixed, |end| end.max(fixed)));
+            self.stage = Stage::Ready { target, look: None };
+            return Vec::new();
+        }
+        if written.wait == Wait::Done {
+            self.stage = Stage::Ready { target: self.before, look: None };
+            return Vec::new();
+        }
+        let Some(alone_since) = self.alone_since else { return Vec::new() };
+        if written.timeout.is_some_and(|timeout| now >= alone_since + timeout) {
+            return vec![ActAction::TimedOut(written.on_timeout)];
+        }
+        match &written.wait {
+            Wait::Operator if waiting.go_received => {
+                self.stage = Stage::Ready { target: None, look: None };
+                Vec::new()
+            }
+            Wait::Sensor { robot, sensor, .. } if waiting.poll.is_none_or(|at| now >= at) => {
+                waiting.poll = Some(now + POLL);
+                let robot = robots.iter().position(|state| state.id.as_str() == robot);
+                let what = Reading::Wait(self.number);
+                let read = |(robot, sensor)| ActAction::Read { robot, sensor, what };
+                robot.zip(sensor.parse().ok()).map(read).into_iter().collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The instant that the operator or the scenario specifies, or an error if the clocks skip it.
+    fn fixed_target(&self, options: &MissionOptions) -> Option<Result<Timestamp<Server>, SkippedTime>> {
+        if let Some(at) = self.fixed {
+            return Some(Ok(at));
+        }
+        match &self.written().wait {
+            Wait::Instant(at) => Some(Ok(*at)),
+            Wait::TimeOfDay(time) => Some(options.zone.next(self.since, *time)),
+            Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
+        }
+    }
+
+    /// The start that the operator or the scenario fixes.
+    pub(crate) fn fixed_start(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
+        self.fixed_target(options).map(instant_of)
+    }
+
+    pub(super) fn wait_wakeup(&self, waiting: &Waiting) -> Option<Timestamp<Server>> {
+        let over = self.alone_since.zip(self.written().timeout).map(|(since, timeout)| since + timeout);
+        over.into_iter().chain(waiting.poll).min()
+    }
+
+    /// A reading came for which it may wait. Returns what there is to tell of it.
+    pub(crate) fn sensor_read(&mut self, value: Option<f64>) -> Option<Progress> {
+        let Wait::Sensor { range, .. } = &self.choreography.acts[self.index].wait else { return None };
+        let Stage::Waiting(waiting) = &mut self.stage else { return None };
+        let before = std::mem::replace(&mut waiting.read, value);
+        if value.is_some_and(|value| range.contains(value)) {
+            self.stage = Stage::Ready { target: None, look: None };
+        }
+        (before != value).then(|| Progress::Reading { act: self.name(), value })
+    }
+
+    /// Whether it waits for the operator and has no go yet, be it that another act plays before it.
+    pub(crate) fn awaits_operator(&self) -> bool {
+        matches!(&self.stage, Stage::Waiting(waiting) if !waiting.go_received && self.written().wait == Wait::Operator)
+    }
+
+    /// The operator says go. `false`: it does not wait for that now.
+    pub(crate) fn go(&mut self) -> bool {
+        let counts = self.is_alone() && self.awaits_operator();
+        if let Stage::Waiting(waiting) = &mut self.stage {
+            waiting.go_received |= counts;
+        }
+        counts
+    }
+
+    /// What it waits for, for people, once it does; nothing for an act that follows at once. A time comes whatever plays
+    /// before it, the operator and sensors are waited for once nothing does.
+    pub(crate) fn announcement(&mut self, options: &MissionOptions) -> Option<Progress> {
+        let (fixed, alone) = (self.fixed_target(options), self.is_alone());
+        let Stage::Waiting(waiting) = &mut self.stage else { return None };
+        if waiting.announced || !(fixed.is_some() || alone) {
+            return None;
+        }
+        waiting.announced = true;
+        let written = self.written();
+        let awaits = match (fixed, &written.wait) {
+            (Some(Ok(at)), _) => options.zone.time_as_of(at, self.since),
+            (Some(Err(skipped)), _) => {
+                format!("{}, because {skipped}", options.zone.time_as_of(skipped.at, self.since))
+            }
+            (None, Wait::Operator) => "the operator's go".to_owned(),
+            (None, Wait::Sensor { robot, sensor, range }) => format!("`{robot}/{sensor}` {range}"),
+            (None, _) => return None,
+        };
+        let awaits = match (written.timeout, written.on_timeout) {
+            (None, _) => awaits,
+            (Some(timeout), Way::End) => format!("{awaits}, for {timeout} at most, then the end"),
+            (Some(timeout), Way::Fail) => format!("{awaits}, for {timeout} at most"),
+            (Some(timeout), Way::Act(other)) => {
+                format!("{awaits}, for {timeout} at most, then `{}`", act_name(&self.choreography, other))
+            }
+        };
+        Some(Progress::Waiting { act: self.name(), awaits, at: fixed.map(instant_of) })
+    }
+}
+
+/// A mission that plays can no longer be refused: if the clocks skip the time of an act, the act starts at that instant.
+fn instant_of(target: Result<Timestamp<Server>, SkippedTime>) -> Timestamp<Server> {
+    target.unwrap_or_else(|skipped| skipped.at)
+}

@@ -1,0 +1,474 @@
+//! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
+//! The method and its sources are in `docs/clocks.md`.
+
+mod round_trips;
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+use urrcp::{Robot, Server, Span, Timestamp};
+
+use round_trips::RoundTrips;
+
+/// Fastest that two clocks drift apart, as a fraction: what IEEE 802.3 allows the oscillator of a network port, hence what
+/// a free-running computer has. It holds until the drift has been measured.
+pub const DRIFT_BOUND: f64 = 100e-6;
+
+/// How far a measured drift wanders while it is followed, as a fraction: PHI, the frequency tolerance of RFC 5905,
+/// section 7.2.
+pub const DRIFT_WANDER: f64 = 15e-6;
+
+/// Drift is told and followed from here on: a worse estimate says little more than the bound.
+const DRIFT_KNOWN: f64 = DRIFT_BOUND / 2.0;
+
+/// What is remembered for the drift: this many bins, which widen until together they span the window.
+const BINS: usize = 64;
+const WINDOW: Span = Span::from_millis(3_600_000);
+/// Doubled at most this often: from 220 ms to 56 s.
+const DOUBLINGS_MAX: u32 = 8;
+const FIRST_BIN_NANOS: i64 = (WINDOW.as_nanos() / 64) >> DOUBLINGS_MAX;
+
+/// One exchange with a robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClockSample {
+    /// The robot's clock minus the server's, if both ways took equally long.
+    pub offset: Span,
+    /// Round trip without the robot's own time.
+    pub delay: Span,
+    /// The offset was at least this at `at`: the way back took no less than no time.
+    pub lower: Span,
+    /// The offset was at most this at `sent`: nor did the way there.
+    pub upper: Span,
+    /// When the server asked.
+    pub sent: Timestamp<Server>,
+    /// When the server had the answer.
+    pub at: Timestamp<Server>,
+}
+
+impl ClockSample {
+    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8; bounds T3-T4 and T2-T1, widened by the
+    /// step in which the robot's timestamps count.
+    #[must_use]
+    pub fn from_exchange(
+        sent: Timestamp<Server>,
+        robot_received: Timestamp<Robot>,
+        robot_sent: Timestamp<Robot>,
+        received: Timestamp<Server>,
+    ) -> Self {
+        let there = robot_received - sent.assume_clock();
+        let back = robot_sent - received.assume_clock();
+        let delay = (received - sent) - (robot_sent - robot_received);
+        let resolution = resolution(robot_received, robot_sent);
+        Self {
+            offset: back + (there - back) / 2,
+            delay: delay.max(Span::ZERO),
+            lower: back - resolution,
+            upper: there + resolution,
+            sent,
+            at: received,
+        }
+    }
+}
+
+/// Many robots write milliseconds or microseconds. On a fast link that is longer than the way.
+#[must_use]
+pub fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
+    let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
+    Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in).unwrap_or(1))
+}
+
+/// The offset was at least, or at most, `value` at an instant.
+#[derive(Clone, Copy, Debug)]
+struct Bound {
+    at: Timestamp<Server>,
+    value: Span,
+}
+
+impl Bound {
+    fn drifted(self, now: Timestamp<Server>, rate: f64) -> Span {
+        self.value + Span::from_millis_f64((now - self.at).as_millis_f64() * rate)
+    }
+
+    /// What a lower bound still says at another instant.
+    fn least(self, now: Timestamp<Server>, rates: Rates) -> Span {
+        self.drifted(now, rates.least).min(self.drifted(now, rates.most))
+    }
+
+    /// What an upper bound still says at another instant.
+    fn most(self, now: Timestamp<Server>, rates: Rates) -> Span {
+        self.drifted(now, rates.least).max(self.drifted(now, rates.most))
+    }
+
+    /// Mean rate since `earlier`, if both were the offset itself.
+    fn rate_since(self, earlier: Self) -> Option<f64> {
+        let time = (self.at - earlier.at).as_millis_f64();
+        (time > 0.0).then(|| (self.value - earlier.value).as_millis_f64() / time)
+    }
+}
+
+/// Between which rates the offset drifts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Rates {
+    least: f64,
+    most: f64,
+}
+
+impl Rates {
+    const ANY: Self = Self { least: -DRIFT_BOUND, most: DRIFT_BOUND };
+    const UNKNOWN: Self = Self { least: f64::NEG_INFINITY, most: f64::INFINITY };
+
+    const fn exactly(rate: f64) -> Self {
+        Self { least: rate, most: rate }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self { least: self.least.max(other.least), most: self.most.min(other.most) }
+    }
+}
+
+/// The tightest lower and upper bound of some exchanges, which need not be of the same one.
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    lower: Bound,
+    upper: Bound,
+}
+
+impl Bounds {
+    fn of(sample: &ClockSample) -> Self {
+        // A robot that claims to have taken longer than the whole exchange lies: nothing inside those bounds is better.
+        let (lower, upper) = (sample.lower.min(sample.upper), sample.lower.max(sample.upper));
+        Self { lower: Bound { at: sample.at, value: lower }, upper: Bound { at: sample.sent, value: upper } }
+    }
+
+    /// Keeps of each kind what says more at `now`.
+    fn tighten(&mut self, other: Self, now: Timestamp<Server>, rates: Rates) {
+        if other.lower.least(now, rates) >= self.lower.least(now, rates) {
+            self.lower = other.lower;
+        }
+        if other.upper.most(now, rates) <= self.upper.most(now, rates) {
+            self.upper = other.upper;
+        }
+    }
+
+    fn interval(self, now: Timestamp<Server>, rates: Rates) -> Interval {
+        Interval { lower: self.lower.least(now, rates), upper: self.upper.most(now, rates) }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Interval {
+    lower: Span,
+    upper: Span,
+}
+
+impl Interval {
+    fn and(self, other: Self) -> Self {
+        Self { lower: self.lower.max(other.lower), upper: self.upper.min(other.upper) }
+    }
+
+    fn is_empty(self) -> bool {
+        self.lower > self.upper
+    }
+}
+
+/// What the exchanges so far say of a robot's clock and link: where all their bounds agree.
+#[derive(Clone, Debug, Default)]
+pub struct ClockEstimate {
+    /// Of all exchanges since the last step. Any drift within the bound keeps the order in which two bounds tighten, so
+    /// that one of each kind is enough.
+    bounds: Option<Bounds>,
+    history: History,
+    latest: Option<Timestamp<Server>>,
+    delay_min: Span,
+    delay_max: Span,
+    round_trips: RoundTrips,
+    samples: u32,
+    steps: u32,
+}
+
+/// A robot's clock as reported.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ClockReading {
+    /// The robot's clock minus the server's, in milliseconds.
+    #[serde(rename = "offset_ms")]
+    pub offset: Span,
+    /// The true offset lies within this of `offset`, whatever the asymmetry of the path.
+    #[serde(rename = "uncertainty_ms")]
+    pub uncertainty: Span,
+    /// Least round trip.
+    #[serde(rename = "delay_min_ms")]
+    pub delay_min: Span,
+    /// Longest round trip of all.
+    #[serde(rename = "delay_max_ms")]
+    pub delay_max: Span,
+    /// How long round trips take now, but for outliers that stand alone: what times are computed from. Unlike the longest
+    /// of all it forgets.
+    #[serde(rename = "delay_high_ms")]
+    pub delay_high: Span,
+    /// How many exchanges stand behind it.
+    pub samples: u32,
+    /// How often exchanges contradicted earlier ones: a clock was set, or lies.
+    pub steps: u32,
+    /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
+    #[serde(flatten)]
+    pub drift: Option<Drift>,
+}
+
+/// Why a reading says that a robot may start at the wrong time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockDoubt {
+    /// The clock is surely off, whatever the path: its own synchronisation is to be looked at.
+    Clock,
+    /// The clock may well be right; round trips are too long or too uneven to know. The link is to be looked at.
+    Path,
+}
+
+impl ClockDoubt {
+    /// Of an offset that is known to within `uncertainty`. The clock is surely off where that leaves no room for none.
+    #[must_use]
+    pub fn of(offset: Span, uncertainty: Span) -> Self {
+        if offset.abs() > uncertainty { Self::Clock } else { Self::Path }
+    }
+}
+
+impl ClockReading {
+    /// What dominates where this reading is too bad for a start: the clock's offset or the path's uncertainty.
+    #[must_use]
+    pub fn doubt(&self) -> ClockDoubt {
+        ClockDoubt::of(self.offset, self.uncertainty)
+    }
+}
+
+/// How fast one clock gains on another, in parts per million.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// The rate.
+    #[serde(rename = "drift_ppm")]
+    pub ppm: f64,
+    /// The true rate lies within this of `ppm`.
+    #[serde(rename = "drift_uncertainty_ppm")]
+    pub uncertainty_ppm: f64,
+}
+
+impl ClockEstimate {
+    /// Takes one more exchange. If it contradicts the earlier ones, they are forgotten: it alone is surely of the clock as
+    /// it is now.
+    pub fn add(&mut self, sample: ClockSample) {
+        self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
+        self.delay_max = self.delay_max.max(sample.delay);
+        self.round_trips.add(sample.at, sample.delay);
+        self.samples = self.samples.saturating_add(1);
+        self.latest = self.latest.max(Some(sample.at));
+        let (new, now) = (Bounds::of(&sample), sample.at);
+        let told = new.interval(now, Rates::ANY);
+        let all = self.bounds.map(|bounds| bounds.interval(now, Rates::ANY));
+        match (&mut self.bounds, all) {
+            (Some(bounds), Some(all)) if !all.and(told).is_empty() => {
+                bounds.tighten(new, now, Rates::ANY);
+                if self.history.narrow(all, now).and(told).is_empty() {
+                    // Within the bound, but not at the rate that was measured: NTP may have begun to fix the clock.
+                    self.history = History::default();
+                }
+            }
+            (bounds, _) => {
+                self.steps += u32::from(bounds.is_some());
+                *bounds = Some(new);
+                self.history = History::default();
+            }
+        }
+        self.history.add(new, now);
+    }
+
+    /// Number of exchanges so far.
+    #[must_use]
+    pub const fn samples(&self) -> u32 {
+        self.samples
+    }
+
+    /// How often exchanges contradicted earlier ones.
+    #[must_use]
+    pub const fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// The estimate as of the latest exchange, or `None` before the first.
+    #[must_use]
+    pub fn reading(&self) -> Option<ClockReading> {
+        self.latest.and_then(|at| self.reading_at(at))
+    }
+
+    /// The round trip that is seldom exceeded; zero before the first exchange.
+    pub(crate) const fn delay_high(&self) -> Span {
+        self.round_trips.high()
+    }
+
+    /// Whether there were enough exchanges to tell a round trip that was long for once from what is usual.
+    pub(crate) fn tells_outliers(&self) -> bool {
+        self.round_trips.tell_outliers()
+    }
+
+    /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
+    #[must_use]
+    pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {
+        let all = self.bounds?.interval(now, Rates::ANY);
+        let narrow = self.history.narrow(all, now);
+        let interval = if narrow.is_empty() { all } else { narrow };
+        let half = (interval.upper - interval.lower) / 2;
+        Some(ClockReading {
+            offset: interval.lower + half,
+            uncertainty: half + Span::from_nanos(1),
+            delay_min: self.delay_min,
+            delay_max: self.delay_max,
+            delay_high: self.round_trips.high(),
+            samples: self.samples,
+            steps: self.steps,
+            drift: self.history.drift(),
+        })
+    }
+}
+
+/// Bounds over the window, from which the drift follows. At most [`BINS`] bins, whatever the number of exchanges.
+#[derive(Clone, Debug)]
+struct History {
+    bins: VecDeque<Bin>,
+    doublings: u32,
+    /// The mean rate over any stretch from one bin to another is at least, and at most, one of these.
+    means: Rates,
+    narrowest: Option<Narrowest>,
+}
+
+/// The bounds of the bins that say most as long as the rates stay what they are: which do is the same at any later instant.
+#[derive(Clone, Copy, Debug)]
+struct Narrowest {
+    rates: Rates,
+    bounds: Bounds,
+    since: Timestamp<Server>,
+}
+
+/// The tightest bounds of a stretch of time, which the index numbers.
+#[derive(Clone, Copy, Debug)]
+struct Bin {
+    index: i64,
+    bounds: Bounds,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN, narrowest: None }
+    }
+}
+
+impl History {
+    fn add(&mut self, new: Bounds, now: Timestamp<Server>) {
+        let index = now.as_nanos().div_euclid(FIRST_BIN_NANOS << self.doublings);
+        // Which bound of a bin says most is a matter of the rate at which they drift together.
+        let together =
+            Rates::exactly(self.rates().map_or(0.0, |rates| f64::midpoint(rates.least, rates.most)));
+        match self.bins.back_mut() {
+            Some(bin) if index <= bin.index => bin.bounds.tighten(new, now, together),
+            _ => {
+                // Closes the current bin and updates the estimate from it.
+                let ended = self.bins.len().saturating_sub(1);
+                self.means = (0..ended).fold(self.means, |means, bin| means.and(self.mean(bin, ended)));
+                self.bins.push_back(Bin { index, bounds: new });
+                self.make_room(now, together);
+            }
+        }
+        self.narrowest = self.rates().map(|rates| self.narrowest_with(new, now, rates));
+    }
+
+    fn narrowest_with(&self, new: Bounds, now: Timestamp<Server>, rates: Rates) -> Narrowest {
+        let known = self.narrowest.filter(|known| known.rates == rates && known.since <= now);
+        let (mut bounds, bins) = match known {
+            Some(known) => (known.bounds, 0),
+            None => (new, self.bins.len()),
+        };
+        bounds.tighten(new, now, rates);
+        self.bins.iter().take(bins).for_each(|bin| bounds.tighten(bin.bounds, now, rates));
+        Narrowest { rates, bounds, since: now }
+    }
+
+    fn make_room(&mut self, now: Timestamp<Server>, together: Rates) {
+        while self.bins.len() > BINS && self.doublings < DOUBLINGS_MAX {
+            self.doublings += 1;
+            let mut wider: VecDeque<Bin> = VecDeque::with_capacity(BINS + 1);
+            for bin in self.bins.drain(..) {
+                let index = bin.index.div_euclid(2);
+                match wider.back_mut() {
+                    Some(last) if last.index == index => last.bounds.tighten(bin.bounds, now, together),
+                    _ => wider.push_back(Bin { index, ..bin }),
+                }
+            }
+            self.bins = wider;
+        }
+        let before = self.bins.len();
+        let is_old = |bin: &Bin| now - bin.bounds.lower.at > WINDOW;
+        while self.bins.len() > BINS || self.bins.front().is_some_and(is_old) {
+            self.bins.pop_front();
+        }
+        if self.bins.len() < before {
+            self.narrowest = None;
+            // What was known by the forgotten bins alone is forgotten, so that the drift may change over the hours.
+            let ended = self.bins.len().saturating_sub(1);
+            let pairs = (0..ended).flat_map(|later| (0..later).map(move |earlier| (earlier, later)));
+            self.means = pairs.fold(Rates::UNKNOWN, |means, (a, b)| means.and(self.mean(a, b)));
+        }
+    }
+
+    /// Between which the mean rate from one bin to a later one lies.
+    fn mean(&self, earlier: usize, later: usize) -> Rates {
+        let (earlier, later) = (self.bins[earlier].bounds, self.bins[later].bounds);
+        Rates {
+            least: later.lower.rate_since(earlier.upper).unwrap_or(f64::NEG_INFINITY),
+            most: later.upper.rate_since(earlier.lower).unwrap_or(f64::INFINITY),
+        }
+    }
+
+    /// Between which the rate lies now, once that is known well: wherever in the window a mean was measured, no rate in it
+    /// is further from that than [`DRIFT_WANDER`].
+    fn rates(&self) -> Option<Rates> {
+        let Rates { least, most } = self.means;
+        let rates = Rates { least: least - DRIFT_WANDER, most: most + DRIFT_WANDER }.and(Rates::ANY);
+        let half = (rates.most - rates.least) / 2.0;
+        (0.0..DRIFT_KNOWN).contains(&half).then_some(rates)
+    }
+
+    fn drift(&self) -> Option<Drift> {
+        self.rates().map(|rates| Drift {
+            ppm: f64::midpoint(rates.least, rates.most) * 1e6,
+            uncertainty_ppm: (rates.most - rates.least) / 2.0 * 1e6,
+        })
+    }
+
+    /// What remains of an interval when the bounds of the window are carried on to `now` by the drift.
+    fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
+        let Some(rates) = self.rates() else { return interval };
+        if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
+            return interval.and(narrowest.bounds.interval(now, rates));
+        }
+        self.bins.iter().fold(interval, |interval, bin| interval.and(bin.bounds.interval(now, rates)))
+    }
+}
+
+/// How the server's clock stands to NTP during a mission.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct NtpState {
+    /// NTP time minus the server's clock, which was set to NTP time when it was anchored: what has come between since.
+    #[serde(rename = "offset_change_ms")]
+    pub offset_change: Span,
+    /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
+    #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Span>,
+    /// How fast NTP time gains on the server's clock, once it is known.
+    #[serde(flatten)]
+    pub drift: Option<Drift>,
+    /// How often NTP time contradicted itself: the NTP server was set, or lies.
+    pub steps: u32,
+    /// Since when the NTP server has not answered, if it has not for several questions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost_since: Option<Timestamp<Server>>,
+}
+
+#[cfg(test)]
+mod tests;

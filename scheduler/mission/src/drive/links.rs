@@ -1,0 +1,45 @@
+//! Which link of a robot counts.
+
+use crate::Event;
+
+/// Tells the links of a mission apart, in the order in which they were made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkNumber(pub u64);
+
+/// The newest link of each robot, as long as it has not broken.
+#[derive(Debug)]
+pub(super) struct Links {
+    current: Vec<Option<LinkNumber>>,
+    made: u64,
+}
+
+impl Links {
+    pub(super) fn new(robots: usize) -> Self {
+        Self { current: vec![None; robots], made: 0 }
+    }
+
+    /// The number of a new link, which counts from now on.
+    pub(super) fn connect(&mut self, robot: usize) -> LinkNumber {
+        let link = LinkNumber(self.made);
+        self.made += 1;
+        self.current[robot] = Some(link);
+        link
+    }
+
+    pub(super) fn of(&self, robot: usize) -> Option<LinkNumber> {
+        self.current[robot]
+    }
+
+    pub(super) fn broke(&mut self, robot: usize) {
+        self.current[robot] = None;
+    }
+
+    /// Whether the mission is to hear of it: only of the link that counts, and nothing after its end.
+    pub(super) fn takes(&mut self, robot: usize, link: LinkNumber, event: &Event) -> bool {
+        let counts = self.current[robot] == Some(link);
+        if counts && matches!(event, Event::LinkDown { .. }) {
+            self.broke(robot);
+        }
+        counts
+    }
+}

@@ -1,0 +1,190 @@
+//! The loop in a world made for the purpose.
+
+use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use urrcp::{
+    Command, ControlType, InitializationBlock, Millis, RobotId, Script, Setpoint, Step, StopCondition,
+};
+
+use super::*;
+use crate::{Greeting, MissionOptions, Participant, Rest};
+
+const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
+
+const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [{"id": "d", "name": "d",
+  "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1},
+  "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+fn mission() -> Mission {
+    mission_with(MissionOptions::default())
+}
+
+fn mission_with(options: MissionOptions) -> Mission {
+    let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
+    let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
+    let step = Step {
+        offset: Millis::ZERO,
+        setpoint: Setpoint::new(ControlType::Position, 45.0),
+        stop_condition: None,
+    };
+    let script = DeviceScript {
+        device: "d".parse().unwrap(),
+        start: Millis::ZERO,
+        stop_condition,
+        script: Script::new(vec![step]).unwrap(),
+        rest: Span::ZERO,
+    };
+    let plan = Plan {
+        scenario: "s".into(),
+        start_tolerance: Span::from_millis(10),
+        lead: None,
+        stop_condition,
+        robots: vec![RobotPlan { robot: RobotId::new("r").unwrap(), scripts: vec![script] }],
+    };
+    let participants = vec![Participant::new(block.id.clone(), Some(block))];
+    Mission::of_plan(plan, participants, options, BEGIN).unwrap()
+}
+
+/// One robot that never answers, behind a link that takes this many messages.
+struct Silent {
+    now: Timestamp<Server>,
+    room: usize,
+    happens: VecDeque<Happened>,
+    journal: Filed,
+    cut: Vec<LinkNumber>,
+    connected: Vec<(LinkNumber, Span)>,
+    told: Vec<Progress>,
+    /// Happens once a script has been sent.
+    once_it_sends: Option<Event>,
+    stops: Vec<Stopping>,
+}
+
+/// What the mission does to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stopping {
+    Sent,
+    Recorded,
+}
+
+impl Silent {
+    fn new(room: usize, journal: Filed) -> Self {
+        let (cut, connected, told) = (Vec::new(), Vec::new(), Vec::new());
+        let (happens, stops) = (VecDeque::new(), Vec::new());
+        Self { now: BEGIN, room, happens, journal, cut, connected, told, once_it_sends: None, stops }
+    }
+
+    fn on_link(&mut self, link: LinkNumber, event: Event) {
+        self.happens.push_back(Happened::OnLink { at: self.now, robot: 0, link, event: Box::new(event) });
+    }
+}
+
+impl World for Silent {
+    fn now(&self) -> Timestamp<Server> {
+        self.now
+    }
+
+    async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
+        let happened = self.happens.pop_front();
+        if happened.is_none() {
+            self.now = self.now.max(until?);
+        }
+        happened
+    }
+
+    fn connect(&mut self, _: usize, link: LinkNumber, after: Span) {
+        self.connected.push((link, after));
+        self.now = self.now + after;
+        self.on_link(link, Event::LinkUp { robot: 0 });
+    }
+
+    fn send(&mut self, _: usize, _: LinkNumber, message: Message, _: Urgency) -> Result<(), QueueFull> {
+        if let Message::ControlRequest(request) = &message {
+            let happens = self.once_it_sends.take();
+            self.happens
+                .extend(happens.map(|event| Happened::Event { at: self.now, event: Box::new(event) }));
+            if matches!(&request.command, Command::Script(script) if script.is_empty()) {
+                self.stops.push(Stopping::Sent);
+            }
+        }
+        self.room = self.room.checked_sub(1).ok_or(QueueFull { waiting: 3 })?;
+        Ok(())
+    }
+
+    fn cut(&mut self, _: usize, link: LinkNumber) {
+        self.cut.push(link);
+    }
+
+    fn write(&mut self, _: Timestamp<Server>, record: Record) -> Filed {
+        if matches!(record, Record::Stopping { .. }) {
+            self.stops.push(Stopping::Recorded);
+        }
+        self.journal.clone()
+    }
+
+    fn tell(&mut self, _: Timestamp<Server>, progress: Progress) {
+        self.told.push(progress);
+    }
+}
+
+#[test]
+fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
+    let mut world = Silent::new(1, Filed::AtOnce);
+    let report = at_once(drive(&mut mission(), &mut world)).unwrap();
+    assert_eq!(world.cut.first(), Some(&LinkNumber(0)));
+    assert!(world.connected.len() > 2, "it is tried again as long as patience lasts");
+    let failures: Vec<_> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
+    assert!(failures.iter().any(|failure| failure.contains("does not read")), "{failures:?}");
+}
+
+#[test]
+fn what_happens_on_a_link_that_has_broken_or_been_replaced_is_not_heard() {
+    let mut links = Links::new(1);
+    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: String::new() };
+    let up = Event::LinkUp { robot: 0 };
+    let first = links.connect(0);
+    assert!(links.takes(0, first, &up) && links.takes(0, first, &down));
+    assert!(!links.takes(0, first, &down) && !links.takes(0, first, &up), "its end is its end");
+    let second = links.connect(0);
+    assert!(!links.takes(0, first, &up) && links.takes(0, second, &up));
+    let third = links.connect(0);
+    assert!(!links.takes(0, second, &down) && links.takes(0, third, &down));
+}
+
+#[test]
+fn a_journal_that_takes_nothing_is_told_once_and_stops_the_mission() {
+    let mut driver = Driver::new(1);
+    let mut world = Silent::new(9, Filed::Lost("full".to_owned()));
+    let record = || Record::Decided { number: 0, unnamed: Vec::new(), doubt: Span::ZERO };
+    driver.perform(&mut world, vec![Action::Record(record()), Action::Record(record())]);
+    let events: Vec<Event> = driver.pending.into_iter().map(|(_, event)| event).collect();
+    assert!(matches!(&events[..], [Event::JournalLost { reason }] if reason == "full"), "{events:?}");
+}
+
+#[test]
+fn without_a_journal_only_durable_records_are_counted() {
+    let mut driver = Driver::new(1);
+    let mut world = Silent::new(9, Filed::AtOnce);
+    let records = [
+        Record::Committed { number: 0 },
+        Record::StopConfirmed { robot: RobotId::new("r").unwrap() },
+        Record::Committed { number: 1 },
+    ];
+    driver.perform(&mut world, records.into_iter().map(Action::Record).collect());
+    let counts: Vec<u64> = driver
+        .pending
+        .into_iter()
+        .map(|(_, event)| match event {
+            Event::Recorded { count } => count,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(counts, [1, 2]);
+}
+
+#[test]
+fn a_stop_is_sent_before_it_is_recorded() {
+    let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
+    let mut world = Silent::new(99, Filed::AtOnce);
+    world.once_it_sends = Some(Event::StopRequested { rest: Rest::InPlace, by: None });
+    at_once(drive(&mut mission, &mut world)).unwrap();
+    assert_eq!(world.stops.get(..2), Some(&[Stopping::Sent, Stopping::Recorded][..]), "{:?}", world.told);
+}

@@ -1,0 +1,198 @@
+//! Which of a robot's answers are answers: those to a question that was asked, each once, with times that can be true.
+//!
+//! The times in an answer decide how long all robots wait for each other. An answer to a question that was never asked could
+//! name any instant as its own.
+
+use std::collections::VecDeque;
+
+use urrcp::{Robot, Server, Span, Timestamp};
+
+use crate::clock::{ClockSample, resolution};
+
+/// Questions that are remembered. More are open only on a link that stands still; then the newest count.
+const OPEN_MAX: usize = 1_024;
+/// Nobody waits so long for an answer.
+const OPEN_FOR: Span = Span::from_millis(60_000);
+
+/// The questions to one robot that it has not answered.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Exchanges {
+    /// When, and by how many messages of that instant; the oldest first.
+    open: VecDeque<(Timestamp<Server>, usize)>,
+    ignored: u64,
+}
+
+/// The times in an answer.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Times {
+    /// When the question was sent, as the robot repeats it; `None` from a robot that does not.
+    pub(crate) originate: Option<Timestamp<Server>>,
+    /// When the robot received it.
+    pub(crate) received: Timestamp<Robot>,
+    /// When the robot answered.
+    pub(crate) answered: Timestamp<Robot>,
+    /// When the answer arrived.
+    pub(crate) arrived: Timestamp<Server>,
+}
+
+impl Exchanges {
+    /// A question is sent, in so many messages.
+    pub(crate) fn asked(&mut self, now: Timestamp<Server>, messages: usize) {
+        match self.open.back_mut().filter(|(at, _)| *at == now) {
+            Some((_, open)) => *open += messages,
+            None => self.open.push_back((now, messages)),
+        }
+        while self.open.len() > OPEN_MAX || self.open.front().is_some_and(|(at, _)| now - *at > OPEN_FOR) {
+            self.open.pop_front();
+        }
+    }
+
+    /// Takes an answer. `None` where it answers no open question, or where its times cannot be true: it is counted and means
+    /// nothing. An answer that repeats no question answers the oldest one, so that nothing that was sent later is taken for
+    /// received.
+    pub(crate) fn answered(&mut self, times: Times) -> Option<ClockSample> {
+        let sample = self.settle(times.originate).and_then(|sent| plausible(sent, times));
+        self.ignored += u64::from(sample.is_none());
+        sample
+    }
+
+    fn settle(&mut self, originate: Option<Timestamp<Server>>) -> Option<Timestamp<Server>> {
+        let place = match originate {
+            Some(sent) => self.place_of(sent)?,
+            None => 0,
+        };
+        let (sent, open) = self.open.get_mut(place)?;
+        let sent = *sent;
+        *open -= 1;
+        if *open == 0 {
+            self.open.remove(place);
+        }
+        Some(sent)
+    }
+
+    /// Which open question this is the instant of, as exactly as the robot counts.
+    fn place_of(&self, originate: Timestamp<Server>) -> Option<usize> {
+        if let Ok(place) = self.open.binary_search_by_key(&originate, |(at, _)| *at) {
+            return Some(place);
+        }
+        let counts_in = |step: &i64| originate.as_nanos() % step == 0;
+        let step = Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in)?);
+        let place = self.open.partition_point(|(at, _)| *at <= originate - step);
+        self.open.get(place).filter(|(at, _)| *at < originate + step).map(|_| place)
+    }
+
+    /// Something came that answers nothing.
+    pub(crate) const fn ignore(&mut self) {
+        self.ignored += 1;
+    }
+
+    /// Answers that answered nothing, or could not be true.
+    pub(crate) const fn ignored(&self) -> u64 {
+        self.ignored
+    }
+
+    /// On a new link nothing that was asked before is answered.
+    pub(crate) fn begin_again(&mut self) {
+        self.open.clear();
+    }
+}
+
+/// A robot takes no less than no time for its answer, and no longer than the whole exchange.
+fn plausible(sent: Timestamp<Server>, times: Times) -> Option<ClockSample> {
+    let Times { received, answered, arrived, .. } = times;
+    let step = resolution(received, answered);
+    let (round_trip, took) = (arrived - sent, answered - received);
+    let possible = round_trip >= Span::ZERO && took >= Span::ZERO - step && took <= round_trip + step;
+    possible.then(|| ClockSample::from_exchange(sent, received, answered, arrived))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::{at, by_robot, ms};
+
+    /// What an answer that arrives at `arrived` and says this is taken for: a round trip.
+    fn answered(
+        exchanges: &mut Exchanges,
+        originate: Option<i64>,
+        (received, answered): (i64, i64),
+        arrived: i64,
+    ) -> Option<Span> {
+        let (received, answered) = (by_robot(at(received)), by_robot(at(answered)));
+        let times = Times { originate: originate.map(at), received, answered, arrived: at(arrived) };
+        exchanges.answered(times).map(|sample| sample.delay)
+    }
+
+    #[test]
+    fn an_answer_counts_once_and_only_to_a_question_that_was_asked() {
+        let mut exchanges = Exchanges::default();
+        [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
+        for never_asked in [-60_000, 9, 11, 30] {
+            assert_eq!(answered(&mut exchanges, Some(never_asked), (20, 20), 40), None, "{never_asked}");
+        }
+        assert_eq!(answered(&mut exchanges, Some(20), (30, 30), 40), Some(ms(20)));
+        assert_eq!(answered(&mut exchanges, Some(20), (30, 30), 41), None, "again");
+        assert_eq!(answered(&mut exchanges, Some(10), (30, 30), 42), Some(ms(32)), "overtaken");
+        assert_eq!(exchanges.ignored(), 5);
+    }
+
+    #[test]
+    fn a_question_in_several_messages_is_answered_as_often() {
+        let mut exchanges = Exchanges::default();
+        exchanges.asked(at(10), 2);
+        exchanges.asked(at(10), 1);
+        let count = (0..9).filter(|_| answered(&mut exchanges, Some(10), (11, 11), 12).is_some()).count();
+        assert_eq!(count, 3);
+    }
+
+    #[test]
+    fn a_robot_that_repeats_no_question_answers_the_oldest_one() {
+        let mut exchanges = Exchanges::default();
+        [10, 20].into_iter().for_each(|asked| exchanges.asked(at(asked), 1));
+        let delays: Vec<_> = (0..3).map(|_| answered(&mut exchanges, None, (25, 25), 30)).collect();
+        assert_eq!(delays, [Some(ms(20)), Some(ms(10)), None]);
+    }
+
+    #[test]
+    fn a_robot_may_repeat_the_question_in_the_units_in_which_it_counts() {
+        let asked = at(10) + Span::from_nanos(123_456);
+        for (told, understood) in
+            [(123_456, true), (123_000, true), (0, true), (124_000, true), (123_455, false)]
+        {
+            let mut exchanges = Exchanges::default();
+            exchanges.asked(asked, 1);
+            let originate = Some(at(10) + Span::from_nanos(told));
+            let (received, arrived) = (by_robot(at(11)), at(12));
+            let sample = exchanges.answered(Times { originate, received, answered: received, arrived });
+            assert_eq!(sample.map(|sample| sample.sent), understood.then_some(asked), "{told}");
+        }
+    }
+
+    #[test]
+    fn times_that_cannot_be_true_mean_nothing() {
+        for (received, told, possible) in [
+            (10, 10, true),
+            (10, 19, true),
+            (11, 10, true),
+            (10, 23, false),
+            (10, 7, false),
+            (60_000, 10, false),
+        ] {
+            let mut exchanges = Exchanges::default();
+            exchanges.asked(at(10), 1);
+            let taken = answered(&mut exchanges, Some(10), (received, told), 20);
+            assert_eq!(taken.is_some(), possible, "received at {received}, answered at {told}: {taken:?}");
+        }
+    }
+
+    #[test]
+    fn memory_is_bounded_and_old_questions_are_forgotten() {
+        let mut exchanges = Exchanges::default();
+        (0..100_000).for_each(|asked| exchanges.asked(at(asked), 1));
+        assert_eq!(exchanges.open.len(), OPEN_MAX);
+        exchanges.asked(at(1_000_000), 1);
+        assert_eq!(exchanges.open.len(), 1);
+        exchanges.begin_again();
+        assert_eq!(answered(&mut exchanges, Some(1_000_000), (0, 0), 1_000_001), None);
+    }
+}

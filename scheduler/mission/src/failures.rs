@@ -1,0 +1,73 @@
+//! What a robot has failed by, in bounded memory: a robot that fails again and again fills no report.
+
+use std::mem::discriminant;
+use std::ops::Deref;
+
+use super::failure_kind::Failure;
+
+/// Failures of one robot that are kept; of the others their number, and the first of each kind.
+const KEPT_MAX: usize = 64;
+
+/// The failures of one robot, in order.
+#[derive(Debug, Default)]
+pub(crate) struct Failures {
+    kept: Vec<Failure>,
+    omitted: u64,
+}
+
+/// What became of a failure that was noted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Noted {
+    Kept,
+    /// Only counted.
+    Omitted,
+}
+
+impl Failures {
+    pub(crate) fn note(&mut self, failure: Failure) -> Noted {
+        // What is decided by a kind of failure does not depend on how often the robot has failed otherwise.
+        let known = |kept: &Failure| discriminant(&kept.kind) == discriminant(&failure.kind);
+        if self.kept.len() >= KEPT_MAX && self.kept.iter().any(known) {
+            self.omitted += 1;
+            return Noted::Omitted;
+        }
+        self.kept.push(failure);
+        Noted::Kept
+    }
+
+    /// Those that are not listed.
+    pub(crate) const fn omitted(&self) -> u64 {
+        self.omitted
+    }
+}
+
+impl Deref for Failures {
+    type Target = [Failure];
+
+    fn deref(&self) -> &[Failure] {
+        &self.kept
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::RobotId;
+
+    use super::*;
+    use crate::FailureKind;
+
+    #[test]
+    fn a_robot_that_fails_a_million_times_is_listed_a_few_times_and_counted() {
+        let mut failures = Failures::default();
+        let robot = RobotId::new("r").unwrap();
+        let of = |kind| Failure { robot: robot.clone(), kind };
+        for _ in 0..1_000_000 {
+            failures.note(of(FailureKind::Garbled { reason: "x".to_owned() }));
+        }
+        assert_eq!((failures.len(), failures.omitted()), (KEPT_MAX, 1_000_000 - KEPT_MAX as u64));
+        let other = of(FailureKind::LinkDown { reason: "cut".to_owned() });
+        assert_eq!(failures.note(other.clone()), Noted::Kept, "the first of its kind");
+        assert_eq!(failures.last(), Some(&other));
+        assert_eq!(failures.note(other), Noted::Omitted);
+    }
+}

@@ -1,0 +1,91 @@
+//! What is known of a mission and of one of its robots at this moment, for those who watch it from outside.
+
+use urrcp::Span;
+
+use super::robot_state::{Link, RobotState, Standing, Totals};
+use super::{Mission, Phase};
+use crate::clock::ClockReading;
+
+/// Where a mission stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PhaseName {
+    /// Robots are asked and checked.
+    Greeting,
+    /// Acts wait, are prepared and play.
+    Performing,
+    /// Robots are stopped.
+    Stopping,
+    /// The report is ready.
+    Ended,
+}
+
+/// One robot, over all acts, with those under way.
+#[derive(Clone, Debug)]
+pub struct RobotFigures {
+    /// Whether it has a link.
+    pub is_linked: bool,
+    /// Whether it takes part in the mission.
+    pub takes_part: bool,
+    /// Its clock against that of the server.
+    pub clock: Option<ClockReading>,
+    /// The round trip that its link keeps to nearly always.
+    pub round_trip: Span,
+    /// The counts of its scripts and steps.
+    pub totals: Totals,
+    /// A stop was sent to it, and it has not confirmed that it is at rest.
+    pub awaits_stop: bool,
+}
+
+impl Mission {
+    /// The figures of a robot by its index.
+    #[must_use]
+    pub fn figures_of(&self, robot: usize) -> RobotFigures {
+        let state: &RobotState = &self.robots[robot];
+        let mut totals = state.totals;
+        for act in self.acts.iter().filter(|act| act.was_sent()) {
+            let Some(member) = act.member(robot) else { continue };
+            member.scripts().iter().for_each(|script| totals.add(script, act.start_error(member, script)));
+        }
+        RobotFigures {
+            is_linked: matches!(state.link, Link::Up { .. }),
+            takes_part: state.standing == Standing::In,
+            clock: state.clock.reading(),
+            round_trip: state.round_trip(),
+            totals,
+            awaits_stop: state.stop_was_sent() && !state.is_settled(),
+        }
+    }
+
+    /// How many acts are waiting, on their way to a start, and playing.
+    #[must_use]
+    pub fn act_stages(&self) -> [u64; 3] {
+        let mut stages = [0; 3];
+        for act in &self.acts {
+            let stage = match (act.was_sent(), act.is_playing(), act.is_over()) {
+                (false, ..) => 0,
+                (true, false, false) => 1,
+                (true, true, _) => 2,
+                (true, false, true) => continue,
+            };
+            stages[stage] += 1;
+        }
+        stages
+    }
+
+    /// The phase of the mission.
+    #[must_use]
+    pub const fn phase_name(&self) -> PhaseName {
+        match self.phase {
+            Phase::Greeting { .. } => PhaseName::Greeting,
+            Phase::Performing => PhaseName::Performing,
+            Phase::Stopping { .. } => PhaseName::Stopping,
+            Phase::Ended => PhaseName::Ended,
+        }
+    }
+
+    /// Rounds of questions that came so late that this machine must have been held up.
+    #[must_use]
+    pub const fn rounds_held_up(&self) -> u64 {
+        self.rounds_held_up
+    }
+}

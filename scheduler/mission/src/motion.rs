@@ -1,0 +1,385 @@
+//! When devices begin to move, as sensors show it while a mission plays (`run --verify-motion`): which readings are asked for around
+//! the first movement of each device in an act, and what they say.
+
+use std::collections::VecDeque;
+
+use downbeat_onset::{Commanded, Readable, Reading, Sample, Trial};
+use downbeat_scripts::{Calibration, Lag, Taken};
+use serde::{Deserialize, Serialize};
+use urrcp::{
+    ControlParameters, ControlType, Device, DeviceId, Interpolation, RobotId, Server, Span, Step, Timestamp,
+};
+
+use super::act::Act;
+use super::robot_state::RobotState;
+
+/// A device is watched from so long before its movement, if the act is committed by then.
+const BEFORE: Span = Span::from_millis(80);
+/// A device is watched for so long after its movement should have begun, unless it is told to do something else before.
+const AFTER: Span = Span::from_millis(400);
+/// Between two questions to one sensor.
+const EVERY: Span = Span::from_millis(4);
+/// An answer that takes longer is not waited for.
+const ANSWERED: Span = Span::from_millis(250);
+/// Of the standard errors of an onset, so many make its uncertainty: 95 % of a normal distribution.
+const STANDARD_ERRORS: f64 = 2.0;
+
+/// The first movement of one device in an act, and what its sensor shows around it.
+#[derive(Clone, Debug)]
+pub(crate) struct Watched {
+    robot: usize,
+    device: DeviceId,
+    sensor: DeviceId,
+    taken: Taken,
+    sensor_delay: Span,
+    /// In the unit of the device.
+    visible: f64,
+    range: Option<(f64, f64)>,
+    movement: Movement,
+    /// What is compensated: the motion should begin so long after the command.
+    latency: Span,
+    /// As it was measured.
+    lag: Option<Lag>,
+    readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
+    /// When it was last asked, and whether the answer is awaited.
+    asked: Option<(Timestamp<Server>, bool)>,
+}
+
+/// What a device is told to do at first.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Movement {
+    /// When, from the start of the act.
+    due: Span,
+    /// How long it takes; zero is a step.
+    lasts: Span,
+    /// `None`: where it is then.
+    from: Option<f64>,
+    to: f64,
+    /// When it is told something else.
+    until: Option<Span>,
+}
+
+/// When a device began to move.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MotionReport {
+    /// Its robot.
+    pub robot: RobotId,
+    /// Which device.
+    pub device: DeviceId,
+    /// When it should have begun, by the scheduler's clock: its command and the latency that is compensated.
+    pub planned: Timestamp<Server>,
+    /// Begin minus plan; `None` where the readings do not tell it.
+    #[serde(rename = "error_ms")]
+    pub error: Option<Span>,
+    /// Of the begin.
+    #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Span>,
+    /// How many readings there are.
+    pub readings: usize,
+    /// Why the readings do not tell it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unclear: Option<String>,
+}
+
+/// How far apart motions began, relative to their plans.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MotionSpread {
+    /// Latest minus earliest.
+    #[serde(rename = "spread_ms")]
+    pub spread: Span,
+    /// Of the spread: of the two together.
+    #[serde(rename = "uncertainty_ms")]
+    pub uncertainty: Span,
+    /// How many motions are compared.
+    pub motions: usize,
+}
+
+impl MotionSpread {
+    /// `None` of fewer than two motions whose begin is known.
+    #[must_use]
+    pub fn of(motions: &[MotionReport]) -> Option<Self> {
+        let known = || motions.iter().filter_map(|motion| motion.error.zip(motion.uncertainty));
+        let (earliest, latest) = known().min().zip(known().max())?;
+        let motions = known().count();
+        let spread = latest.0 - earliest.0;
+        (motions > 1).then_some(Self { spread, uncertainty: latest.1 + earliest.1, motions })
+    }
+}
+
+impl Watched {
+    /// Of each device of an act with a sensor that shows its position.
+    pub(crate) fn of(act: &Act, robots: &[RobotState]) -> Vec<Self> {
+        let mut all = Vec::new();
+        for member in act.members() {
+            let state = &robots[member.robot];
+            for (device, calibration) in &state.settings.calibrate {
+                let mut steps = VecDeque::new();
+                for script in member.scripts().iter().filter(|script| script.plan.device == *device) {
+                    let start = script.plan.start.span();
+                    steps.extend(script.plan.script.steps().iter().map(|step| (start, step)));
+                }
+                let known = described(state, device);
+                let linear = known.is_none_or(|known| known.interpolation == Interpolation::Linear);
+                let Some(movement) = first_movement(steps.make_contiguous(), linear) else { continue };
+                let known = state.settings.latencies.get(device);
+                let latency = known.map_or(Span::ZERO, |known| known.latency.median);
+                let lag = known.and_then(|known| known.lag);
+                let range = described(state, &calibration.sensor).and_then(range_of);
+                let Calibration { sensor, taken, sensor_delay, visible, .. } = calibration.clone();
+                let device = device.clone();
+                let (readings, asked) = (Vec::new(), None);
+                let robot = member.robot;
+                all.push(Self {
+                    robot,
+                    device,
+                    sensor,
+                    taken,
+                    sensor_delay,
+                    visible,
+                    range,
+                    movement,
+                    latency,
+                    lag,
+                    readings,
+                    asked,
+                });
+            }
+        }
+        all
+    }
+
+    pub(crate) const fn robot(&self) -> usize {
+        self.robot
+    }
+
+    pub(crate) const fn sensor(&self) -> &DeviceId {
+        &self.sensor
+    }
+
+    /// When it is to be asked next, in an act that starts then; `None`: not any more.
+    pub(crate) fn due(&self, start: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        let due = start + self.movement.due;
+        let next = match self.asked {
+            None => due - BEFORE,
+            Some((at, true)) => at + ANSWERED,
+            Some((at, false)) => at + EVERY,
+        };
+        let after =
+            (due + self.latency + AFTER).min(self.movement.until.map_or(due + AFTER * 100, |at| start + at));
+        (next <= after).then_some(next)
+    }
+
+    pub(crate) fn ask(&mut self, now: Timestamp<Server>) {
+        self.asked = Some((now, true));
+    }
+
+    /// Takes an answer. One that was no longer awaited belongs to an earlier question, of which it cannot be known when it was asked.
+    pub(crate) fn answered(&mut self, arrived: Timestamp<Server>, value: Option<f64>) {
+        let Some((asked, true)) = self.asked else { return };
+        self.asked = Some((asked, false));
+        self.readings.extend(value.map(|value| (asked, arrived, value)));
+    }
+
+    pub(crate) fn report(&self, start: Timestamp<Server>, robot: &RobotState) -> MotionReport {
+        let due = start + self.movement.due;
+        let sample = |(asked, answered, value): &(Timestamp<Server>, Timestamp<Server>, f64)| {
+            let reading = Reading { asked: *asked - due, answered: *answered - due, value: *value };
+            let (at, uncertainty) = reading.instant(robot.round_trip(), self.taken);
+            Sample { at: at - self.sensor_delay, uncertainty, value: *value }
+        };
+        let samples: Vec<Sample> = self.readings.iter().map(sample).collect();
+        let from = self.movement.from.or_else(|| samples.first().map(|sample| sample.value));
+        let movement = from.map_or(0.0, |from| self.movement.to - from);
+        let readable = Readable { range: self.range, visible: self.visible };
+        let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), movement, samples };
+        let found = downbeat_onset::onset(&trial, readable, self.lag);
+        // One motion alone hardly tells a late begin from a slow one.
+        let without_lag = match self.lag {
+            Some(_) => found,
+            None => downbeat_onset::onset(
+                &trial,
+                readable,
+                Some(Lag { time_constant: Span::ZERO, lags: 1, later: Span::ZERO }),
+            ),
+        };
+        let uncertainty = found.as_ref().ok().map(|onset| {
+            let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;
+            let lag = without_lag.map_or(Span::ZERO, |other| (other.latency - onset.latency).abs());
+            onset.uncertainty + Span::from_millis_f64(error) + lag
+        });
+        MotionReport {
+            robot: robot.id.clone(),
+            device: self.device.clone(),
+            planned: due + self.latency,
+            error: found.as_ref().ok().map(|onset| onset.latency - self.latency),
+            uncertainty,
+            readings: self.readings.len(),
+            unclear: found.err().map(|unclear| unclear.to_string()),
+        }
+    }
+}
+
+fn described<'a>(robot: &'a RobotState, device: &DeviceId) -> Option<&'a Device> {
+    robot.block.as_ref()?.device(device.as_str())
+}
+
+fn range_of(sensor: &Device) -> Option<(f64, f64)> {
+    match sensor.available_control_types.get(ControlType::Sensor)? {
+        ControlParameters::Sensor(sensor) => Some((sensor.min_value, sensor.max_value)),
+        _ => None,
+    }
+}
+
+/// The first change of position that the steps of a device ask for. What it does before its first step depends on where it is.
+fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
+    let steps: Vec<(Span, f64)> = (steps.iter())
+        .filter(|(_, step)| step.setpoint.control_type == ControlType::Position)
+        .map(|(start, step)| (*start + step.offset.span(), step.setpoint.value))
+        .collect();
+    let (first, _) = steps.first()?;
+    let place = steps.windows(2).position(|pair| pair[0].1.to_bits() != pair[1].1.to_bits());
+    match place {
+        Some(place) => {
+            let ((begins, from), (ends, to)) = (steps[place], steps[place + 1]);
+            let next = steps.get(place + 2).map(|(at, _)| *at);
+            Some(match linear {
+                true => {
+                    Movement { due: begins, lasts: ends - begins, from: Some(from), to, until: Some(ends) }
+                }
+                false => Movement { due: ends, lasts: Span::ZERO, from: Some(from), to, until: next },
+            })
+        }
+        // A single value that is set, and held.
+        None if !linear => {
+            Some(Movement { due: *first, lasts: Span::ZERO, from: None, to: steps[0].1, until: None })
+        }
+        None => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn movement(steps: &[(i64, f64)], linear: bool) -> Option<Movement> {
+        let steps: Vec<Step> = (steps.iter())
+            .map(|(at, value)| Step {
+                offset: urrcp::Millis::from_span(Span::from_millis(*at)),
+                setpoint: urrcp::Setpoint::new(ControlType::Position, *value),
+                stop_condition: None,
+            })
+            .collect();
+        let steps: Vec<(Span, &Step)> = steps.iter().map(|step| (Span::from_millis(100), step)).collect();
+        first_movement(&steps, linear)
+    }
+
+    #[test]
+    fn the_first_change_of_value_is_what_is_watched() {
+        let ms = Span::from_millis;
+        let linear = movement(&[(0, 5.0), (200, 5.0), (1_200, 45.0), (1_300, 0.0)], true).unwrap();
+        let expected =
+            Movement { due: ms(300), lasts: ms(1_000), from: Some(5.0), to: 45.0, until: Some(ms(1_300)) };
+        assert_eq!(linear, expected);
+        let held = movement(&[(0, 5.0), (200, 45.0), (900, 0.0)], false).unwrap();
+        let expected =
+            Movement { due: ms(300), lasts: Span::ZERO, from: Some(5.0), to: 45.0, until: Some(ms(1_000)) };
+        assert_eq!(held, expected);
+        assert_eq!(movement(&[(0, 5.0)], false).unwrap().due, ms(100));
+        assert_eq!(movement(&[(0, 5.0), (900, 5.0)], true), None);
+    }
+
+    #[test]
+    fn the_spread_of_motions_has_the_uncertainty_of_the_first_and_the_last() {
+        let motion = |error: Option<i64>| MotionReport {
+            robot: "r".parse().unwrap(),
+            device: "d".parse().unwrap(),
+            planned: Timestamp::from_nanos(0),
+            error: error.map(Span::from_millis),
+            uncertainty: error.map(|_| Span::from_millis(1)),
+            readings: 40,
+            unclear: error.is_none().then(|| "too few".to_owned()),
+        };
+        assert_eq!(MotionSpread::of(&[motion(Some(3)), motion(None)]), None);
+        let spread = MotionSpread::of(&[motion(Some(3)), motion(None), motion(Some(-2))]).unwrap();
+        assert_eq!((spread.spread, spread.uncertainty), (Span::from_millis(5), Span::from_millis(2)));
+        assert_eq!(spread.motions, 2);
+    }
+
+    /// A sensor that shows a ramp of a second, which begins 100 ms after the start of its act.
+    fn watched() -> Watched {
+        Watched {
+            robot: 0,
+            device: "d".parse().unwrap(),
+            sensor: "s".parse().unwrap(),
+            taken: Taken::default(),
+            sensor_delay: Span::ZERO,
+            visible: 0.1,
+            range: None,
+            movement: movement(&[(0, 5.0), (1_000, 45.0)], true).unwrap(),
+            latency: Span::from_millis(40),
+            lag: None,
+            readings: Vec::new(),
+            asked: None,
+        }
+    }
+
+    #[test]
+    fn a_sensor_is_asked_one_question_at_a_time_from_before_the_movement_until_after_it() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let begins = start + Span::from_millis(100);
+        let mut watched = watched();
+        assert_eq!(watched.due(start), Some(begins - BEFORE));
+        watched.ask(begins);
+        assert_eq!(watched.due(start), Some(begins + ANSWERED), "it is not waited for longer");
+        watched.answered(begins + Span::from_millis(1), Some(5.0));
+        assert_eq!(watched.due(start), Some(begins + EVERY));
+        watched.answered(begins + Span::from_millis(2), Some(6.0));
+        assert_eq!(watched.readings.len(), 1, "nobody had asked again");
+        let last = begins + watched.latency + AFTER.min(Span::from_millis(1_000) - watched.latency);
+        for (asked, due) in [(last - EVERY, Some(last)), (last - EVERY + Span::from_nanos(1), None)] {
+            watched.asked = Some((asked, false));
+            assert_eq!(watched.due(start), due);
+        }
+    }
+
+    #[test]
+    fn a_motion_is_planned_when_its_command_and_its_latency_say() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let robot = crate::bench::robot("r0", crate::bench::Tells::Everything, 2);
+        let report = watched().report(start, &robot);
+        assert_eq!(report.planned, start + Span::from_millis(140));
+        assert_eq!((report.error, report.readings), (None, 0));
+        assert!(report.unclear.is_some());
+    }
+
+    #[test]
+    fn a_sensor_shows_what_lies_within_its_range_and_other_devices_show_nothing() {
+        let device = |controls: &str| -> Device {
+            serde_json::from_str(&format!(r#"{{"id": "d", "available_control_types": {{{controls}}}}}"#))
+                .unwrap()
+        };
+        let sensor = device(r#""sensor": {"min_value": -20, "max_value": 60}"#);
+        assert_eq!(range_of(&sensor), Some((-20.0, 60.0)));
+        let arm = device(r#""position": {"min_value": 0, "max_value": 90, "granularity": 1}"#);
+        assert_eq!(range_of(&arm), None);
+    }
+
+    #[test]
+    fn what_a_sensor_shows_later_by_its_delay_began_earlier_by_that() {
+        let start = Timestamp::from_nanos(10_000_000_000);
+        let robot = crate::bench::robot("r0", crate::bench::Tells::Everything, 2);
+        let error = |delay: i64| {
+            let mut watched = watched();
+            watched.sensor_delay = Span::from_millis(delay);
+            let due = start + watched.movement.due;
+            // It begins to follow after 60 ms: 40 a second, as it is told to.
+            let shown = |millis: i64| 5.0 + 0.04 * (millis - 60).max(0) as f64;
+            watched.readings = (-20..100)
+                .map(|k| (due + Span::from_millis(4 * k), due + Span::from_millis(4 * k), shown(4 * k)))
+                .collect();
+            watched.report(start, &robot).error.unwrap()
+        };
+        let off = (error(0) - error(10) - Span::from_millis(10)).abs();
+        assert!(off < Span::from_micros(100), "{} and {}", error(0), error(10));
+    }
+}

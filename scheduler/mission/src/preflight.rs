@@ -1,0 +1,366 @@
+//! The checks before a mission as one table: a row a robot, a column a check.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::{Choreography, OnFailure, counted};
+use serde::Serialize;
+use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
+
+use super::failure_kind::FailureKind;
+use super::poses::Expected;
+use super::robot_state::{Link, RobotState};
+use super::seize::Ownership;
+use super::skew::SkewBudget;
+use super::{ClockMode, Greeting, Mission};
+
+/// What is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+pub enum Check {
+    /// It is reached.
+    Link,
+    /// It is the robot that is meant.
+    Identity,
+    /// It speaks this version of URRCP.
+    Version,
+    /// It describes itself as the fleet file does, and the plan fits it.
+    Description,
+    /// Its clock agrees with the fleet's.
+    Clock,
+    /// Its devices stand where the first keyframes expect them.
+    Position,
+    /// What it drives is there.
+    Hardware,
+    /// It belongs to no other session and its queues are free.
+    Free,
+    /// Its sensors read what the fleet file requires.
+    Sensors,
+}
+
+impl Check {
+    /// All, in the order of the columns.
+    pub const ALL: [Self; 9] = [
+        Self::Link,
+        Self::Identity,
+        Self::Version,
+        Self::Description,
+        Self::Clock,
+        Self::Position,
+        Self::Hardware,
+        Self::Free,
+        Self::Sensors,
+    ];
+
+    /// The head of its column.
+    #[must_use]
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Link => "link",
+            Self::Identity => "identity",
+            Self::Version => "version",
+            Self::Description => "description",
+            Self::Clock => "clock",
+            Self::Position => "position",
+            Self::Hardware => "hardware",
+            Self::Free => "free",
+            Self::Sensors => "sensors",
+        }
+    }
+}
+
+/// What a check said.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+pub enum Verdict {
+    /// Well, and what was seen.
+    Pass(String),
+    /// Not as one would expect, and no reason to stay.
+    Warning(String),
+    /// A reason to stay.
+    Failure(String),
+    /// Nothing to check it by.
+    NotChecked,
+}
+
+/// A robot's row.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PreflightRow {
+    /// Which robot.
+    pub robot: RobotId,
+    /// In the order of [`Check::ALL`].
+    pub checks: Vec<(Check, Verdict)>,
+    /// Its clock's offset, robot minus server, where it is known. Machines read it of the robot itself.
+    #[serde(skip)]
+    pub clock_offset: Option<Span>,
+    /// The positions of devices of the first act: the commanded position, or else the reading of the sensor.
+    #[serde(skip)]
+    pub positions: BTreeMap<DeviceId, f64>,
+    /// What its sensors read, and where its devices stand.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub readings: Vec<DeviceReading>,
+}
+
+/// What a sensor, or a device that can tell where it stands, read.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeviceReading {
+    /// Which device.
+    pub device: DeviceId,
+    /// In its unit; `None` where it gave no reading.
+    pub reading: Option<f64>,
+    /// Why it gave none, as the robot says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+    /// Its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// What it has to read, for people.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected: Option<String>,
+}
+
+/// The whole table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Preflight {
+    /// Whether robots were asked at all.
+    pub greeting: Greeting,
+    /// A row a robot.
+    pub rows: Vec<PreflightRow>,
+    /// How far apart the motions of the first act may begin, by what is known so far.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skew: Option<SkewBudget>,
+    /// The movements that failures may cause. A failure in any other act only stops robots where they are.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub after_failures: Vec<AfterFailure>,
+}
+
+/// The movements that a failure in one of these acts may cause.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AfterFailure {
+    /// The names of the acts.
+    pub acts: Vec<String>,
+    /// Whether robots may move to their default positions.
+    pub home: bool,
+    /// The act that follows. Unless robots have moved home, they first move to its first positions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub then: Option<String>,
+}
+
+pub(super) fn after_failures(choreography: &Choreography) -> Vec<AfterFailure> {
+    let mut found: Vec<AfterFailure> = Vec::new();
+    for act in &choreography.acts {
+        let policy = &act.on_failure;
+        let home = policy.policies().any(|policy| policy == OnFailure::Home);
+        let then = policy.then.map(|then| choreography.acts[then].called().to_owned());
+        if !home && then.is_none() {
+            continue;
+        }
+        let name = act.called().to_owned();
+        match found.iter_mut().find(|known| known.home == home && known.then == then) {
+            Some(known) => known.acts.push(name),
+            None => found.push(AfterFailure { acts: vec![name], home, then }),
+        }
+    }
+    found
+}
+
+pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
+    let row = |index: usize| {
+        let robot = mission.robots[index].id.clone();
+        let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
+        let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
+        let positions = mission.positions_to_leave(index);
+        let readings = readings(mission, index);
+        PreflightRow { robot, checks: checks.to_vec(), clock_offset, positions, readings }
+    };
+    let rows = (0..mission.robots.len()).map(row).collect();
+    Preflight {
+        greeting: mission.options.greeting,
+        rows,
+        skew: mission.skew_of_first_act(now),
+        after_failures: after_failures(&mission.choreography),
+    }
+}
+
+/// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.
+fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
+    let robot = &mission.robots[index];
+    let unit = |device: &DeviceId| {
+        let described = robot.block.as_ref()?.device(device.as_str())?;
+        described.unit.as_ref().map(ToString::to_string)
+    };
+    let row = |device: &DeviceId, reading: Option<f64>, expected| {
+        let why = robot.unread.get(device).filter(|_| reading.is_none()).cloned();
+        DeviceReading { device: device.clone(), reading, why, unit: unit(device), expected }
+    };
+    let asked = mission.options.greeting == Greeting::Full;
+    let required = robot.settings.require.iter().zip(&robot.readings).filter(|_| asked);
+    let required =
+        required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
+    let expected = |expected: Expected| format!("{} ±{}", expected.position, expected.within);
+    let stands = robot.known_positions().map(|(device, reading)| {
+        row(device, Some(reading), mission.expected_position(index, device).map(expected))
+    });
+    let shown = robot.shown.iter().map(|(device, reading)| row(device, *reading, None));
+    required.chain(stands).chain(shown).collect()
+}
+
+/// A certificate that ends sooner than this is told of: time enough to make a new one and take it to the robot.
+const EXPIRES_SOON: Span = Span::from_millis(30 * DAY_MS);
+const DAY_MS: i64 = 24 * 3_600 * 1_000;
+
+fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
+    match robot.certified_until.map(|until| until - now).filter(|left| *left < EXPIRES_SOON) {
+        None => Verdict::Pass(robot.own_id.to_string()),
+        Some(left) => {
+            let days = left.as_nanos() / 1_000_000 / DAY_MS;
+            Verdict::Warning(format!(
+                "its certificate counts for {} more: `downbeat keys renew {}` makes a new one",
+                counted(usize::try_from(days).unwrap_or_default(), "day"),
+                robot.own_id
+            ))
+        }
+    }
+}
+
+fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>) -> Verdict {
+    let robot = &mission.robots[index];
+    let failures: Vec<String> = robot
+        .failures
+        .iter()
+        .filter(|failure| column(&failure.kind) == check)
+        .map(|failure| failure.kind.to_string())
+        .collect();
+    if !failures.is_empty() {
+        let omitted = robot.failures.omitted();
+        let first = robot.failures.first().map(|failure| column(&failure.kind));
+        let rest = (omitted > 0 && first == Some(check)).then(|| format!("{omitted} more failures"));
+        return Verdict::Failure(failures.into_iter().chain(rest).collect::<Vec<_>>().join("; "));
+    }
+    let greeted = mission.options.greeting == Greeting::Full;
+    match check {
+        Check::Link => match &robot.link {
+            Link::Unnamed { .. } => Verdict::Pass("up".to_owned()),
+            Link::Up { .. } => Verdict::Pass(match robot.clock.reading() {
+                Some(reading) => format!("{} to {} ms", ms(reading.delay_min), ms(reading.delay_max)),
+                None => "up".to_owned(),
+            }),
+            Link::Lost(lost) => Verdict::Warning(lost.reason.clone()),
+            Link::Connecting => Verdict::Warning("not there".to_owned()),
+        },
+        Check::Identity | Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
+        Check::Identity => identity(robot, now),
+        Check::Version => {
+            Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
+        }
+        Check::Description => description(robot),
+        Check::Clock => clock(robot, now),
+        Check::Position => positions(mission, index),
+        Check::Hardware => match greeted && robot.clock.samples() > 0 {
+            true => Verdict::Pass("there".to_owned()),
+            false => Verdict::NotChecked,
+        },
+        Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
+            true if robot.ownership == Ownership::Seized => {
+                Verdict::Warning("ours, taken from another session".to_owned())
+            }
+            true => Verdict::Pass("ours".to_owned()),
+            false => Verdict::NotChecked,
+        },
+        Check::Sensors => match robot.settings.require.len() {
+            0 => Verdict::NotChecked,
+            _ if !greeted || robot.readings.iter().any(Option::is_none) => Verdict::NotChecked,
+            _ => {
+                let readings =
+                    robot.settings.require.iter().zip(&robot.readings).filter_map(|(required, reading)| {
+                        Some(format!("{} {}", required.sensor, (*reading)?))
+                    });
+                Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
+            }
+        },
+    }
+}
+
+fn positions(mission: &Mission, index: usize) -> Verdict {
+    let robot = &mission.robots[index];
+    let unknown = match mission.options.greeting {
+        Greeting::Full if robot.introduced => mission.unknown_positions(index),
+        _ => Vec::new(),
+    };
+    if let Some(first) = unknown.first() {
+        let others = match unknown.len() - 1 {
+            0 => String::new(),
+            others => format!(" and of {}", counted(others, "other")),
+        };
+        return Verdict::Warning(format!(
+            "the position of `{first}`{others} is unknown: the act begins wherever the device is"
+        ));
+    }
+    match robot.known_positions().count() {
+        0 => Verdict::NotChecked,
+        devices => Verdict::Pass(format!("{devices} read")),
+    }
+}
+
+/// The warning about a robot that ignores `pending_until`.
+pub const NOT_STRICT: &str = "it does not declare `pending_until`: a message that takes too long may start a script that was not decided";
+
+fn description(robot: &RobotState) -> Verdict {
+    match &robot.latency_differs {
+        Some(differs) => Verdict::Warning(differs.to_string()),
+        None if robot.drops_undecided() => Verdict::Pass("fits".to_owned()),
+        None => Verdict::Warning(NOT_STRICT.to_owned()),
+    }
+}
+
+fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
+    match robot.clock_at(now) {
+        None => Verdict::NotChecked,
+        Some(reading) => {
+            let measured = if robot.settings.clock == ClockMode::Measured { ", measured" } else { "" };
+            Verdict::Pass(format!("{} ±{} ms{measured}", ms(reading.offset), ms(reading.uncertainty)))
+        }
+    }
+}
+
+/// In milliseconds, as exactly as people want to know it.
+fn ms(span: Span) -> String {
+    format!("{:.2}", Millis::from_span(span).get())
+}
+
+/// Where a failure stands in the table.
+fn column(kind: &FailureKind) -> Check {
+    match kind {
+        FailureKind::LinkDown { .. }
+        | FailureKind::Flooding { .. }
+        | FailureKind::TooSlow { .. }
+        | FailureKind::Garbled { .. }
+        | FailureKind::Silent { .. }
+        | FailureKind::NeverJoined { .. } => Check::Link,
+        FailureKind::WrongVersion { .. } => Check::Version,
+        FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
+        FailureKind::Clock { .. } | FailureKind::LatencySpread { .. } => Check::Clock,
+        FailureKind::Requirement { .. } => Check::Sensors,
+        FailureKind::Position { .. } => Check::Position,
+        FailureKind::AnotherRobot { .. } => Check::Identity,
+        // A robot that is busy belongs to another session; any other reason concerns its equipment.
+        FailureKind::NotAvailable { error } if error.code == ErrorCode::Busy => Check::Free,
+        FailureKind::NotAvailable { .. } => Check::Hardware,
+        FailureKind::Script { .. } | FailureKind::Claim { .. } => Check::Free,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::ControlError;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_that_is_busy_is_not_free_and_one_that_is_not_available_otherwise_lacks_its_hardware() {
+        let not_available = |code| FailureKind::NotAvailable { error: ControlError::new(code, "why") };
+        assert_eq!(column(&not_available(ErrorCode::Busy)), Check::Free);
+        assert_eq!(column(&not_available(ErrorCode::Internal)), Check::Hardware);
+    }
+}

@@ -1,0 +1,210 @@
+//! Whether each script that has no room at first can be sent in time, on the links as they were measured.
+//!
+//! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
+//! today cannot do is found here, before anything has moved.
+
+use downbeat_scripts::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
+use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
+
+use super::act::LAPSE;
+use super::failure_kind::FailureKind;
+use super::robot_state::RobotState;
+use super::{ClockMode, Mission};
+
+impl Mission {
+    /// Refuses robots whose devices cannot be sent one of their scripts in time.
+    pub(super) fn check_refills(&mut self, now: Timestamp<Server>) {
+        let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
+        let later = |refill: &Refill| refill.kind == RefillKind::Later;
+        let refills = refills_of_robots(&self.choreography, queue, self.longest_sending(now));
+        for refill in refills.into_iter().filter(later) {
+            let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
+            let needed = self::sending(&self.robots[robot], now);
+            if refill.time < needed {
+                let act =
+                    Some(self.choreography.acts[refill.act].name.clone()).filter(|name| !name.is_empty());
+                let Refill { device, script, time, .. } = refill;
+                self.note_failure(robot, FailureKind::NoTimeToSend { device, act, script, time, needed });
+            }
+        }
+    }
+
+    /// Whether one of the later scripts of an act could not be sent in time if it followed the one that still plays: the greeting
+    /// took the devices for empty, because the act waits for a time, and that has passed.
+    pub(super) fn is_too_tight_behind(&self, now: Timestamp<Server>, index: usize) -> bool {
+        let act = &self.acts[index];
+        let before = index.checked_sub(1).map(|before| &self.acts[before]);
+        let (Some(before), Wait::Instant(_) | Wait::TimeOfDay(_)) = (before, &act.written().wait) else {
+            return false;
+        };
+        let (Some(timing), Some(target)) = (before.timing(), act.target()) else { return false };
+        let pause = (target - timing.end).max(Span::ZERO);
+        let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
+        let acts = (before.index(), act.index());
+        let refills = refills_behind(&self.choreography, acts, pause, queue, self.longest_sending(now));
+        refills.iter().filter(|refill| refill.kind == RefillKind::Later).any(|refill| {
+            let robot = self.robots.iter().find(|robot| robot.id == refill.robot);
+            robot.is_some_and(|robot| refill.time < sending(robot, now))
+        })
+    }
+
+    /// How many scripts a device holds, as its robot has said.
+    fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
+        let state = self.robots.iter().find(|state| state.id == *robot)?;
+        Some(state.block.as_ref()?.device(device.as_str())?.script_queue)
+    }
+
+    fn longest_sending(&self, now: Timestamp<Server>) -> Span {
+        self.robots.iter().map(|robot| sending(robot, now)).max().unwrap_or_default()
+    }
+}
+
+/// How long it takes at least until a robot holds a script for which it has room: the end of the one before is reported and
+/// the next one sent, or, where the robot does not report by itself, its end is awaited, as late as its clock may be, and asked
+/// for.
+fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
+    // A few exchanges seldom meet the longest, the less so the more they differ: of a script that comes late nothing is played.
+    let round_trip = robot.round_trip();
+    let shortest = robot.clock_at(now).map_or(round_trip, |reading| reading.delay_min);
+    let round_trip = round_trip + (round_trip / 4).max(round_trip - shortest);
+    match (robot.reports(), robot.takes_inquiries()) {
+        (true, _) => round_trip,
+        (false, true) => round_trip * 2 + LAPSE + late(robot, now),
+        (false, false) => round_trip + LAPSE + late(robot, now),
+    }
+}
+
+/// How much later than planned a script may end, by the robot's own clock.
+fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
+    let late = robot.clock_at(now).map(|reading| match robot.settings.clock {
+        ClockMode::Ntp => reading.uncertainty - reading.offset,
+        ClockMode::Measured => reading.uncertainty,
+    });
+    late.unwrap_or_default().max(Span::ZERO) + robot.settings.wake_up
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::{self, Tells, at, ms};
+    use crate::clock::ClockSample;
+
+    #[test]
+    fn on_a_link_whose_delays_are_equal_sending_takes_a_round_trip_and_a_quarter() {
+        let mut robot = bench::robot("r0", Tells::Everything, 2);
+        for sent in [0, 20, 40] {
+            let there = bench::by_robot(at(sent + 4));
+            robot.clock.add(ClockSample::from_exchange(at(sent), there, there, at(sent + 8)));
+        }
+        assert_eq!(sending(&robot, at(60)), ms(10));
+    }
+
+    #[test]
+    fn a_script_may_end_later_by_a_clock_that_is_behind_and_by_a_late_wake_up() {
+        let mut robot = bench::robot("r0", Tells::Answers, 2);
+        assert_eq!(late(&robot, at(0)), Span::ZERO);
+        robot.settings.wake_up = ms(50);
+        let there = bench::by_robot(at(0)) - ms(30);
+        robot.clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+        let behind = late(&robot, at(0));
+        assert!((ms(80)..=ms(82)).contains(&behind), "{behind}");
+        robot.settings.clock = ClockMode::Measured;
+        let measured = late(&robot, at(0));
+        assert!((ms(50)..=ms(52)).contains(&measured), "{measured}");
+    }
+
+    /// Two robots with two scripts each, ten milliseconds apart, and devices that hold so many; the links take so long both ways.
+    fn greeted(queue: usize, round_trips: [Span; 2]) -> Mission {
+        let scripts: &[bench::Planned] = &[("a", 0, 400), ("a", 410, 400)];
+        let mut choreography = bench::choreography(&[scripts; 2]);
+        choreography.acts[0].name = "one".to_owned();
+        let participant = |id: &str| {
+            let block = bench::robot(id, Tells::Everything, queue).block;
+            crate::Participant::new(RobotId::new(id).unwrap(), block)
+        };
+        let participants = vec![participant("r0"), participant("r1")];
+        let options = crate::MissionOptions::default();
+        let mut mission = Mission::new(choreography, participants, options, at(0)).unwrap();
+        for (robot, round_trip) in mission.robots.iter_mut().zip(round_trips) {
+            let there = bench::by_robot(at(0) + round_trip / 2);
+            robot.clock.add(ClockSample::from_exchange(at(0), there, there, at(0) + round_trip));
+        }
+        mission
+    }
+
+    #[test]
+    fn a_robot_whose_link_is_too_slow_for_its_second_script_is_refused_before_anything_moves() {
+        for (queue, round_trip, refused) in
+            [(1, ms(8), false), (1, ms(8) + Span::from_micros(1), true), (2, ms(200), false)]
+        {
+            let mut mission = greeted(queue, [ms(1), round_trip]);
+            mission.check_refills(at(1_000));
+            assert!(!mission.robots[0].has_failed());
+            let failures: Vec<_> =
+                mission.robots[1].failures.iter().map(|failure| failure.kind.clone()).collect();
+            let expected = FailureKind::NoTimeToSend {
+                device: "a".parse().unwrap(),
+                act: Some("one".to_owned()),
+                script: 1,
+                time: ms(10),
+                needed: round_trip + round_trip / 4,
+            };
+            assert_eq!(failures, if refused { vec![expected] } else { vec![] }, "{queue}, {round_trip}");
+        }
+    }
+
+    #[test]
+    fn an_act_waits_for_the_slowest_link() {
+        assert_eq!(greeted(1, [ms(8), ms(40)]).longest_sending(at(1_000)), ms(50));
+        assert_eq!(greeted(1, [ms(40), ms(8)]).longest_sending(at(1_000)), ms(50));
+    }
+
+    #[test]
+    fn a_robot_that_does_not_report_is_sent_a_script_after_the_end_of_the_one_before_was_awaited_and_asked_for()
+     {
+        for (tells, takes) in [
+            (Tells::Everything, ms(10)),
+            (Tells::Reports, ms(10)),
+            (Tells::Answers, ms(20) + LAPSE),
+            (Tells::Nothing, ms(10) + LAPSE),
+        ] {
+            let mut robot = bench::robot("r0", tells, 2);
+            robot.settings.clock = ClockMode::Measured;
+            for sent in [0, 20, 40] {
+                let there = bench::by_robot(at(sent + 4));
+                robot.clock.add(ClockSample::from_exchange(at(sent), there, there, at(sent + 8)));
+            }
+            let late = if robot.reports() { Span::ZERO } else { late(&robot, at(60)) };
+            assert_eq!(sending(&robot, at(60)), takes + late, "{tells:?}");
+        }
+    }
+
+    #[test]
+    fn an_act_whose_time_has_passed_is_held_against_what_the_act_before_it_leaves_on_the_devices() {
+        for (wait, round_trip, tight) in [
+            (Wait::Instant(at(0)), ms(40), true),
+            (Wait::Instant(at(0)), ms(8), false),
+            (Wait::Instant(at(600_000)), ms(40), false),
+            (Wait::Done, ms(40), false),
+        ] {
+            // Each act fits by itself. Behind the other one its second script has room 20 ms before its start.
+            let mut mission = greeted(2, [round_trip; 2]);
+            let mut choreography = downbeat_scripts::Choreography::clone(&mission.choreography);
+            choreography.acts.push(choreography.acts[0].clone());
+            choreography.acts[1].wait = wait.clone();
+            let short = [("a", 0, 10), ("a", 20, 10)].map(bench::device_script).to_vec();
+            choreography.acts[1].plan.robots.iter_mut().for_each(|robot| robot.scripts.clone_from(&short));
+            choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = ms(2_000));
+            mission.choreography = choreography.into();
+            mission.options.greeting = crate::Greeting::Skip;
+            for robot in 0..2 {
+                let _up = mission.handle(at(1_000), crate::Event::LinkUp { robot });
+            }
+            let _known = mission.handle(at(1_000), crate::Event::Recorded { count: 1 });
+            assert!(mission.acts[0].timing().is_some());
+            assert!(!mission.is_too_tight_behind(at(1_000), 0), "nothing is before it");
+            mission.line_up_act(at(1_000), 1);
+            assert_eq!(mission.is_too_tight_behind(at(1_000), 1), tight, "{wait:?}, {round_trip}");
+        }
+    }
+}

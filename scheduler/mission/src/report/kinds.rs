@@ -1,0 +1,155 @@
+//! What reports and recordings name is listed in their schema and in the documents: every kind, and no other. The lists come from
+//! the types themselves, so that a new variant fails here until it stands everywhere.
+
+use std::collections::BTreeSet;
+
+use downbeat_scripts::LatencySource;
+use serde_json::Value;
+use strum::VariantNames;
+
+use crate::report::{DeviceState, Outcome, SCHEMA, StopState};
+use crate::requirements::Judgement;
+use crate::robot_state::Standing;
+use crate::{
+    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, TransferReport, Verdict,
+};
+
+const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
+
+/// Where the schema lists the variants of a type.
+fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
+    let at = |pointer: &str| format!("/$defs/{pointer}");
+    vec![
+        (at("outcome"), Outcome::VARIANTS),
+        (at("device/properties/state"), DeviceState::VARIANTS),
+        (at("stop"), StopState::VARIANTS),
+        (at("robot/properties/standing"), Standing::VARIANTS),
+        (at("robot/properties/clock_mode"), &CLOCK_MODES),
+        (at("robot/properties/latency_differs/items/properties/from"), &LATENCY_SOURCES),
+        (at("failure/properties/failure"), FailureKind::VARIANTS),
+        (at("failure/properties/claim"), Claim::VARIANTS),
+        (at("failure/properties/slow"), Slow::VARIANTS),
+        (at("preflight/properties/greeting"), Greeting::VARIANTS),
+        (at("course/properties/fate"), ActFate::VARIANTS),
+        (at("transfer"), TransferReport::VARIANTS),
+        (at("judged/properties/result"), Judgement::VARIANTS),
+        (format!("{CHECKS}/0"), Check::VARIANTS),
+        (format!("{CHECKS}/1/properties/verdict"), Verdict::VARIANTS),
+    ]
+}
+
+/// Of a type of another crate, which has to be listed by hand: a variant more does not compile.
+const CLOCK_MODES: [&str; 2] = [clock_mode(ClockMode::Ntp), clock_mode(ClockMode::Measured)];
+
+const fn clock_mode(mode: ClockMode) -> &'static str {
+    match mode {
+        ClockMode::Ntp => "ntp",
+        ClockMode::Measured => "measured",
+    }
+}
+
+/// The same.
+const LATENCY_SOURCES: [&str; 3] = [
+    latency_source(LatencySource::Fleet),
+    latency_source(LatencySource::File),
+    latency_source(LatencySource::Robot),
+];
+
+const fn latency_source(source: LatencySource) -> &'static str {
+    match source {
+        LatencySource::Fleet => "fleet",
+        LatencySource::File => "file",
+        LatencySource::Robot => "robot",
+    }
+}
+
+fn schema() -> Value {
+    serde_json::from_str(SCHEMA).unwrap()
+}
+
+/// The words that a part of the schema allows; of an object with one required key, that key or what its `state` may be.
+fn words(schema: &Value, found: &mut BTreeSet<String>) {
+    let text = |word: &Value| word.as_str().map(str::to_owned);
+    found.extend(schema["enum"].as_array().into_iter().flatten().filter_map(text));
+    found.extend(schema.get("const").and_then(text));
+    schema["anyOf"].as_array().into_iter().flatten().for_each(|form| words(form, found));
+    match (&schema["properties"]["state"], &schema["properties"]) {
+        (Value::Null, Value::Object(keys)) => found.extend(keys.keys().cloned()),
+        (state, _) => {
+            if !state.is_null() {
+                words(state, found);
+            }
+        }
+    }
+}
+
+fn set(names: &[&str]) -> BTreeSet<String> {
+    names.iter().map(|name| (*name).to_owned()).collect()
+}
+
+#[test]
+fn the_schema_of_reports_lists_every_kind_and_no_other() {
+    let schema = schema();
+    for (pointer, variants) in listed_in_schema() {
+        let mut listed = BTreeSet::new();
+        words(schema.pointer(&pointer).unwrap_or_else(|| panic!("no {pointer}")), &mut listed);
+        assert_eq!(listed, set(variants), "schema.json{pointer}");
+    }
+}
+
+#[test]
+fn every_list_of_words_in_the_schema_of_reports_is_compared_with_a_type() {
+    fn lists(pointer: &str, schema: &Value, found: &mut Vec<String>) {
+        match schema {
+            Value::Object(map) => {
+                found.extend(map.contains_key("enum").then(|| pointer.to_owned()));
+                map.iter().for_each(|(key, inner)| lists(&format!("{pointer}/{key}"), inner, found));
+            }
+            Value::Array(items) => {
+                items
+                    .iter()
+                    .enumerate()
+                    .for_each(|(i, inner)| lists(&format!("{pointer}/{i}"), inner, found));
+            }
+            _ => {}
+        }
+    }
+    let mut found = Vec::new();
+    lists("", &schema(), &mut found);
+    // The command line compares what `downbeat stop` says of robots within a process.
+    let inside = ("/properties/inside/items/properties/what".to_owned(), [].as_slice());
+    let compared = [listed_in_schema(), vec![inside]].concat();
+    for pointer in found {
+        let known = compared.iter().any(|(compared, _)| pointer.starts_with(compared.as_str()));
+        assert!(known, "schema.json{pointer} is compared with no type");
+    }
+}
+
+fn document(name: &str) -> String {
+    let path = format!("{}/../../docs/{name}", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The words in backticks in the first column of the table with this head.
+fn column(document: &str, head: &str) -> BTreeSet<String> {
+    let rows = document.lines().skip_while(|line| !line.starts_with(head));
+    let rows = rows.take_while(|line| line.starts_with('|')).skip(2);
+    let cells = rows.filter_map(|row| row.split('|').nth(1));
+    cells.flat_map(|cell| cell.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
+}
+
+#[test]
+fn the_document_on_recordings_lists_every_decision_and_everything_that_is_told() {
+    let recording = document("recording.md");
+    assert_eq!(column(&recording, "| `record` |"), set(Record::VARIANTS), "docs/recording.md");
+    assert_eq!(column(&recording, "| `progress` |"), set(Progress::VARIANTS), "docs/recording.md");
+}
+
+#[test]
+fn the_document_on_missions_names_every_outcome_and_what_became_of_scripts_and_acts() {
+    let mission = document("mission.md");
+    let named = [Outcome::VARIANTS, DeviceState::VARIANTS, ActFate::VARIANTS].concat();
+    for name in named {
+        assert!(mission.contains(&format!("`{name}`")), "docs/mission.md does not name `{name}`");
+    }
+}

@@ -1,0 +1,290 @@
+//! The report of a mission. Its text is written by the module `show` of `downbeat`.
+
+#[cfg(test)]
+mod kinds;
+mod wake_up;
+mod withdrawal;
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
+
+use crate::clock::{ClockReading, NtpState};
+use crate::requirements::Judged;
+use crate::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
+pub use crate::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Greeting, Outcome};
+use crate::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight, TransferReport};
+pub use wake_up::HostWakeUp;
+pub use withdrawal::Withdrawal;
+
+/// The JSON Schema of a report.
+pub const SCHEMA: &str = include_str!("schema.json");
+
+/// The report of one mission. Times in milliseconds, instants in RFC 3339.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// The scenario's name.
+    pub scenario: String,
+    /// The name of the session on whose behalf robots were driven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionId>,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Why it was stopped, for people, where neither the outcome nor a failure of a robot says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
+    /// How often the journal was removed or replaced while the mission ran, and written again.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub journal_written_again: u64,
+    /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
+    /// followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acts_max_reached: Option<u32>,
+    /// Planned start of the first cue of the first act reported, by the server's clock.
+    pub start: Option<Timestamp<Server>>,
+    /// Why the start was that far ahead.
+    pub lead: Option<LeadTime>,
+    /// Largest spread of starts of any act, by the robots' own clocks.
+    #[serde(rename = "spread_ms")]
+    pub spread: Option<Span>,
+    /// The same by the one true clock, which only a dry run has.
+    #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
+    pub true_spread: Option<Span>,
+    /// The same for the last steps of scripts, because clocks drift while robots play.
+    #[serde(rename = "true_end_spread_ms", skip_serializing_if = "Option::is_none")]
+    pub true_end_spread: Option<Span>,
+    /// What the scenario requires, judged by this dry run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirements: Vec<Judged>,
+    /// Every act of the scenario, in the order of the file, and what became of it.
+    pub course: Vec<ActCourse>,
+    /// The acts that were sent, in order.
+    pub acts: Vec<ActReport>,
+    /// Earlier acts that are no longer listed; the journal has them.
+    pub acts_omitted: usize,
+    /// Robots in the order of the fleet, over all acts.
+    pub robots: Vec<RobotReport>,
+    /// The failures of each robot, in order; of a robot that fails again and again the first ones.
+    pub failures: Vec<Failure>,
+    /// The outcome of the way home. `None` if no way home was requested.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub home: Option<TransferReport>,
+    /// The outcome of the approach to the act after the last failure. `None` if no approach was necessary.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub approach: Option<TransferReport>,
+    /// Robots driven in this process whose hardware may not be at rest, each with the reason.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub not_at_rest: Vec<String>,
+    /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ntp: Option<NtpState>,
+    /// What became of the recording, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<Recorded>,
+    /// How late this host wakes its robots, where a preflight measured it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_up: Option<HostWakeUp>,
+    /// What was checked before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preflight: Option<Preflight>,
+}
+
+/// What one robot did over all acts.
+#[derive(Clone, Debug, Serialize)]
+pub struct RobotReport {
+    /// Id of the robot.
+    pub robot: RobotId,
+    /// `in`, `absent` or `out`.
+    pub standing: &'static str,
+    /// It accepted all its scripts.
+    pub accepted: bool,
+    /// Scripts that it said it had started.
+    pub started: usize,
+    /// Scripts planned.
+    pub scripts: usize,
+    /// Its start error of largest size: actual (by its clock) minus planned.
+    #[serde(rename = "start_error_ms")]
+    pub start_error: Option<Span>,
+    /// Steps executed, by its own account.
+    pub steps_done: u64,
+    /// Steps planned.
+    pub steps_planned: u64,
+    /// Steps that came more than a millisecond late, by its own account.
+    pub late_steps: u64,
+    /// How late the latest of them was, if the robot reports it.
+    #[serde(rename = "late_ms_max", skip_serializing_if = "Option::is_none")]
+    pub late_max: Option<Span>,
+    /// Scripts that it was sent and of which it has not said what became of them.
+    pub unaccounted: usize,
+    /// Requests sent again.
+    pub retries: u32,
+    /// How often its link was made again.
+    pub reconnects: u32,
+    /// Answers that answered nothing it was asked, or whose times could not be true. They counted for nothing.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub ignored_answers: u64,
+    /// Further failures of this robot, beyond those that the report lists.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub failures_omitted: u64,
+    /// How its time was brought to agree with the server's.
+    pub clock_mode: ClockMode,
+    /// Its clock against the server's.
+    pub clock: Option<ClockReading>,
+    /// Devices that declare another latency than was compensated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latency_differs: Option<LatencyDiffers>,
+    /// Whether the robot declares `pending_until`, and so drops a script that was not decided. `None`: it has not described itself.
+    pub pending_until: Option<bool>,
+    /// After a stop: whether it is known to be at rest.
+    pub stop: StopState,
+}
+
+/// What became of a recording.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Recorded {
+    /// The file.
+    pub path: PathBuf,
+    /// Why it is not whole; `None`: it is.
+    pub failure: Option<String>,
+}
+
+/// What became of the stop of a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "state")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+pub enum StopState {
+    /// None was sent.
+    NotSent,
+    /// The robot confirmed on every device that it has ended what it did, and comes to rest where it is.
+    Confirmed,
+    /// The robot confirmed on every device that it goes to its default state.
+    Home,
+    /// The robot refused it: it belongs to another session by now, whose commands it may execute, and holds nothing of this one.
+    TakenOver,
+    /// No confirmation; it stops by itself when its longest lease ends.
+    Unconfirmed {
+        /// When, by the server's clock; `None` if a script runs on without a lease.
+        lease_ends: Option<Timestamp<Server>>,
+    },
+}
+
+impl StopState {
+    /// Whether the robot may move although it was to be stopped.
+    #[must_use]
+    pub const fn is_unconfirmed(&self) -> bool {
+        matches!(self, Self::TakenOver | Self::Unconfirmed { .. })
+    }
+}
+
+impl Report {
+    /// How far apart steps that are planned for one instant were, by the one true clock, which only a dry run has.
+    #[must_use]
+    pub fn largest_true_spread(&self) -> Option<Span> {
+        self.true_spread.max(self.true_end_spread)
+    }
+
+    /// The report of a mission that has ended; `None` before.
+    #[must_use]
+    pub fn of(mission: &Mission) -> Option<Self> {
+        mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))
+    }
+
+    /// What is known if the operator leaves now, without waiting for anything.
+    #[must_use]
+    pub fn as_left(mission: &mut Mission, now: Timestamp<Server>) -> Self {
+        mission.leave(now);
+        Self::with(mission, Outcome::Abandoned)
+    }
+
+    fn with(mission: &Mission, outcome: Outcome) -> Self {
+        let (acts, acts_omitted) = mission.act_reports();
+        let robots = mission.robots();
+        let trusts_files = mission.options().greeting == Greeting::Skip;
+        Self {
+            scenario: mission.choreography().scenario.clone(),
+            session: mission.options().session_name().cloned(),
+            outcome,
+            because: mission.because().map(str::to_owned),
+            home: mission.home().cloned(),
+            approach: mission.approach().cloned(),
+            journal_written_again: mission.journal_written_again(),
+            acts_max_reached: mission.bound_reached(),
+            start: acts.front().map(|act| act.start),
+            lead: acts.front().map(|act| act.lead),
+            spread: acts.iter().filter_map(|act| act.spread).max(),
+            true_spread: None,
+            true_end_spread: None,
+            requirements: Vec::new(),
+            course: mission.fates().to_vec(),
+            acts: acts.iter().cloned().collect(),
+            acts_omitted,
+            robots: robots.iter().map(|robot| robot_report(robot, trusts_files)).collect(),
+            failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
+            not_at_rest: Vec::new(),
+            ntp: mission.ntp(),
+            recording: None,
+            wake_up: None,
+            preflight: mission.preflight().cloned(),
+        }
+    }
+
+    /// Whether all went as planned.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.outcome == Outcome::Done
+    }
+}
+
+/// With `trusts_files`, descriptions come from the fleet's files, because the mission did not request them from the robots.
+fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
+    let is_described = trusts_files || robot.introduced;
+    let totals = &robot.totals;
+    RobotReport {
+        robot: robot.id.clone(),
+        standing: match robot.standing {
+            Standing::In => "in",
+            Standing::Absent => "absent",
+            Standing::Out => "out",
+        },
+        accepted: totals.scripts > 0 && totals.accepted == totals.scripts,
+        started: totals.started,
+        scripts: totals.scripts,
+        start_error: totals.start_error,
+        steps_done: totals.steps_done,
+        steps_planned: totals.steps_planned,
+        late_steps: totals.late_steps,
+        late_max: totals.late_max,
+        unaccounted: totals.unaccounted,
+        retries: totals.retries,
+        reconnects: totals.reconnects,
+        ignored_answers: robot.exchanges.ignored(),
+        failures_omitted: robot.failures.omitted(),
+        clock_mode: robot.settings.clock,
+        clock: robot.clock.reading(),
+        latency_differs: robot.latency_differs.clone(),
+        pending_until: robot.block.as_ref().filter(|_| is_described).map(|_| robot.drops_undecided()),
+        stop: stop_state(robot),
+    }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde wants a reference")]
+const fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
+fn stop_state(robot: &RobotState) -> StopState {
+    if let (Stop::Confirmed(_), Some(lease_ends)) = (&robot.stop, robot.elsewhere) {
+        return StopState::Unconfirmed { lease_ends };
+    }
+    match (&robot.stop, robot.left.is_empty()) {
+        (Stop::Confirmed(Rest::InPlace), _) => StopState::Confirmed,
+        (Stop::Confirmed(Rest::Home), _) => StopState::Home,
+        (Stop::None, true) => StopState::NotSent,
+        (Stop::Sent(SentStop { taken_over: Some(_), .. }), _) => StopState::TakenOver,
+        (Stop::None | Stop::Sent(_), _) => {
+            let ends: Option<Vec<_>> = robot.left.iter().copied().collect();
+            StopState::Unconfirmed { lease_ends: ends.and_then(|ends| ends.into_iter().max()) }
+        }
+    }
+}

@@ -1,0 +1,336 @@
+//! What goes to the robots and to the journal, and what comes back: requests by their names, answers to their scripts.
+
+use std::cmp::Reverse;
+
+use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, StatusValue, Timestamp};
+
+use super::act::Act;
+use super::failure_kind::FailureKind;
+use super::record::Record;
+use super::robot_state::{SentStop, Stop};
+use super::script::{Script, ScriptRef, ScriptState};
+use super::{Action, ClockMode, Mission, Phase, StoppedBy, ledger};
+
+/// What a durable record is expected to take at least.
+const RECORDING: Span = Span::from_millis(30);
+/// A slower disk is not waited for: the commitment comes too late then.
+const RECORDING_MAX: Span = Span::from_millis(2_000);
+
+impl Mission {
+    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        if !self.is_the_one(now, robot, &message) {
+            return;
+        }
+        let named = self.robots[robot].named();
+        if self.robots[robot].heard(now) {
+            self.is_back(robot);
+        }
+        match message {
+            Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
+            Message::InitializationBlock(block) => {
+                self.introduced(now, robot, block);
+                if named {
+                    self.link_serves(now, robot);
+                }
+            }
+            Message::ControlResponse(response) => self.control_response(now, robot, &response),
+            Message::InquiryResponse(response) => self.inquiry_answered(now, robot, &response),
+            _ => {
+                let reason = "sent a message that only a server sends".to_owned();
+                self.fail(now, robot, FailureKind::Garbled { reason });
+            }
+        }
+    }
+
+    fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
+        let acts = &self.acts;
+        let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
+        // What a stop ends says OK as well: of a script it is the end only once that can have come.
+        let meant = |script: &ScriptRef| {
+            !stopped || response.status != Status::Ok || {
+                let act = acts.iter().find(|act| act.number() == script.act);
+                act.is_some_and(|act| act.can_have_ended(*script, response.timestamp))
+            }
+        };
+        let says = if reports { Says::ByItself } else { Says::Answers };
+        let open = |device: &DeviceId| open_without_name(acts, (robot, says), device, response).filter(meant);
+        let open_on = |device: &DeviceId| reports && open(device).is_some();
+        let unnamed = open(&response.device_id);
+        if self.robots[robot].stop_answered(now, response, open_on) {
+            self.stop_confirmed(now, robot);
+            self.stop_refused(robot);
+            self.ask_how_far_it_came(now, robot);
+            return self.stop_progress(now);
+        }
+        if self.reading_taken(now, robot, response) {
+            return self.goes_on(now);
+        }
+        let script = match &response.request_id {
+            Some(id) => self.robots[robot].requests.get(id).copied(),
+            None => unnamed,
+        };
+        let Some(script) = script else {
+            self.robots[robot].exchanges.ignore();
+            return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
+        };
+        let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
+        if stopped && response.status == Status::Ok && names_nothing(response) {
+            // Its own end or that of the stop: nobody can know.
+            act.lose_sight_of(script);
+            return self.goes_on(now);
+        }
+        let noted = act.answered(script, response, self.arrived, &self.robots);
+        self.report_rest(robot);
+        if noted.news != super::script::News::None {
+            self.carry_out(now, script.act, noted.actions);
+            self.goes_on(now);
+        } else if matches!(self.phase, Phase::Stopping { .. }) {
+            self.stop_progress(now);
+        }
+    }
+
+    /// A robot that belongs to another session by now refuses the stop: it is told once. What the operator says is repeated, as the
+    /// robot may become free; a mission that has failed leaves it to the other session, so that nothing stops it behind that.
+    fn stop_refused(&mut self, robot: usize) {
+        let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
+        if let Stop::Sent(sent) = &mut self.robots[robot].stop {
+            sent.given_up |= sent.taken_over.is_some() && !by_operator;
+        }
+        let state = &self.robots[robot];
+        let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
+        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.stop else { return };
+        if !state.failures.iter().any(told) {
+            let error = error.clone();
+            self.note_failure(robot, FailureKind::NotAvailable { error });
+        }
+    }
+
+    /// Sends a robot as many scripts as its devices have room for, in order of start.
+    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
+        if self.robots[robot].stop_was_sent() {
+            return;
+        }
+        for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
+            self.send_script(now, script);
+        }
+        // Room for what is out is room that an act behind may have waited for.
+        self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+    }
+
+    /// Sends the request of a script, for the first time or again.
+    pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
+        let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
+        let robot = act.robot_of(script);
+        let state = &self.robots[robot];
+        let measured = state.settings.clock == ClockMode::Measured;
+        let offset_at = |at| Some(state.clock_at(at).filter(|_| measured)?.offset);
+        let translated = act.translate(script, state.clock.steps(), offset_at);
+        let shift = act.members()[script.member].last_shift().filter(|_| translated.is_some());
+        let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
+        act.sent(now, script);
+        let lease = act.shortest_lease_of(script);
+        let keeps_limit = act.is_committed() && act.script(script).came_again();
+        translated.into_iter().for_each(|record| self.record(record));
+        let state = &mut self.robots[robot];
+        state.shift = shift.unwrap_or(state.shift);
+        state.touched.insert(request.device_id.clone());
+        state.at_rest = false;
+        state.requests.extend(request.request_id.clone().map(|id| (id, script)));
+        self.send(now, robot, Message::ControlRequest(request));
+        if keeps_limit {
+            // A robot that has it already keeps the limit of the earlier request, and only an inquiry extends that.
+            self.inquire(now, robot);
+        }
+        // Under its lease it may begin before the next round that the scripts before it ask for.
+        self.quicken_rounds(now, lease);
+    }
+
+    pub(super) fn count_retry(&mut self, script: ScriptRef) {
+        if let Some(act) = self.acts.iter().find(|act| act.number() == script.act) {
+            self.robots[act.robot_of(script)].totals.retries += 1;
+        }
+    }
+
+    /// Sends a message. While an act of the robot approaches its start, it goes behind a question that carries the lease;
+    /// between the critical instant and the commitment it waits.
+    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, mut message: Message) {
+        let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
+        if self.acts.iter().any(waits) {
+            return self.deferred.push((robot, message));
+        }
+        if self.acts.iter().any(|act| act.approaches(robot)) {
+            self.inquire_now(now, robot);
+        }
+        // As late as here: the act of a script that had to wait may have been committed meanwhile.
+        self.limit(now, robot, &mut message);
+        self.post(now, robot, message);
+    }
+
+    /// Gives a script the limit that it has if it is sent now. Only an inquiry extends it, so a robot without inquiries gets none.
+    fn limit(&self, now: Timestamp<Server>, robot: usize, message: &mut Message) {
+        let Message::ControlRequest(request) = message else { return };
+        let state = &self.robots[robot];
+        let script = request.request_id.as_ref().and_then(|id| state.requests.get(id));
+        let Some(script) = script.filter(|_| state.takes_inquiries()) else { return };
+        let act = self.acts.iter().find(|act| act.number() == script.act);
+        let ahead = state.clock_at(now).map(|reading| reading.offset);
+        request.pending_until = act.and_then(|act| act.pending_until(*script, ahead));
+    }
+
+    /// Sends what had to wait.
+    pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
+        for (robot, message) in std::mem::take(&mut self.deferred) {
+            self.send(now, robot, message);
+        }
+    }
+
+    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        self.post_by(now, robot, message, false);
+    }
+
+    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        self.post_by(now, robot, message, true);
+    }
+
+    fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
+        if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
+            self.robots[robot].is_sent(now, &message);
+            self.actions.push(Action::Send { robot, message, urgent });
+        }
+    }
+
+    pub(super) fn record(&mut self, record: Record) {
+        self.recording.count += u64::from(record.is_durable());
+        self.actions.push(Action::Record(record));
+    }
+
+    /// Writes down what an act waits for.
+    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: u32, record: Record) {
+        let durable = record.is_durable();
+        self.record(record);
+        if durable {
+            self.recording.awaited.push_back((self.recording.count, Some(act), now));
+        }
+    }
+
+    /// The first thing that is written down tells how long the disk takes, before anything depends on it.
+    pub(super) fn measure_disk(&mut self, now: Timestamp<Server>) {
+        if self.recording.count == 0 && matches!(self.phase, Phase::Greeting { .. } | Phase::Performing) {
+            self.record(Record::Begun);
+            self.recording.awaited.push_back((self.recording.count, None, now));
+        }
+    }
+
+    /// Whether it is known how long the disk takes.
+    pub(super) const fn disk_is_known(&self) -> bool {
+        self.recording.longest.is_some()
+    }
+
+    /// So many durable records are on the disk.
+    pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
+        while let Some(&(_, number, asked)) =
+            self.recording.awaited.front().filter(|(record, ..)| *record <= count)
+        {
+            self.recording.awaited.pop_front();
+            // Slowly forgotten, so that one slow moment does not delay the rest of the show.
+            let before = self.recording.longest.unwrap_or_default() * 3 / 4;
+            // What was held up on this machine says nothing of the disk.
+            self.recording.longest = Some((self.arrived - asked).max(before));
+            let Some(number) = number else {
+                self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+                continue;
+            };
+            let act = self.acts.iter_mut().find(|act| act.number() == number);
+            let actions = act.map(Act::recorded).unwrap_or_default();
+            self.carry_out(now, number, actions);
+        }
+        self.goes_on(now);
+    }
+
+    /// How long a durable record may take.
+    pub(super) fn recording_time(&self) -> Span {
+        (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
+    }
+}
+
+/// Whether a robot says what becomes of its scripts, or only answers what it is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Says {
+    ByItself,
+    Answers,
+}
+
+/// Whether an answer says neither which request it is for nor what came of it.
+const fn names_nothing(response: &ControlResponse) -> bool {
+    response.request_id.is_none() && may_be_for_a_stop(response)
+}
+
+/// Whether an `OK` may be the answer to a stop. The end of a script states its last value, and a stop sets none.
+#[must_use]
+pub const fn may_be_for_a_stop(response: &ControlResponse) -> bool {
+    matches!((&response.status_value, response.steps_done), (StatusValue::Null, None | Some(0)))
+}
+
+/// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
+pub(super) fn open_without_name(
+    acts: &[Act],
+    (robot, says): (usize, Says),
+    device: &DeviceId,
+    response: &ControlResponse,
+) -> Option<ScriptRef> {
+    if response.request_id.is_some() {
+        return None;
+    }
+    let is_start = response.status == Status::Started;
+    let all = || acts.iter().flat_map(|act| of_device(act, robot, device));
+    let fits = |script: &Script, state: &ScriptState| match response.status {
+        Status::Accepted => *state == ScriptState::Sent,
+        // A script that is known to run may not have started yet. Another process may have sent one that this process has not.
+        Status::Started => {
+            matches!(state, ScriptState::Sent | ScriptState::Held)
+                || *state == ScriptState::Planned && script.is_unaccounted()
+                || *state == ScriptState::Running && !script.has_started()
+        }
+        Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
+        // What it has accepted fails without a word.
+        _ if says == Says::Answers => *state == ScriptState::Sent,
+        _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
+    };
+    // To a request that came again it repeats its last answer.
+    let repeats =
+        |script: &Script| is_start && *script.state() == ScriptState::Running && script.came_again();
+    let mut open = all().filter(|(.., script)| fits(script, script.state()) || repeats(script));
+    // What it was sent earlier may be lost, as after a restart: what it begins or ends now is what is due now.
+    let off = |(act, at, script): &(&Act, ScriptRef, &Script)| {
+        (*script.state() != ScriptState::Running && !is_start, act.off_its_time(*at, response))
+    };
+    // A script under a short lease is lost before one that precedes it under a longer lease. Of two under equal leases, the earlier
+    // one may have begun.
+    let lease = |(act, script, _): &(&Act, ScriptRef, &Script)| {
+        let lease = act.shortest_lease_of(*script);
+        (lease.is_none(), lease, Reverse((script.act, script.script)))
+    };
+    let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
+    let found = match response.status {
+        Status::Started => open.min_by_key(off),
+        // Of two that would end at the same instant, the one that has begun last: the other has ended before it, unheard.
+        Status::Ok => open.reduce(|found, other| if off(&other) <= off(&found) { other } else { found }),
+        Status::Failed if ran_out => open.min_by_key(lease),
+        _ => open.next(),
+    };
+    found.map(|(_, script, _)| script)
+}
+
+/// The scripts of an act on a robot's device, in order of time, and where they stand.
+fn of_device<'a>(
+    act: &'a Act,
+    robot: usize,
+    device: &'a DeviceId,
+) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a Script)> {
+    let places = act.place_of(robot).into_iter();
+    places.flat_map(move |member| {
+        let scripts = act.members()[member].on(device);
+        scripts
+            .map(move |(index, script)| (act, ScriptRef { act: act.number(), member, script: index }, script))
+    })
+}

@@ -1,0 +1,275 @@
+//! Questions and their answers, stops and their confirmations, links and attempts.
+
+use urrcp::{ErrorCode, Interpolation, StatusValue};
+
+use super::*;
+use crate::bench::{self, Tells, at, ms, response};
+
+#[test]
+fn an_answer_settles_its_question_and_every_older_one() {
+    let mut questions = Questions::default();
+    [1, 2, 3].into_iter().for_each(|millis| questions.asked(at(millis)));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (None, Some(at(1)), Some(at(3)))
+    );
+    questions.answer(at(2));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (Some(at(2)), Some(at(3)), Some(at(3)))
+    );
+    questions.answer(at(1));
+    assert_eq!(questions.answered(), Some(at(2)), "an older answer that comes later takes nothing back");
+    questions.answer(at(3));
+    assert_eq!((questions.unanswered(), questions.last_unanswered()), (None, None));
+}
+
+#[test]
+fn questions_that_a_later_answer_passes_over_may_have_been_heard() {
+    let mut questions = Questions::default();
+    for (asked, answered, passed_over) in
+        [(&[1][..], 1, false), (&[2, 4], 4, true), (&[], 2, true), (&[5], 5, false)]
+    {
+        asked.iter().for_each(|millis| questions.asked(at(*millis)));
+        questions.answer(at(answered));
+        assert_eq!(questions.passed_over(), passed_over, "the answer to {answered}");
+    }
+}
+
+#[test]
+fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
+    let mut questions = Questions::default();
+    questions.asked(at(1));
+    questions.answer(at(1));
+    questions.asked(at(2));
+    questions.forgive();
+    assert_eq!((questions.answered(), questions.unanswered()), (Some(at(1)), None));
+}
+
+#[test]
+fn what_is_forgiven_may_have_been_heard_as_long_as_nothing_newer_was_answered() {
+    for (answered, passed_over) in [(&[3][..], true), (&[2, 3], false), (&[1, 3], true)] {
+        let mut questions = Questions::default();
+        questions.asked(at(0));
+        questions.answer(at(0));
+        [1, 2].into_iter().for_each(|millis| questions.asked(at(millis)));
+        questions.forgive();
+        questions.forgive();
+        questions.asked(at(3));
+        answered.iter().for_each(|millis| questions.answer(at(*millis)));
+        assert_eq!(questions.passed_over(), passed_over, "answers to {answered:?}");
+        questions.asked(at(4));
+        questions.answer(at(4));
+        assert!(!questions.passed_over(), "that was before the last answer");
+    }
+}
+
+#[test]
+fn on_a_link_that_carries_nothing_the_oldest_questions_are_remembered() {
+    let mut questions = Questions::default();
+    (0..1_000).for_each(|millis| questions.asked(at(millis)));
+    assert_eq!(questions.unanswered(), Some(at(0)));
+    assert_eq!(questions.open.len(), OPEN_MAX);
+    questions.answer(at(2_000));
+    assert_eq!(questions.unanswered(), None);
+}
+
+const STOPPED: i64 = 100;
+
+/// A robot whose devices `a` and `b` were sent stops.
+fn stopped(rest: Rest) -> RobotState {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    robot.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
+    let unconfirmed = ["a", "b"].map(|device| (id(device), device.parse().unwrap())).into();
+    robot.stop =
+        Stop::Sent(SentStop { at: at(STOPPED), rest, unconfirmed, taken_over: None, given_up: false });
+    robot
+}
+
+fn id(device: &str) -> RequestId {
+    RequestId::new(format!("stop/{device}")).unwrap()
+}
+
+fn without_name(device: &str, status: Status, millis: i64) -> ControlResponse {
+    response(&device.parse().unwrap(), None, status, at(millis))
+}
+
+#[test]
+fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
+    let mut robot = stopped(Rest::Home);
+    let confirmed = |robot: &mut RobotState, device: &str, status| {
+        let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
+        robot.stop_answered(at(STOPPED + 2), &response, |_| false)
+    };
+    assert!(confirmed(&mut robot, "a", Status::Accepted), "it is an answer, and no confirmation");
+    assert!(confirmed(&mut robot, "a", Status::Ok));
+    assert!(robot.awaits_stop() && !robot.is_settled());
+    assert!(confirmed(&mut robot, "b", Status::Failed), "it is an answer, and no confirmation");
+    assert!(robot.awaits_stop());
+    assert!(confirmed(&mut robot, "b", Status::Ok));
+    assert!(matches!(robot.stop, Stop::Confirmed(Rest::Home)) && robot.is_settled());
+    assert!(!confirmed(&mut robot, "b", Status::Ok), "there is nothing left to confirm");
+}
+
+#[test]
+fn an_answer_to_another_request_confirms_no_stop() {
+    let mut robot = stopped(Rest::InPlace);
+    let response =
+        response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
+    assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+    assert!(robot.awaits_stop());
+}
+
+#[test]
+fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
+    let mut robot = stopped(Rest::InPlace);
+    assert!(robot.stop_answered(at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), |_| false));
+    let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
+    assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
+    assert!(!robot.stop_answered(at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), |_| false));
+    assert!(robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Ok, STOPPED + 3), |_| false));
+    assert!(robot.is_settled());
+}
+
+#[test]
+fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_said_before_the_stop() {
+    let mut robot = stopped(Rest::InPlace);
+    let after = without_name("a", Status::Ok, STOPPED + 1);
+    assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
+    let before = without_name("a", Status::Ok, STOPPED - 1);
+    assert!(!robot.stop_answered(at(STOPPED + 2), &before, |_| false));
+    // Only the end of a script has a last value and steps.
+    let last_value = ControlResponse { status_value: StatusValue::Number(45.0), ..after.clone() };
+    let steps = ControlResponse { steps_done: Some(1), ..after.clone() };
+    for ended in [last_value, steps] {
+        assert!(!robot.stop_answered(at(STOPPED + 2), &ended, |_| false), "{ended:?}");
+    }
+    for status in [Status::Accepted, Status::Started, Status::Failed, Status::Provide] {
+        let response = ControlResponse {
+            error: bench::refusal(ErrorCode::Cancelled),
+            ..without_name("a", status, STOPPED + 1)
+        };
+        assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+    }
+    assert!(robot.awaits_stop());
+    assert!(robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "b"));
+}
+
+#[test]
+fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
+    let mut robot = stopped(Rest::InPlace);
+    let there = bench::by_robot(at(10)) + ms(5_000);
+    robot.clock.add(crate::clock::ClockSample::from_exchange(at(10), there, there, at(10)));
+    let said = |robot: &RobotState, millis| robot.said_at(at(200), bench::by_robot(at(millis)));
+    assert!((said(&robot, 5_150) - at(150)).abs() < ms(1), "its clock is five seconds ahead");
+    assert_eq!(said(&robot, 9_000), at(200));
+    // By its own clock it was said long after the stop; in truth before it.
+    let response = without_name("a", Status::Ok, 5_000 + STOPPED - 50);
+    assert!(!robot.stop_answered(at(STOPPED + 60), &response, |_| false));
+}
+
+#[test]
+fn before_a_stop_was_sent_nothing_confirms_one() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    assert!(robot.is_settled(), "it was sent nothing");
+    robot.touched.insert("a".parse().unwrap());
+    assert!(!robot.is_settled());
+    assert!(!robot.stop_answered(at(1), &without_name("a", Status::Ok, 1), |_| false));
+}
+
+#[test]
+fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let pauses: Vec<Span> = (0..10).map(|_| robot.next_attempt()).collect();
+    assert_eq!(pauses[..4], [Span::ZERO, ms(10), ms(20), ms(40)]);
+    assert!(pauses.is_sorted() && pauses[9] == RETRY_AFTER_MAX);
+    assert!(!robot.heard(Timestamp::from_nanos(0)));
+    assert_eq!(robot.next_attempt(), Span::ZERO);
+}
+
+#[test]
+fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_it() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    robot.questions.asked(at(1));
+    let lost =
+        Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
+    robot.link = Link::Lost(lost.clone());
+    assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
+    robot.connected(at(0));
+    assert!(robot.named());
+    assert_eq!((robot.is_up(), robot.broken(), robot.questions.unanswered()), (true, Some("cut"), None));
+    assert!(robot.heard(Timestamp::from_nanos(0)), "for the first time since");
+    assert!(!robot.heard(Timestamp::from_nanos(0)));
+    assert_eq!(robot.broken(), None);
+    robot.link = Link::Lost(Lost { loss: Loss::Refused, ..lost });
+    assert!(robot.is_gone());
+}
+
+#[test]
+fn what_was_sent_shortly_before_or_between_two_instants_may_have_reached_it_there() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let spoken = |robot: &RobotState, before, after| {
+        robot.was_spoken_to(at(10_000), (bench::by_robot(at(before)), bench::by_robot(at(after))))
+    };
+    assert!(!spoken(&robot, 0, 9_000));
+    robot.spoken_at = Some(at(2_000));
+    assert!(spoken(&robot, 1_000, 4_000));
+    assert!(spoken(&robot, 2_900, 4_000), "it was under way");
+    assert!(!spoken(&robot, 3_100, 4_000), "it was there before");
+    assert!(!spoken(&robot, 0, 1_900), "it came later");
+}
+
+#[test]
+fn silence_counts_from_what_was_last_heard_and_a_question_has_two_thirds_of_the_time() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let silent = |robot: &RobotState| robot.silent_at(ms(300));
+    assert_eq!(silent(&robot), None, "it owes no answer");
+    robot.questions.asked(at(10));
+    assert_eq!(silent(&robot), Some(at(310)), "it has never been heard");
+    robot.heard(at(0));
+    assert_eq!(silent(&robot), Some(at(300)));
+    robot.questions.answer(at(10));
+    robot.questions.asked(at(250));
+    assert_eq!((robot.questions.last_asked(), silent(&robot)), (Some(at(250)), Some(at(450))));
+}
+
+#[test]
+fn the_totals_of_a_robot_add_up_over_its_scripts() {
+    let mut totals = Totals::default();
+    let script = |status: Option<Status>, late: u32| {
+        let mut script = Script::new(&bench::device_script(("a", 0, 400)), Interpolation::Hold);
+        if let Some(status) = status {
+            script.sent(at(0));
+            let error = bench::refusal(ErrorCode::Late).filter(|_| status == Status::Failed);
+            let said = response(&script.plan.device, None, status, at(1));
+            script.answered(&ControlResponse { error, late_steps: Some(late), ..said });
+        }
+        script
+    };
+    for (status, late, error) in [
+        (None, 0, None),
+        (Some(Status::Accepted), 0, None),
+        (Some(Status::Ok), 1, Some(ms(2))),
+        (Some(Status::Ok), 1, Some(ms(-5))),
+        (Some(Status::Started), 1, Some(ms(3))),
+        (Some(Status::Failed), 0, None),
+        (Some(Status::Failed), 0, None),
+    ] {
+        totals.add(&script(status, late), error);
+    }
+    let Totals { scripts, sent, accepted, failed, started, unaccounted, .. } = totals;
+    assert_eq!((scripts, sent, accepted, failed, started, unaccounted), (7, 6, 4, 2, 3, 2));
+    assert_eq!((totals.steps_done, totals.steps_planned, totals.late_steps), (4, 14, 3));
+    assert_eq!(totals.start_error, Some(ms(-5)), "the largest, early or late");
+}
+
+#[test]
+fn a_robot_is_garbled_once_it_said_what_could_not_be_read() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let mut fails = |kind| {
+        robot.failures.note(crate::Failure { robot: robot.id.clone(), kind });
+        robot.is_garbled()
+    };
+    assert!(!fails(crate::FailureKind::LinkDown { reason: "off".to_owned() }));
+    assert!(fails(crate::FailureKind::Garbled { reason: "x".to_owned() }));
+}

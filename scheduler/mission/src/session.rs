@@ -1,0 +1,245 @@
+//! On whose behalf robots are driven: a name that people read, and a key that only the robots and the journal know.
+//!
+//! A robot obeys any party that names its session. On the wire a session is therefore `NAME/KEY`, and the key is 128 random
+//! bits. People see the name alone: in reports, on the display, in folders of missions, in names of requests. The key stands in
+//! the first line of the journal, so that `resume` and `stop` have it.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize, de};
+use urrcp::{ControlError, LimitError, Message, SessionId};
+
+/// Random bytes of a key.
+const KEY_BYTES: usize = 16;
+/// Hexadecimal digits of a key.
+const KEY_DIGITS: usize = 2 * KEY_BYTES;
+/// What separates the name from the key.
+const SEPARATOR: char = '/';
+
+/// The secret part of a session: 32 hexadecimal digits. It is not shown by `Debug`.
+#[derive(Clone, PartialEq, Eq, Serialize)]
+#[serde(transparent)]
+pub struct SessionKey(String);
+
+/// One run of a scheduler, as people and as robots know it.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Session {
+    name: SessionId,
+    on_the_wire: SessionId,
+}
+
+/// The operating system gives no random bits.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("the system gives no random bits for the key of the session: {0}")]
+pub struct NoRandomBits(getrandom::Error);
+
+impl SessionKey {
+    /// A key that nobody can guess, from the random bits of the operating system.
+    ///
+    /// # Errors
+    /// [`NoRandomBits`] where the system has none.
+    pub fn random() -> Result<Self, NoRandomBits> {
+        let mut bytes = [0; KEY_BYTES];
+        getrandom::fill(&mut bytes).map_err(NoRandomBits)?;
+        Ok(Self(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
+    }
+}
+
+impl fmt::Debug for SessionKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("SessionKey(..)")
+    }
+}
+
+impl<'de> Deserialize<'de> for SessionKey {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let digits = String::deserialize(deserializer)?;
+        match is_key(&digits) {
+            true => Ok(Self(digits)),
+            false => Err(de::Error::custom(format!(
+                "the key of a session, expected {KEY_DIGITS} hexadecimal digits"
+            ))),
+        }
+    }
+}
+
+impl Session {
+    /// A session that robots know by its name alone: everybody who knows the name can drive them. For simulations, and for
+    /// missions of earlier versions.
+    #[must_use]
+    pub fn named(name: SessionId) -> Self {
+        Self { on_the_wire: name.clone(), name }
+    }
+
+    /// A session of which robots know the key as well.
+    ///
+    /// # Errors
+    /// [`LimitError`] where the name leaves no room for the key: it has at most 223 characters.
+    pub fn with_key(name: SessionId, key: &SessionKey) -> Result<Self, LimitError> {
+        let on_the_wire = SessionId::new(format!("{name}{SEPARATOR}{}", key.0))?;
+        Ok(Self { name, on_the_wire })
+    }
+
+    /// What people call it.
+    #[must_use]
+    pub const fn name(&self) -> &SessionId {
+        &self.name
+    }
+
+    /// What robots are told. Not to be shown.
+    #[must_use]
+    pub const fn on_the_wire(&self) -> &SessionId {
+        &self.on_the_wire
+    }
+}
+
+impl From<SessionId> for Session {
+    fn from(name: SessionId) -> Self {
+        Self::named(name)
+    }
+}
+
+impl fmt::Debug for Session {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Session").field(&self.name).finish()
+    }
+}
+
+/// What of a session on the wire people may see: without its key, if it has one.
+#[must_use]
+pub fn name_of(on_the_wire: &SessionId) -> &str {
+    let text = on_the_wire.as_str();
+    match text.rsplit_once(SEPARATOR) {
+        Some((name, key)) if is_key(key) && !name.is_empty() => name,
+        _ => text,
+    }
+}
+
+/// A message as it may be kept where people read it: without the key of its session.
+#[must_use]
+pub fn without_key(mut message: Message) -> Message {
+    let session = match &mut message {
+        Message::AvailabilityRequest(request) => &mut request.session,
+        Message::Inquiry(inquiry) => &mut inquiry.session,
+        Message::ControlRequest(request) => &mut request.session,
+        _ => return message,
+    };
+    if let Some(on_the_wire) = session {
+        let name = name_of(on_the_wire);
+        if name.len() < on_the_wire.as_str().len() {
+            *session = SessionId::new(name).ok();
+        }
+    }
+    message
+}
+
+/// A message of a robot as it may be shown: a robot that names the session to which it belongs names the key as well.
+#[must_use]
+pub fn told_without_keys(mut message: Message) -> Message {
+    match &mut message {
+        Message::AvailabilityResponse(response) => hide_keys(response.error.as_mut()),
+        Message::ControlResponse(response) => hide_keys(response.error.as_mut()),
+        Message::InquiryResponse(response) => {
+            let of_requests = response.requests.iter_mut().map(|report| report.error.as_mut());
+            of_requests.for_each(hide_keys);
+            hide_keys(response.error.as_mut());
+        }
+        _ => {}
+    }
+    message
+}
+
+/// Takes what looks like the key of a session out of the text of an error.
+fn hide_keys(error: Option<&mut ControlError>) {
+    let Some(error) = error.filter(|error| error.message.contains(SEPARATOR)) else { return };
+    let mut parts = error.message.split(SEPARATOR);
+    let mut shown = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        shown.push(SEPARATOR);
+        let digits = part.bytes().take_while(|byte| is_digit(*byte)).count();
+        // A long text is cut, perhaps within the key.
+        match digits == KEY_DIGITS || digits > 0 && part[digits..] == *"…" {
+            true => shown.push('…'),
+            false => shown.push_str(&part[..digits]),
+        }
+        shown.push_str(&part[digits..]);
+    }
+    error.message = shown;
+}
+
+const fn is_digit(byte: u8) -> bool {
+    matches!(byte, b'0'..=b'9' | b'a'..=b'f')
+}
+
+fn is_key(text: &str) -> bool {
+    text.len() == KEY_DIGITS && text.bytes().all(is_digit)
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{AvailabilityRequest, ErrorCode, Inquiry};
+
+    use super::*;
+
+    fn name() -> SessionId {
+        SessionId::new("show@host-1").unwrap()
+    }
+
+    #[test]
+    fn what_robots_are_told_has_128_random_bits_that_people_never_see() {
+        let (one, other) = (SessionKey::random().unwrap(), SessionKey::random().unwrap());
+        assert_ne!(one, other);
+        let session = Session::with_key(name(), &one).unwrap();
+        let wire = session.on_the_wire().as_str();
+        let (before, key) = wire.split_once('/').unwrap();
+        assert_eq!((before, key.len(), is_key(key)), ("show@host-1", 32, true));
+        assert_eq!(session.name(), &name());
+        assert!(!format!("{session:?} {one:?}").contains(key));
+        assert_eq!(name_of(session.on_the_wire()), "show@host-1");
+    }
+
+    #[test]
+    fn a_key_is_kept_as_its_digits_and_nothing_else_is_taken_for_one() {
+        let key = SessionKey::random().unwrap();
+        let kept = serde_json::to_string(&key).unwrap();
+        assert_eq!(serde_json::from_str::<SessionKey>(&kept).unwrap(), key);
+        for wrong in ["\"\"", "\"0123\"", "\"0123456789ABCDEF0123456789ABCDEF\"", "7"] {
+            assert!(serde_json::from_str::<SessionKey>(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(name_of(&SessionId::new("a/b").unwrap()), "a/b");
+    }
+
+    #[test]
+    fn messages_are_kept_without_the_key() {
+        let key = SessionKey::random().unwrap();
+        let session = Session::with_key(name(), &key).unwrap().on_the_wire().clone();
+        let asked = AvailabilityRequest { timestamp: None, session: Some(session.clone()), seize: false };
+        let inquiry = Inquiry { session: Some(session), ..Inquiry::default() };
+        for message in [Message::AvailabilityRequest(asked), Message::Inquiry(inquiry)] {
+            let kept = serde_json::to_string(&without_key(message)).unwrap();
+            assert!(kept.contains(r#""session":"show@host-1""#) && !kept.contains(&key.0), "{kept}");
+        }
+    }
+
+    #[test]
+    fn the_key_that_a_robot_tells_is_not_shown() {
+        let key = "0123456789abcdef".repeat(2);
+        for (told, shown) in [
+            (format!("belongs to session `a@b/{key}`"), "belongs to session `a@b/…`".to_owned()),
+            (format!("a/{key}, b/{key}"), "a/…, b/…".to_owned()),
+            (format!("a/{key}0"), format!("a/{key}0")),
+            ("no such file: /dev/ttyé0".to_owned(), "no such file: /dev/ttyé0".to_owned()),
+        ] {
+            let mut error = ControlError::new(ErrorCode::Busy, told);
+            hide_keys(Some(&mut error));
+            assert_eq!(error.message, shown);
+        }
+    }
+
+    #[test]
+    fn a_name_that_leaves_no_room_for_a_key_is_refused() {
+        let key = SessionKey::random().unwrap();
+        let of = |chars: usize| Session::with_key(SessionId::new("x".repeat(chars)).unwrap(), &key);
+        assert!(of(223).is_ok() && of(224).is_err());
+    }
+}

@@ -1,0 +1,714 @@
+//! Missions without links, as far as they can be seen by what they answer.
+
+mod again;
+mod clocks;
+mod course;
+mod greeting;
+mod hostile;
+mod lost;
+mod played;
+mod resumed;
+mod stops;
+mod table;
+mod transfer;
+
+use std::sync::Arc;
+
+use downbeat_scripts::{SensorRange, Wait, Way};
+use urrcp::{DeviceId, ErrorCode, RequestId, Status};
+
+use super::act::ActAction;
+use super::bench::Tells::Everything;
+use super::bench::{Planned, TOLERANCE, Tells, at, by_robot, choreography, device_script, ms, robot};
+use super::preflight::{Check, Verdict};
+use super::robot_state::{Standing, Stop};
+use super::script::ScriptRef;
+use super::*;
+use crate::clock::ClockSample;
+use crate::session::Session;
+
+/// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
+fn waits_in(waiting: usize) -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 400)]]);
+    let two = choreography.acts[0].clone();
+    choreography.acts.push(two);
+    for (index, name) in ["one", "two"].into_iter().enumerate() {
+        choreography.acts[index].name = name.to_owned();
+        choreography.acts[index].next = if index == 0 { Way::Act(1) } else { Way::End };
+        choreography.acts[index].wait = if index == waiting { Wait::Operator } else { Wait::Done };
+    }
+    let block = robot("r0", Everything, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap()
+}
+
+#[track_caller]
+fn answers(mission: &mut Mission, act: Option<&str>, expected: Result<&str, &str>) {
+    let actions = mission.handle(at(1), Event::Go { act: act.map(str::to_owned), by: None });
+    let answer = actions.into_iter().find_map(|action| match action {
+        Action::Answer(answer) => Some(answer),
+        _ => None,
+    });
+    assert_eq!(answer, Some(expected.map(str::to_owned).map_err(str::to_owned)));
+}
+
+#[test]
+fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
+    let mut mission = waits_in(0);
+    answers(&mut mission, None, Err("the fleet is still being checked"));
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    answers(&mut mission, Some("three"), Err("no act is called `three`"));
+    answers(&mut mission, Some("two"), Err("`two` does not wait: `one` waits for the operator's go"));
+    answers(&mut mission, Some("one"), Ok("one"));
+    answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
+    answers(&mut mission, None, Err("no act waits for the operator"));
+    // Nothing was sent that would have to be stopped.
+    let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::InPlace, by: None });
+    answers(&mut mission, None, Err("the mission is over"));
+}
+
+/// One act that begins at once, played by a robot that reports, and takes inquiries or none.
+fn begins_at_once(tells: Tells) -> Mission {
+    one_act(tells, 400)
+}
+
+/// The same with an act that takes so many milliseconds.
+fn one_act(tells: Tells, takes: i64) -> Mission {
+    begins_with(tells, &[("a", 0, takes)])
+}
+
+fn begins_with(tells: Tells, scripts: &[Planned]) -> Mission {
+    let block = robot("r0", tells, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    Mission::new(Arc::new(choreography(&[scripts])), participants, options, at(0)).unwrap()
+}
+
+fn scripts_in(actions: &[Action]) -> Vec<RequestId> {
+    let script = |action: &Action| match action {
+        Action::Send { message: Message::ControlRequest(request), .. } => request.request_id.clone(),
+        _ => None,
+    };
+    actions.iter().filter_map(script).collect()
+}
+
+/// An event, and the disk at once.
+fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<Action> {
+    let mut actions = mission.handle(now, event);
+    actions.extend(mission.advance(now));
+    for count in 1..=3 {
+        actions.extend(mission.handle(now, Event::Recorded { count }));
+        actions.extend(mission.advance(now));
+    }
+    actions
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_is_sent_again_what_waits_when_its_link_is_back() {
+    for (tells, again) in [(Tells::Reports, true), (Everything, false)] {
+        let mut mission = begins_at_once(tells);
+        let first = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+        assert_eq!(first.len(), 1);
+        let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+        let _reconnects = happens(&mut mission, at(2), down);
+        let actions = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
+        let expected = if again { first } else { Vec::new() };
+        assert_eq!(scripts_in(&actions), expected, "{tells:?}");
+        let totals = mission.robots[0].totals;
+        assert_eq!((totals.reconnects, totals.retries), (1, u32::from(again)), "{tells:?}");
+    }
+}
+
+#[test]
+fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_just_been_made() {
+    let mut mission = begins_at_once(Everything);
+    assert!(!mission.takes_stops(at(0), 0), "there is no link");
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
+}
+
+/// An act that was sent, out of its mission.
+fn sent_act() -> (Mission, Act, ActReport) {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let act = mission.acts.remove(0);
+    let report = ActReport::new(&act, &mission.robots).unwrap();
+    (mission, act, report)
+}
+
+fn with_rows(mut report: ActReport, rows: usize) -> ActReport {
+    report.robots = vec![report.robots[0].clone(); rows];
+    report
+}
+
+#[test]
+fn the_report_of_the_last_act_is_kept_however_many_robots_played_it() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 20_001));
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 1), "the oldest is left out");
+}
+
+#[test]
+fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 19_999));
+    mission.keep_report(&act, report.clone());
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 1));
+}
+
+#[test]
+fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
+    let (mut mission, act, _) = sent_act();
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    let member = &act.members()[0];
+    let lease = act.timing().unwrap().lead.lease;
+    let left = act.left_behind(member, 0, &mission.robots[0], at(1));
+    assert_eq!(left, Some(Some(mission.robots[0].last_sent.unwrap() + lease)));
+}
+
+#[test]
+fn an_act_is_sent_later_than_the_stop_before_it() {
+    for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
+        let mut mission = begins_at_once(Everything);
+        mission.stopped_at = stopped;
+        let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let script = |action: &Action| match action {
+            Action::Send { message: Message::ControlRequest(request), .. } => request.timestamp,
+            _ => None,
+        };
+        assert_eq!(actions.iter().find_map(script), Some(sent));
+    }
+}
+
+#[test]
+fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted() {
+    let read = Some(51.0);
+    for (greeting, readings, passes) in [
+        (Greeting::Full, vec![read], true),
+        (Greeting::Full, vec![None], false),
+        (Greeting::Skip, vec![read], false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        let range = SensorRange::Above(50.0);
+        mission.robots[0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        mission.robots[0].readings = readings;
+        mission.options.greeting = greeting;
+        let table = preflight::table(&mission, at(0));
+        let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
+        let expected = if passes { Verdict::Pass("eye 51".to_owned()) } else { Verdict::NotChecked };
+        assert_eq!(verdict.1, expected, "{greeting:?}");
+    }
+}
+
+/// A mission that performs and asks on each new link which robot answers. The link broke and was made again.
+fn reconnected() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.options.greeting = Greeting::Full;
+    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    let _reconnects = happens(&mut mission, at(2), down);
+    let _asks = mission.handle(at(4), Event::LinkUp { robot: 0 });
+    mission
+}
+
+#[test]
+fn a_robot_that_does_not_say_which_one_it_is_is_asked_again_before_its_link_is_given_up() {
+    let mut mission = reconnected();
+    mission.ask_names_again(at(300));
+    assert!(mission.robots[0].unnamed_since().is_some(), "it may still answer");
+    assert!(
+        mission
+            .actions
+            .iter()
+            .any(|action| matches!(action, Action::Send { message: Message::InitializationRequest(_), .. }))
+    );
+    mission.ask_names_again(at(4_000));
+    assert!(mission.robots[0].unnamed_since().is_none(), "as good as not reached");
+}
+
+#[test]
+fn another_robot_at_the_address_of_one_that_plays_stops_the_mission() {
+    let mut mission = reconnected();
+    let block = robot("another", Everything, 2).block.unwrap();
+    let _actions =
+        mission.handle(at(5), Event::Received { robot: 0, message: Message::InitializationBlock(block) });
+    assert!(
+        mission.robots[0]
+            .failures
+            .iter()
+            .any(|failure| matches!(failure.kind, FailureKind::AnotherRobot { .. }))
+    );
+    assert!(matches!(mission.phase, Phase::Stopping { .. } | Phase::Ended), "{:?}", mission.phase);
+}
+
+#[test]
+fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
+    let mut mission = begins_at_once(Everything);
+    mission.robots[0].settings.clock = ClockMode::Measured;
+    let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let ends = mission.acts[0].since() + mission.options.patience;
+    let _waits = mission.advance(ends - Span::from_nanos(1));
+    assert!(!mission.robots[0].has_failed());
+    let _fails = mission.advance(ends);
+    assert!(mission.robots[0].has_failed());
+}
+
+#[test]
+fn a_robot_that_was_sent_nothing_is_sent_no_stop_and_another_one_only_one() {
+    let mut mission = begins_at_once(Everything);
+    mission.stop_robot(at(0), 0, Rest::InPlace);
+    assert!(!mission.robots[0].stop_was_sent() && mission.stopped_at.is_none());
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.stop_robot(at(1), 0, Rest::InPlace);
+    mission.stop_robot(at(2), 0, Rest::Home);
+    assert!(
+        matches!(&mission.robots[0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::InPlace)
+    );
+    assert_eq!(mission.stopped_at, Some(at(1)));
+}
+
+#[test]
+fn a_robot_owes_the_fate_of_what_it_was_sent_if_it_can_tell_it() {
+    for (tells, owes) in [(Everything, true), (Tells::Reports, true), (Tells::Nothing, false)] {
+        let mut mission = begins_at_once(tells);
+        assert!(!mission.owes_a_fate(0), "{tells:?}: nothing was sent");
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        assert_eq!(mission.owes_a_fate(0), owes, "{tells:?}");
+    }
+}
+
+#[test]
+fn an_act_tells_how_far_its_starts_may_be_apart() {
+    let mut mission = greets_a_clock(0, 2);
+    mission.options.greeting = Greeting::Skip;
+    let actions = happens(&mut mission, at(3), Event::LinkUp { robot: 0 });
+    let skew = actions.iter().find_map(|action| match action {
+        Action::Tell(Progress::Preparing { skew, .. }) => skew.as_ref(),
+        _ => None,
+    });
+    assert!(skew.is_some());
+    let act = mission.acts.remove(0);
+    assert!(mission.skew_of(&act, at(4)).is_some(), "its lead follows from it");
+}
+
+#[test]
+fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
+    let script = ScriptRef { act: 0, member: 0, script: 0 };
+    mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
+    assert_eq!(scripts_in(&mission.actions), []);
+}
+
+/// Two acts: `r0` alone plays the first one, `r1` the second one.
+fn one_after_the_other() -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    let two = choreography.acts[0].clone();
+    choreography.acts.push(two);
+    choreography.acts[0].plan.robots.truncate(1);
+    choreography.acts[1].plan.robots.remove(0);
+    choreography.acts[0].next = Way::Act(1);
+    let robots =
+        ["r0", "r1"].map(|id| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block));
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    Mission::new(Arc::new(choreography), robots.to_vec(), options, at(0)).unwrap()
+}
+
+#[test]
+fn an_act_that_nobody_is_left_to_play_is_passed_over() {
+    let mut mission = one_after_the_other();
+    mission.robots[0].standing = Standing::Out;
+    let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    assert_eq!(scripts_in(&actions).len(), 1, "`r1` has its script of the second act");
+    assert_eq!(mission.fates[0].fate, ActFate::NobodyLeft);
+}
+
+#[test]
+fn starts_that_are_as_far_off_as_is_tolerated_are_in_tolerance() {
+    for (error, flawed) in [(TOLERANCE, false), (TOLERANCE + Span::from_nanos(1), true)] {
+        let (mut mission, act, mut report) = sent_act();
+        report.robots[0].devices[0].start_error = Some(error);
+        mission.keep_report(&act, report);
+        assert_eq!(mission.flaw_of_times.is_some(), flawed, "{error}");
+    }
+}
+
+#[test]
+fn steps_that_are_as_late_as_is_tolerated_are_in_tolerance_and_those_of_robots_left_out_do_not_count() {
+    let beyond = TOLERANCE + Span::from_nanos(1);
+    for (late, left_out, flawed) in [(TOLERANCE, false, false), (beyond, false, true), (beyond, true, false)]
+    {
+        let (mut mission, act, mut report) = sent_act();
+        report.robots[0].left_out = left_out;
+        report.robots[0].devices[0].late_max = Some(late);
+        mission.keep_report(&act, report);
+        let expected = flawed.then_some(Outcome::StepsLate { late, tolerance: TOLERANCE });
+        assert_eq!(mission.flaw_of_times, expected, "{late}, left out: {left_out}");
+    }
+}
+
+/// A mission that still asks its robot, of whose clock this is known: how far it is off, and the delay of the exchange.
+fn greets_a_clock(offset: i64, delay: i64) -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    let (sent, received) = (at(0), at(delay));
+    let by_robot = by_robot(at(delay / 2 + offset));
+    mission.robots[0].clock.add(ClockSample::from_exchange(sent, by_robot, by_robot, received));
+    mission
+}
+
+#[test]
+fn a_clock_is_refused_only_if_it_is_off_for_certain() {
+    for (offset, delay, refused) in [(8, 10, false), (12, 10, false), (18, 10, true)] {
+        let mut mission = greets_a_clock(offset, delay);
+        mission.check_clocks(at(delay));
+        assert_eq!(mission.robots[0].has_failed(), refused, "{offset} ms, known to {} ms", delay / 2);
+    }
+}
+
+#[test]
+fn a_robot_that_is_not_there_when_patience_ends_may_join_and_one_that_is_silent_fails() {
+    for (connected, standing, failed) in [(false, Standing::Absent, false), (true, Standing::In, true)] {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = Greeting::Full;
+        mission.options.join = Join::NextAct;
+        if connected {
+            let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+            mission.robots[0].named();
+        }
+        mission.greeting_overdue(at(0) + mission.options.patience);
+        let robot = &mission.robots[0];
+        assert!(
+            robot.has_failed() == failed && (failed || robot.standing == standing),
+            "connected: {connected}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_is_ours_once_it_was_asked_on_its_link_on_behalf_of_a_session() {
+    for (greeting, session, up) in [
+        (Greeting::Full, true, true),
+        (Greeting::Skip, true, true),
+        (Greeting::Full, false, true),
+        (Greeting::Full, true, false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = greeting;
+        mission.options.session = session.then(|| Session::named("s".parse().unwrap()));
+        if up {
+            mission.robots[0].connected(at(0));
+            mission.robots[0].named();
+        }
+        let table = preflight::table(&mission, at(0));
+        let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Free).unwrap();
+        let ours = greeting == Greeting::Full && session && up;
+        assert_eq!(verdict.1 == Verdict::Pass("ours".to_owned()), ours, "{greeting:?} {session} {up}");
+    }
+}
+
+#[test]
+fn a_script_has_to_fit_what_the_robot_itself_declares() {
+    let block = |steps: u32| {
+        let mut block = robot("r0", Everything, 2).block.unwrap();
+        let text = serde_json::to_string(&block)
+            .unwrap()
+            .replace("\"max_number_of_steps\":8", &format!("\"max_number_of_steps\":{steps}"));
+        block = serde_json::from_str(&text).unwrap();
+        block
+    };
+    let script = device_script(("a", 0, 400));
+    assert_eq!(greet::unfit(&script, &block(2)), Vec::<String>::new());
+    assert_eq!(greet::unfit(&script, &block(1)), ["device `a` takes 1 steps a script, the plan has 2"]);
+}
+
+#[test]
+fn a_script_that_is_sent_again_is_counted() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.count_retry(ScriptRef { act: 0, member: 0, script: 0 });
+    assert_eq!(mission.robots[0].totals.retries, 1);
+}
+
+#[test]
+fn a_start_without_a_name_belongs_to_a_script_that_is_held() {
+    let mut mission = begins_at_once(Tells::Nothing);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let device = "a".parse().unwrap();
+    let accepted = Message::ControlResponse(super::bench::response(&device, None, Status::Accepted, at(1)));
+    let _noted = happens(&mut mission, at(1), Event::Received { robot: 0, message: accepted });
+    let started = super::bench::response(&device, None, Status::Started, at(2));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::Answers), &device, &started);
+    assert_eq!(found, Some(ScriptRef { act: 0, member: 0, script: 0 }));
+}
+
+#[test]
+fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() {
+    let sent = |scripts: &[Planned]| {
+        let participant = Participant::new(RobotId::new("r0").unwrap(), robot("r0", Tells::Reports, 4).block);
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let choreography = Arc::new(choreography(&[scripts]));
+        let mut mission = Mission::new(choreography, vec![participant], options, at(0)).unwrap();
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        mission
+    };
+    let device = "a".parse().unwrap();
+    let failed = |code| urrcp::ControlResponse {
+        error: super::bench::refusal(code),
+        ..super::bench::response(&device, None, Status::Failed, at(2))
+    };
+    let script = |script| ScriptRef { act: 0, member: 0, script };
+    // What waits behind another script of its act has the lease under which that one runs. Another act waits under a shorter one.
+    let (mut before, mut behind) = (sent(&[("a", 0, 400), ("a", 500, 400)]), sent(&[("a", 0, 400)]));
+    let mut acts = vec![before.acts.remove(0), behind.acts.remove(0)];
+    let _over = acts[0].answered(script(0), &failed(ErrorCode::Cancelled), at(2), &before.robots);
+    acts[0].sent(at(2), script(1));
+    for (code, expected) in [(ErrorCode::Cancelled, 1), (ErrorCode::LinkLost, 0)] {
+        let says = (0, requests::Says::ByItself);
+        let found = requests::open_without_name(&acts, says, &device, &failed(code.clone()));
+        assert_eq!(found, Some(script(expected)), "{code}");
+    }
+}
+
+#[test]
+fn an_act_knows_for_which_robot_it_is_sent_so_early() {
+    let mut played = played::Played::begun(one_act(Everything, 400));
+    played.run_to_the_start();
+    let slowest = played.mission.acts[0].timing().unwrap().slowest.as_ref();
+    assert_eq!(slowest.map(|(robot, _)| robot.as_str()), Some("r0"));
+}
+
+#[test]
+fn an_end_without_a_name_is_that_of_the_script_that_has_begun_last_if_both_would_end_then() {
+    let mut mission = begins_with(Tells::Reports, &[("a", 0, 400), ("a", 400, 0)]);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.acts[0].sent(at(1), ScriptRef { act: 0, member: 0, script: 1 });
+    let start = mission.acts[0].timing().unwrap().start;
+    let device = "a".parse().unwrap();
+    let says = |status, when: Timestamp<Server>| {
+        let said = super::bench::response(&device, None, status, at(1));
+        urrcp::ControlResponse { timestamp: when.assume_clock(), ..said }
+    };
+    for (script, begins) in [(0, start), (1, start + ms(400))] {
+        let script = ScriptRef { act: 0, member: 0, script };
+        for (status, when) in [(Status::Accepted, at(2)), (Status::Started, begins)] {
+            let _noted = mission.acts[0].answered(script, &says(status, when), when, &mission.robots);
+        }
+    }
+    let ended = says(Status::Ok, start + ms(400));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &ended);
+    let last = ScriptRef { act: 0, member: 0, script: 1 };
+    assert_eq!(found, Some(last), "the end of what began before it was not heard");
+    let again = says(Status::Started, start + ms(400));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::ByItself), &device, &again);
+    assert_eq!(found, None, "neither came again");
+}
+
+#[test]
+fn after_a_round_the_next_one_is_ahead() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.next_round = Some(at(5));
+    mission.renew_if_due(at(5));
+    assert!(mission.next_round > Some(at(5)), "{:?}", mission.next_round);
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_owes_nothing_once_it_has_answered_a_question_after_its_stop() {
+    for (answered, owes) in [(0, true), (1, true), (2, false)] {
+        let mut mission = begins_at_once(Tells::Reports);
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        mission.stopped_at = Some(at(1));
+        mission.robots[0].questions.asked(at(answered));
+        mission.robots[0].questions.answer(at(answered));
+        assert_eq!(mission.owes_a_fate(0), owes, "answered {answered} ms after the beginning");
+    }
+}
+
+#[test]
+fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both() {
+    let block = robot("r0", Everything, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let scripts: &[&[super::bench::Planned]] = &[&[("a", 0, 400), ("b", 0, 400)]];
+    let mut mission = Mission::new(Arc::new(choreography(scripts)), participants, options, at(0)).unwrap();
+    let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+    assert_eq!(sent.len(), 2);
+    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::InPlace, by: None });
+    let kinds: Vec<&str> = actions
+        .iter()
+        .filter_map(|action| match action {
+            Action::Send { message: Message::Inquiry(_), .. } => Some("question"),
+            Action::Send { message: Message::ControlRequest(_), .. } => Some("stop"),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(kinds, ["question", "stop", "stop"]);
+}
+
+#[test]
+fn the_first_round_is_not_due_at_once() {
+    let mut mission = waits_in(0);
+    let _waits = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    mission.next_round = None;
+    let before = mission.actions.len();
+    mission.renew_if_due(at(1));
+    assert_eq!((mission.actions.len(), mission.next_round), (before, Some(at(1_001))));
+    mission.renew_if_due(at(1_001));
+    assert!(mission.actions.len() > before, "the robot is asked");
+}
+
+#[test]
+fn an_act_that_waits_behind_another_gives_way_to_the_one_a_failure_leads_to() {
+    let mut mission = waits_in(1);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.lead_elsewhere(0);
+    assert_eq!((mission.acts.len(), mission.acts_begun), (1, 1), "the act that plays goes on");
+    mission.line_up_act(at(1), 1);
+    assert_eq!((mission.acts.len(), mission.acts_begun), (2, 2));
+    mission.lead_elsewhere(0);
+    assert_eq!((mission.acts.len(), mission.acts_begun, mission.detour), (1, 1, Some(0)));
+}
+
+/// What a robot that was last sent something at that time has left of the script of [`sent_act`].
+fn left_at(mission: &Mission, act: &Act, now: Timestamp<Server>) -> Option<Option<Timestamp<Server>>> {
+    act.left_behind(&act.members()[0], 0, &mission.robots[0], now)
+}
+
+#[test]
+fn a_script_whose_pending_lease_reaches_its_start_goes_on_to_its_running_one() {
+    let (mut mission, act, _) = sent_act();
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    let timing = act.timing().unwrap();
+    for (before, ends_by) in [(ms(1), timing.lead.lease), (ms(0), super::bench::RUNNING)] {
+        let last_sent = timing.start - timing.lead.lease - before;
+        mission.robots[0].last_sent = Some(last_sent);
+        assert_eq!(left_at(&mission, &act, at(1)), Some(Some(last_sent + ends_by)), "{before} before it");
+    }
+}
+
+#[test]
+fn a_script_that_runs_ends_by_its_running_lease_counted_from_when_it_last_heard_something() {
+    let (mut mission, mut act, _) = sent_act();
+    let script = ScriptRef { act: 0, member: 0, script: 0 };
+    let started = act.timing().unwrap().start;
+    let says = super::bench::response(&"a".parse().unwrap(), None, Status::Started, started);
+    let _noted = act.answered(script, &says, started, &mission.robots);
+    mission.robots[0].last_sent = Some(at(10));
+    let ends = at(10) + super::bench::RUNNING;
+    assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends)));
+    let there = by_robot(at(3));
+    mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(7)));
+    assert_eq!(left_at(&mission, &act, at(100)), Some(Some(ends + ms(7))), "it may have been under way");
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    assert_eq!(left_at(&mission, &act, ends + ms(500)), Some(Some(ends + ms(500))), "it is over by now");
+}
+
+#[test]
+fn a_robot_has_nothing_left_of_what_has_ended_or_was_never_sent() {
+    let (mut mission, mut act, _) = sent_act();
+    let end = act.timing().unwrap().end;
+    assert!(left_at(&mission, &act, end - Span::from_nanos(1)).is_some());
+    assert_eq!(left_at(&mission, &act, end), None, "its time is over");
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    assert!(left_at(&mission, &act, end).is_some(), "nobody knows when it began");
+    let failed = urrcp::ControlResponse {
+        error: super::bench::refusal(ErrorCode::Cancelled),
+        ..super::bench::response(&"a".parse().unwrap(), None, Status::Failed, at(1))
+    };
+    let _noted = act.answered(ScriptRef { act: 0, member: 0, script: 0 }, &failed, at(1), &mission.robots);
+    assert_eq!(left_at(&mission, &act, at(1)), None);
+
+    let mut mission = begins_with(Everything, &[("a", 0, 400), ("a", 400, 400)]);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    let act = &mission.acts[0];
+    assert_eq!(act.left_behind(&act.members()[0], 1, &mission.robots[0], at(1)), None, "it waits to be sent");
+}
+
+#[test]
+fn a_robot_that_only_answers_says_nothing_of_what_it_has_accepted_and_one_that_reports_does() {
+    for (tells, says, found) in [
+        (Tells::Nothing, requests::Says::Answers, [Some(0), None, Some(0), Some(0), None]),
+        (Tells::Reports, requests::Says::ByItself, [Some(0), None, Some(0), Some(0), Some(0)]),
+    ] {
+        let sent = |accepted: bool| {
+            let mut mission = begins_at_once(tells);
+            let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+            let script = ScriptRef { act: 0, member: 0, script: 0 };
+            let said = super::bench::response(&"a".parse().unwrap(), None, Status::Accepted, at(1));
+            if accepted {
+                let _noted = mission.acts[0].answered(script, &said, at(1), &mission.robots);
+            }
+            mission
+        };
+        let asked = [
+            (false, Status::Accepted),
+            (true, Status::Accepted),
+            (true, Status::Ok),
+            (false, Status::Failed),
+            (true, Status::Failed),
+        ];
+        for ((accepted, status), expected) in asked.into_iter().zip(found) {
+            let mission = sent(accepted);
+            let device = "a".parse().unwrap();
+            let response = urrcp::ControlResponse {
+                error: super::bench::refusal(ErrorCode::Cancelled).filter(|_| status == Status::Failed),
+                ..super::bench::response(&device, None, status.clone(), at(2))
+            };
+            let found = requests::open_without_name(&mission.acts, (0, says), &device, &response);
+            assert_eq!(found.map(|found| found.script), expected, "{tells:?}, {accepted}, {status:?}");
+            let named = urrcp::ControlResponse { request_id: RequestId::new("n").ok(), ..response.clone() };
+            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &device, &named), None);
+            let other = "b".parse().unwrap();
+            assert_eq!(requests::open_without_name(&mission.acts, (0, says), &other, &response), None);
+        }
+    }
+}
+
+#[test]
+fn a_mission_ends_after_so_many_acts_as_the_operator_wants_or_the_process_allows() {
+    let mut mission = begins_at_once(Everything);
+    mission.bound_acts(3);
+    mission.bound_acts(5);
+    assert_eq!((mission.options.acts_max, mission.bound_reached()), (Some(3), None));
+    mission.bounded = true;
+    assert_eq!(mission.bound_reached(), Some(3));
+}
+
+#[test]
+fn a_mission_needs_a_participant_for_every_robot_of_its_acts() {
+    let participants = vec![Participant::new(RobotId::new("r1").unwrap(), None)];
+    let missing = |scripts: &[&[Planned]]| {
+        Mission::new(Arc::new(choreography(scripts)), participants.clone(), MissionOptions::default(), at(0))
+            .err()
+            .map(|missing| missing.robot.to_string())
+    };
+    assert_eq!(missing(&[&[("a", 0, 400)], &[("a", 0, 400)]]), Some("r0".to_owned()));
+    let mut second_alone = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    second_alone.acts[0].plan.robots.remove(0);
+    let options = MissionOptions::default();
+    assert!(Mission::new(Arc::new(second_alone), participants, options, at(0)).is_ok());
+}
+
+#[test]
+fn a_greeting_wakes_up_for_its_next_sample_and_at_its_deadline_at_the_latest() {
+    let mut mission = begins_at_once(Everything);
+    let deadline = at(0) + mission.options.patience;
+    assert_eq!(mission.next_wakeup(), Some(deadline));
+    for (next, wakes) in [(at(20), at(20)), (deadline + ms(1), deadline)] {
+        mission.sampling = Some((at(4_000), next));
+        assert_eq!(mission.next_wakeup(), Some(wakes));
+    }
+    mission.next_name = Some(at(5));
+    assert_eq!(mission.next_wakeup(), Some(at(5)));
+    mission.phase = Phase::Ended;
+    assert_eq!(mission.next_wakeup(), None);
+}

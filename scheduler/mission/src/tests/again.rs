@@ -1,0 +1,392 @@
+//! The mission prepares acts again if this machine was too slow to start them.
+
+use super::played::Played;
+use super::*;
+use crate::bench::{ms, response};
+use crate::{FixedStart, FixedStarts};
+
+const LATE: Outcome = Outcome::DecisionLate { by: Span::from_millis(30) };
+
+impl Played {
+    /// Withdraws the last act under way.
+    pub(super) fn is_withdrawn(&mut self) {
+        let (now, number) = (self.now, self.mission.acts.last().unwrap().number());
+        self.mission.withdraw_act(now, number, LATE);
+        let actions = self.mission.advance(now);
+        self.carry_out(actions);
+    }
+
+    fn lead(&self) -> Span {
+        self.mission.acts[0].timing().unwrap().lead.total()
+    }
+
+    fn starts(&self) -> usize {
+        let scripts = self.sent.iter().filter(|(.., message)| {
+            matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_some())
+        });
+        scripts.count()
+    }
+}
+
+#[test]
+fn an_act_that_was_withdrawn_before_anything_moved_is_prepared_again_with_a_longer_lead() {
+    for tells in [Everything, Tells::Reports, Tells::Answers] {
+        let mut played = Played::begun(begins_at_once(tells));
+        // Only the first attempt has additional time, because no round trip is known.
+        let before = played.lead() - ms(500);
+        played.is_withdrawn();
+        played.run_until(played.now + ms(20));
+        assert!(played.lead() > before + ms(60), "{tells:?}");
+        assert_eq!(played.run_to_the_end(), Outcome::Done, "{tells:?}");
+        assert_eq!(played.starts(), 2, "{tells:?}");
+        let [report] = &*played.mission.reports.make_contiguous() else { panic!("one act was played") };
+        assert_eq!((report.number, report.prepared_again), (1, 1), "{tells:?}");
+        let totals = &played.mission.robots[0].totals;
+        assert_eq!((totals.scripts, totals.steps_planned), (1, totals.steps_done), "{tells:?}");
+        assert_eq!(played.mission.fates[0].played, 1);
+    }
+}
+
+#[test]
+fn a_prescribed_lease_makes_room_for_a_slower_machine_as_far_as_it_can() {
+    // Three round trips, each longer by all or half of twice the delay of 30 ms, and margins.
+    for (pending, longer) in [(3_000, 180..260), (240, 90..130)] {
+        let mut mission = begins_at_once(Everything);
+        let act = &mut Arc::make_mut(&mut mission.choreography).acts[0];
+        act.plan.stop_condition.pending = Some(urrcp::Millis::from_span(ms(pending)));
+        let mut played = Played::begun(mission);
+        let before = played.lead() - ms(500);
+        played.is_withdrawn();
+        played.run_until(played.now + ms(20));
+        let by = (played.lead() - before).as_nanos() / 1_000_000;
+        assert!(longer.contains(&by), "{by} ms longer, a pending lease of {pending} ms");
+        assert_eq!(played.run_to_the_end(), Outcome::Done, "a pending lease of {pending} ms");
+    }
+}
+
+#[test]
+fn an_act_is_prepared_again_twice_at_most() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    for attempts in 0..3 {
+        assert_eq!(played.mission.acts[0].attempts(), attempts);
+        played.is_withdrawn();
+        played.run_until(played.now + ms(20));
+    }
+    assert_eq!(played.mission.outcome(), Some(&LATE));
+    assert_eq!(played.starts(), 3);
+}
+
+#[test]
+fn what_an_act_waited_for_is_not_waited_for_again() {
+    let mut played = Played::begun(waits_in(0));
+    played.happens(Event::Go { act: None, by: None });
+    played.run_until(played.now + ms(20));
+    played.is_withdrawn();
+    played.run_until(played.now + ms(20));
+    assert!(played.mission.acts[0].was_sent());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn an_act_with_an_instant_of_its_own_is_not_prepared_again() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_000) });
+    let mut played = Played::begun(mission);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), LATE);
+}
+
+/// The act starts at 2 s and is withdrawn shortly before.
+fn is_late_for_its_start(within: i64) -> Played {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(2_000) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(within) };
+    let mut played = Played::begun(mission);
+    played.run_until(at(1_995));
+    played.is_withdrawn();
+    played
+}
+
+#[test]
+fn an_act_with_a_fixed_start_is_prepared_again_within_the_permitted_time() {
+    let mut played = is_late_for_its_start(10_000);
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let mut played = is_late_for_its_start(1);
+    let ended = played.run_to_the_end();
+    assert!(matches!(ended, Outcome::StartTooSoon { start, .. } if start == at(2_000)), "{ended:?}");
+}
+
+#[test]
+fn another_attempt_does_not_start_before_the_fixed_time() {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(5_000) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(1_000) };
+    let mut played = Played::begun(mission);
+    played.run_until(at(2_000));
+    played.is_withdrawn();
+    played.run_until(at(5_005));
+    assert_eq!(played.mission.acts[0].attempts(), 1);
+    assert_eq!(played.mission.acts[0].timing().map(|timing| timing.start), Some(at(5_000)));
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_start_that_is_too_soon_is_later_within_the_permitted_time() {
+    let mut mission = begins_at_once(Everything);
+    let start = FixedStart { act: 0, at: at(1) };
+    mission.options.fixed = FixedStarts { operator: Some(start), within: ms(5_000) };
+    assert_eq!(Played::begun(mission).run_to_the_end(), Outcome::Done);
+}
+
+/// Two acts; the first one plays, and the second one has been sent and follows it at once.
+pub(super) fn chained(drops_undecided: bool) -> Played {
+    let mut mission = waits_in(2);
+    mission.robots[0].block.as_mut().unwrap().pending_until = drops_undecided;
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    assert!(played.mission.acts[1].was_sent() && !played.mission.acts[1].is_committed());
+    played
+}
+
+/// The second act is withdrawn, and its robot drops it.
+fn lapses() -> Played {
+    let mut played = chained(true);
+    played.is_withdrawn();
+    assert!(played.mission.acts[1].is_lapsing());
+    played.drops(&second(&played));
+    played
+}
+
+/// The script of the second act.
+pub(super) fn second(played: &Played) -> RequestId {
+    played.mission.acts[1].members()[0].scripts()[0].request_id().cloned().unwrap()
+}
+
+#[test]
+fn an_act_behind_another_one_lapses_and_is_prepared_again_once_that_has_ended() {
+    let mut played = lapses();
+    let end = played.mission.acts[0].timing().unwrap().end;
+    played.run_until(end);
+    assert_eq!((played.stops(), played.starts()), (0, 2), "a stop would end the first act, too");
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert_eq!((played.stops(), played.starts()), (1, 3));
+    let again: Vec<_> = played.mission.reports.iter().map(|act| act.prepared_again).collect();
+    assert_eq!(again, [0, 1]);
+    let totals = &played.mission.robots[0].totals;
+    assert_eq!((totals.scripts, totals.steps_planned), (2, totals.steps_done));
+    assert!(played.mission.fates.iter().all(|act| act.played == 1));
+}
+
+#[test]
+fn robots_that_drop_an_act_while_it_lapses_have_not_failed() {
+    let mut played = lapses();
+    let (device, id) = (DeviceId::new("a").unwrap(), second(&played));
+    let mut dropped = response(&device, Some(&id), Status::Failed, played.now);
+    dropped.error = Some(ran_out());
+    played.happens(Event::Received { robot: 0, message: Message::ControlResponse(dropped) });
+    assert!(!played.mission.robots[0].has_failed());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn an_act_that_no_robot_can_have_begun_is_withdrawn_even_if_a_robot_is_gone() {
+    for (drops_undecided, second) in [(true, ActFate::Withdrawn), (false, ActFate::Stopped)] {
+        let mut played = chained(drops_undecided);
+        played.mutes(0);
+        let reason = "closed".to_owned();
+        played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+        assert_eq!(played.run_to_the_end(), Outcome::Failed);
+        let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+        assert_eq!(fates, [ActFate::Stopped, second]);
+    }
+}
+
+#[test]
+fn a_stop_withdraws_an_act_that_lapses() {
+    let mut played = lapses();
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.starts(), 2);
+    let fates: Vec<_> = played.mission.fates.iter().map(|act| act.fate.clone()).collect();
+    assert_eq!(fates, [ActFate::Stopped, ActFate::Withdrawn]);
+}
+
+#[test]
+fn an_act_behind_another_one_stops_both_if_a_robot_may_keep_it_for_longer() {
+    let mut played = chained(false);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert_eq!(played.starts(), 2);
+}
+
+#[test]
+fn a_mission_that_ends_before_the_next_attempt_has_withdrawn_its_act() {
+    let mut played = Played::begun(waits_in(0));
+    played.mission.acts[0].is_attempted_again(1);
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.starts(), 0);
+    assert_eq!(played.mission.fates[0].fate, ActFate::Withdrawn);
+}
+
+#[test]
+fn a_stop_of_the_operator_ends_the_preparation_for_good() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    played.is_withdrawn();
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+    assert_eq!(played.starts(), 1);
+}
+
+#[test]
+fn robots_go_home_before_the_next_attempt_if_the_operator_says_so_and_stay_without_a_word_otherwise() {
+    for (rest, sent) in [(Rest::Home, 1), (Rest::InPlace, 0)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        played.is_withdrawn();
+        // The stop is confirmed, and the next attempt is on its way to the disk.
+        played.run_until(played.now + ms(1));
+        assert!(!played.mission.acts[0].is_open() && played.mission.acts[0].attempts() == 1);
+        let before = played.stops();
+        played.happens(Event::StopRequested { rest, by: None });
+        assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+        assert_eq!(played.stops() - before, sent, "{rest:?}");
+        let confirmed = matches!(played.mission.robots[0].stop, Stop::Confirmed(Rest::Home));
+        assert_eq!(confirmed, rest == Rest::Home);
+    }
+}
+
+#[test]
+fn an_act_is_not_prepared_again_if_a_robot_does_not_confirm_its_stop() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    played.mutes(0);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), LATE);
+    assert_eq!(played.starts(), 1);
+}
+
+#[test]
+fn an_act_that_a_robot_has_begun_is_not_prepared_again() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert_eq!(played.starts(), 1);
+}
+
+/// Three robots; the first `silent` ones do not accept in time.
+fn accepts_late(silent: usize, on_failure: downbeat_scripts::OnFailure) -> Played {
+    let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
+    let mut choreography = choreography(&scripts);
+    choreography.acts[0].on_failure.default = on_failure;
+    let ids = ["r0", "r1", "r2"];
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), ids.map(participant).into(), options, at(0)).unwrap();
+    Played::of(mission, (0..silent).collect())
+}
+
+#[test]
+fn if_most_robots_do_not_accept_in_time_this_machine_is_suspected_once() {
+    let mut played = accepts_late(2, downbeat_scripts::OnFailure::Without);
+    while played.mission.acts[0].attempts() == 0 && played.mission.again.is_none() {
+        played.run_until(played.now + ms(1));
+    }
+    played.mute.clear();
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert!(played.mission.robots.iter().all(|robot| !robot.has_failed()));
+}
+
+#[test]
+fn most_robots_that_stay_silent_have_failed() {
+    let mut played = accepts_late(2, downbeat_scripts::OnFailure::Without);
+    assert_eq!(played.run_to_the_end(), Outcome::NotStarted);
+    let failed: Vec<bool> = played.mission.robots.iter().map(RobotState::has_failed).collect();
+    assert_eq!(failed, [true, true, false]);
+}
+
+#[test]
+fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent() {
+    for (silent, attempts) in [(3, 3), (2, 2)] {
+        let mut played = accepts_late(silent, downbeat_scripts::OnFailure::Without);
+        let failed =
+            |played: &Played| played.mission.robots.iter().filter(|robot| robot.has_failed()).count();
+        while failed(&played) == 0 {
+            // The silent robots answer only the stop of an attempt.
+            let withdrawn = played.mission.again.is_some();
+            played.mute = (0..silent).filter(|_| !withdrawn).collect();
+            played.run_until(played.now + ms(1));
+        }
+        let attempt = played.mission.acts[0].attempts() + 1;
+        assert_eq!((failed(&played), attempt), (silent, attempts), "{silent} of 3 robots are silent");
+    }
+}
+
+#[test]
+fn one_robot_that_does_not_accept_in_time_is_left_out_at_once() {
+    let mut played = accepts_late(1, downbeat_scripts::OnFailure::Without);
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    assert!(played.mission.reports.iter().all(|act| act.prepared_again == 0));
+}
+
+#[test]
+fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
+    for (late, again) in [(ms(50), true), (Span::ZERO, false)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        played.run_until(played.mission.acts[0].timing().unwrap().critical() - ms(40));
+        let due = played.mission.acts[0].wakeup().unwrap();
+        played.now = due + late;
+        let named = played.mission.robots[0].requests.keys().next().cloned();
+        let mut ended = response(&DeviceId::new("a").unwrap(), named.as_ref(), Status::Failed, played.now);
+        ended.error = Some(ran_out());
+        played.happens(Event::Received { robot: 0, message: Message::ControlResponse(ended) });
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::Done, again, "{late}: {outcome:?}");
+        assert_eq!(played.mission.robots[0].has_failed(), !again, "{late}");
+    }
+}
+
+#[test]
+fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
+    let mut played = accepts_late(0, downbeat_scripts::OnFailure::Without);
+    played.mutes(2);
+    played.is_withdrawn();
+    played.run_until(played.now + ms(20));
+    assert!(played.mission.robots[0].is_settled() && !played.mission.robots[2].is_settled());
+    let reason = "closed".to_owned();
+    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+    assert!(!played.mission.robots[0].lost().unwrap().connecting, "it has confirmed its stop");
+    played.mute.clear();
+    // The mission waits for its patience to learn what became of the script of this robot.
+    for _ in 0..8_000 {
+        if played.mission.acts.first().is_some_and(|act| act.attempts() == 1) {
+            break;
+        }
+        played.run_until(played.now + ms(1));
+    }
+    assert!(played.mission.robots[0].lost().unwrap().connecting);
+}
+
+#[test]
+fn a_repetition_does_not_count_as_another_act() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.acts_max = Some(1);
+    let mut played = Played::begun(mission);
+    played.is_withdrawn();
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert_eq!(played.mission.options.acts_max, Some(1));
+}
+
+#[test]
+fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
+    let mut played = chained(true);
+    played.drops(&second(&played));
+    let failing = vec![(0, FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() })];
+    let now = played.mission.acts[1].wakeup().unwrap() + ms(50);
+    played.mission.fail_of_act(now, 1, failing);
+    assert!(played.mission.acts[1].is_lapsing() && !played.mission.robots[0].has_failed());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+fn ran_out() -> urrcp::ControlError {
+    urrcp::ControlError::new(urrcp::ErrorCode::LinkLost, "the pending lease ended")
+}

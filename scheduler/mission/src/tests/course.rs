@@ -1,0 +1,519 @@
+//! How acts follow each other, what became of them, and how the mission ends by that.
+
+use downbeat_scripts::{Choreography, OnFailure};
+
+use super::played::Played;
+use super::*;
+use crate::FixedStart;
+use crate::bench::ms;
+
+pub(super) fn broken() -> FailureKind {
+    FailureKind::Garbled { reason: "x".to_owned() }
+}
+
+pub(super) fn fates(played: &Played) -> Vec<ActFate> {
+    played.mission.fates.iter().map(|course| course.fate.clone()).collect()
+}
+
+fn stop(played: &mut Played) -> Outcome {
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    played.run_to_the_end()
+}
+
+#[test]
+fn an_act_was_withdrawn_before_its_start_stopped_after_it_and_played_once_it_is_over() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Withdrawn]);
+
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Stopped]);
+
+    let mut played = Played::begun(waits_in(1));
+    played.run_until(played.now + ms(3_000));
+    assert_eq!(stop(&mut played), Outcome::Stopped);
+    assert_eq!(fates(&played), [ActFate::Played, ActFate::StillWaiting]);
+
+    let mut played = Played::begun(begins_at_once(Tells::Nothing));
+    assert_eq!(played.run_to_the_end(), Outcome::Unknown);
+    assert_eq!(fates(&played), [ActFate::Unknown]);
+}
+
+#[test]
+fn a_mission_that_fails_has_not_started_as_long_as_nothing_has_moved() {
+    let fail = |played: &mut Played| {
+        let now = played.now;
+        played.mission.fail(now, 0, broken());
+        played.run_to_the_end()
+    };
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(fail(&mut played), Outcome::NotStarted);
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    assert_eq!(fail(&mut played), Outcome::Failed, "it plays");
+    let mut played = Played::begun(waits_in(1));
+    played.run_until(played.now + ms(3_000));
+    assert_eq!(played.mission.reports.len(), 1);
+    assert_eq!(fail(&mut played), Outcome::Failed, "an act was played");
+}
+
+#[test]
+fn a_mission_has_started_if_an_act_was_played_whatever_keeps_the_next_one_from_its_start() {
+    let late = Outcome::DecisionLate { by: ms(3) };
+    let short = Outcome::LeaseTooShort { lease: ms(1), needed: ms(2) };
+    for denial in [late, short] {
+        let mut played = Played::begun(waits_in(1));
+        played.run_until(played.now + ms(3_000));
+        let now = played.now;
+        played.mission.abort(now, denial.clone(), Rest::InPlace, None);
+        assert_eq!(played.run_to_the_end(), Outcome::Failed, "{denial}");
+        assert!(played.mission.because().is_some(), "{denial}");
+    }
+}
+
+#[test]
+fn acts_follow_each_other_and_no_more_begin_than_are_wanted() {
+    for (acts_max, begun, bound) in [(None, 2, None), (Some(2), 2, None), (Some(1), 1, Some(1))] {
+        let mut mission = waits_in(2);
+        mission.options.acts_max = acts_max;
+        let mut played = Played::begun(mission);
+        assert_eq!(played.run_to_the_end(), Outcome::Done, "{acts_max:?}");
+        assert_eq!(played.mission.acts_begun, begun, "{acts_max:?}");
+        assert_eq!(played.mission.bound_reached(), bound, "{acts_max:?}");
+        let totals = played.mission.robots[0].totals;
+        let begun = begun as usize;
+        assert_eq!(
+            (totals.scripts, totals.sent, totals.accepted, totals.started),
+            (begun, begun, begun, begun)
+        );
+        assert_eq!((totals.failed, totals.unaccounted, totals.retries), (0, 0, 0));
+        assert_eq!((totals.steps_done, totals.steps_planned), (2 * begun as u64, 2 * begun as u64));
+    }
+}
+
+#[test]
+fn an_act_that_follows_at_once_starts_when_the_one_before_it_ends() {
+    let mut played = Played::begun(waits_in(2));
+    let _done = played.run_to_the_end();
+    let [one, two] = [0, 1].map(|act| &played.mission.reports[act]);
+    assert_eq!(two.start, one.start + ms(400));
+    assert_eq!((one.gap, two.gap), (None, Some(Span::ZERO)));
+}
+
+#[test]
+fn the_report_of_an_act_tells_its_instants() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let timing = played.mission.acts[0].timing().unwrap().clone();
+    let _done = played.run_to_the_end();
+    let report = &played.mission.reports[0];
+    assert_eq!((report.timestamp, report.start), (timing.timestamp, timing.start));
+    assert_eq!(report.start, report.timestamp + report.lead.total());
+    assert_eq!(report.spread, Some(Span::ZERO));
+    // The request was answered after the disk and one round trip.
+    let accepted = report.margin_left.map(|left| timing.decision - left);
+    assert!(
+        accepted.is_some_and(|at| at > timing.timestamp && at < timing.timestamp + ms(10)),
+        "{accepted:?}"
+    );
+    let window = report.window.unwrap();
+    assert!(window > Span::ZERO && window < ms(5), "{window}");
+    let device = &report.robots[0].devices[0];
+    assert_eq!(device.planned_start, Some(timing.start));
+    assert_eq!(device.start_error, Some(Span::ZERO));
+    assert_eq!((device.steps_done, device.steps_planned, device.late_steps), (2, 2, 0));
+}
+
+/// One act of two robots; the others go on without one that fails.
+pub(super) fn without_those_that_fail() -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
+    choreography.acts[0].on_failure.default = OnFailure::Without;
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let participants = vec![participant("r0"), participant("r1")];
+    Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap()
+}
+
+#[test]
+fn the_others_go_on_without_a_robot_that_fails_and_the_outcome_says_so() {
+    let mut played = Played::begun(without_those_that_fail());
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.fail(now, 1, broken());
+    assert_eq!(played.mission.robots[1].standing, Standing::Out);
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    let report = &played.mission.reports[0];
+    assert_eq!(report.robots.iter().map(|robot| robot.left_out).collect::<Vec<_>>(), [false, true]);
+    let stopped = |robot: usize| matches!(played.mission.robots[robot].stop, Stop::Confirmed(_));
+    assert_eq!((stopped(0), stopped(1)), (false, true));
+}
+
+#[test]
+fn a_mission_that_nobody_is_left_to_play_has_failed() {
+    let mut played = Played::begun(without_those_that_fail());
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    let reason = played.told.iter().find_map(|told| match told {
+        Progress::Stopping { reason, .. } => Some(reason.clone()),
+        _ => None,
+    });
+    let reason = reason.unwrap();
+    assert!(reason.starts_with("r0: ") && reason.ends_with("; 1 robot more failed"), "{reason}");
+}
+
+#[test]
+fn a_failure_may_lead_to_another_act_once_all_are_at_rest() {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
+    let bow = choreography.acts[0].clone();
+    choreography.acts.push(bow);
+    choreography.acts[0].on_failure.then = Some(1);
+    choreography.acts[0].next = Way::End;
+    choreography.acts[1].next = Way::End;
+    choreography.acts[1].wait = Wait::Done;
+    let participant = Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), vec![participant], options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let now = played.now;
+    played.mission.abort(now, Outcome::Failed, Rest::InPlace, Some(1));
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    assert_eq!(fates(&played), [ActFate::Stopped, ActFate::Played]);
+}
+
+#[test]
+fn robots_are_asked_three_times_a_lease_while_they_play() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    let from = played.now;
+    played.run_until(from + ms(5_000));
+    let asked =
+        played.sent.iter().filter(|(at, _, message)| *at > from && matches!(message, Message::Inquiry(_)));
+    let asked: Vec<_> = asked.map(|(at, ..)| *at).collect();
+    assert!(asked.len() >= 7, "{asked:?}");
+    // The running lease is two seconds.
+    for pair in asked.windows(2) {
+        assert_eq!(pair[1] - pair[0], Span::from_nanos(2_000_000_000 / 3));
+    }
+}
+
+#[test]
+fn messages_are_sent_again_to_a_robot_that_does_not_answer_before_the_decision() {
+    let mut played = Played::of(begins_at_once(Everything), vec![0]);
+    let timing = played.mission.acts[0].timing().unwrap().clone();
+    played.run_until(timing.ask_again() - Span::from_nanos(1));
+    let requests = |played: &Played| {
+        let request = |(.., message): &&(Timestamp<Server>, usize, Message)| {
+            matches!(message, Message::ControlRequest(_))
+        };
+        played.sent.iter().filter(request).count()
+    };
+    assert_eq!(requests(&played), 1);
+    played.run_until(timing.ask_again());
+    assert_eq!((requests(&played), played.mission.robots[0].totals.retries), (2, 1));
+    played.run_until(timing.decision);
+    let kinds: Vec<_> =
+        played.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
+    assert!(kinds[0].contains("acceptance by `a`"), "{kinds:?}");
+}
+
+#[test]
+fn why_a_go_does_not_count_names_the_act_that_plays_before_the_one_that_waits() {
+    let mut played = Played::begun(waits_in(1));
+    played.run_to_the_start();
+    let mission = &mut played.mission;
+    answers(mission, None, Err("`two` waits until `one` has ended"));
+    answers(mission, Some("two"), Err("`two` waits until `one` has ended"));
+    answers(mission, Some("one"), Err("`one` does not wait for the operator now"));
+    played.run_until(played.now + ms(3_000));
+    answers(&mut played.mission, Some("two"), Ok("two"));
+}
+
+#[test]
+fn a_mission_that_the_operator_leaves_reports_the_acts_under_way() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let now = played.now;
+    played.mission.leave(now);
+    assert_eq!((played.mission.acts.len(), played.mission.reports.len()), (0, 1));
+}
+
+#[test]
+fn robots_of_a_session_are_told_it_with_every_request() {
+    let mut mission = begins_at_once(Everything);
+    let session = Session::named("show".parse().unwrap());
+    let told = Some(session.on_the_wire().clone());
+    mission.options.session = Some(session);
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    for (.., message) in &played.sent {
+        let of = match message {
+            Message::ControlRequest(request) => &request.session,
+            Message::Inquiry(inquiry) => &inquiry.session,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(*of, told);
+    }
+    assert!(played.sent.len() > 3);
+}
+
+#[test]
+fn the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience() {
+    let mut mission = begins_at_once(Everything);
+    let _begun = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let _waits = mission.advance(at(0));
+    let ends = mission.acts[0].since() + mission.options.patience;
+    assert!(mission.next_wakeup() <= Some(ends));
+    let _waits = mission.advance(ends - Span::from_nanos(1));
+    assert_eq!(mission.outcome, None);
+    let _ends = mission.advance(ends);
+    assert!(matches!(mission.outcome(), Some(Outcome::JournalLost { .. })), "{:?}", mission.outcome);
+}
+
+/// How a mission ends that is sent with these options, before anything of it plays.
+fn sent_with(lease: Option<i64>, options: impl Fn(&mut MissionOptions)) -> Option<Outcome> {
+    let mut mission = begins_at_once(Everything);
+    let mut choreography = Choreography::clone(&mission.choreography);
+    choreography.acts[0].plan.stop_condition.pending = lease.map(|lease| urrcp::Millis::from_span(ms(lease)));
+    mission.choreography = Arc::new(choreography);
+    options(&mut mission.options);
+    Played::begun(mission).mission.outcome().cloned()
+}
+
+#[test]
+fn what_the_operator_asks_for_is_kept_or_refused() {
+    assert_eq!(sent_with(Some(240), |_| {}), None);
+    let (lease, needed) = (ms(239), ms(240));
+    assert_eq!(sent_with(Some(239), |_| {}), Some(Outcome::LeaseTooShort { lease, needed }));
+
+    let Some(Outcome::LeadTooShort { lead, needed, safe_start }) =
+        sent_with(None, |options| options.lead = Some(ms(1)))
+    else {
+        panic!()
+    };
+    assert_eq!(
+        (lead, safe_start - needed.total()),
+        (ms(1), at(2)),
+        "once it is known how long the disk takes"
+    );
+    let lead = needed.total();
+    assert_eq!(sent_with(None, |options| options.lead = Some(lead)), None);
+    let just = lead - Span::from_nanos(1);
+    assert!(matches!(
+        sent_with(None, |options| options.lead = Some(just)),
+        Some(Outcome::LeadTooShort { .. })
+    ));
+
+    assert_eq!(
+        sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: safe_start })),
+        None
+    );
+    let start = safe_start - Span::from_nanos(1);
+    let too_soon = sent_with(None, |options| options.fixed.operator = Some(FixedStart { act: 0, at: start }));
+    assert_eq!(too_soon, Some(Outcome::StartTooSoon { start, safe_start }));
+}
+
+#[test]
+fn a_start_that_was_asked_for_is_the_start_and_the_time_until_then_goes_to_answers_and_leases() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.fixed.operator = Some(FixedStart { act: 0, at: at(1_500) });
+    let played = Played::begun(mission);
+    let timing = played.mission.acts[0].timing().unwrap();
+    assert_eq!((timing.start, timing.gap), (at(1_500), Some(Span::ZERO)));
+    assert!(timing.lead.lease > ms(500), "{:?}", timing.lead);
+}
+
+#[test]
+fn an_act_that_has_waited_for_too_long_fails_ends_or_gives_way_as_the_scenario_says() {
+    let two = || Outcome::DoneSkipping { acts: vec!["one".to_owned()] };
+    for (way, outcome, second) in [
+        (Way::Fail, Outcome::Failed, ActFate::NotReached),
+        (Way::End, two(), ActFate::NotReached),
+        (Way::Act(1), two(), ActFate::Played),
+    ] {
+        let mut mission = waits_in(0);
+        let mut choreography = Choreography::clone(&mission.choreography);
+        choreography.acts[0].timeout = Some(ms(1_000));
+        choreography.acts[0].on_timeout = way;
+        mission.choreography = Arc::new(choreography);
+        let mut played = Played::begun(mission);
+        played.run_until(at(1_000) - Span::from_nanos(1));
+        assert_eq!(played.mission.acts[0].index(), 0, "{way:?}");
+        let ended = played.run_to_the_end();
+        assert!(ended == outcome || way == Way::Fail && ended == Outcome::NotStarted, "{way:?}: {ended}");
+        assert_eq!(fates(&played)[1], second, "{way:?}");
+        assert!(matches!(fates(&played)[0], ActFate::TimedOut { .. }), "{way:?}: {:?}", fates(&played));
+    }
+}
+
+#[test]
+fn a_robot_of_its_own_policy_is_left_out_where_another_one_would_end_the_mission() {
+    for (robot, outcome) in [(1, Outcome::DoneWithout), (0, Outcome::Failed)] {
+        let mut mission = without_those_that_fail();
+        let mut choreography = Choreography::clone(&mission.choreography);
+        choreography.acts[0].on_failure.default = OnFailure::Stop;
+        choreography.acts[0].on_failure.robots = vec![("r1".parse().unwrap(), OnFailure::Without)];
+        mission.choreography = Arc::new(choreography);
+        let mut played = Played::begun(mission);
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.fail(now, robot, broken());
+        assert_eq!(played.run_to_the_end(), outcome, "r{robot}");
+    }
+}
+
+#[test]
+fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
+    let mut mission = begins_at_once(Everything);
+    assert_eq!(mission.recording_time(), ms(30));
+    for (took, allowed) in [(100, 200), (0, 150), (0, 112), (5_000, 2_000)] {
+        mission.recording.count += 1;
+        let count = mission.recording.count;
+        mission.recording.awaited.push_back((count, None, at(0)));
+        mission.arrived = at(took);
+        mission.recorded(at(took), count);
+        assert_eq!(mission.recording_time().as_nanos() / 1_000_000, allowed, "{took}");
+    }
+}
+
+#[test]
+fn of_robots_that_fail_together_the_strictest_policy_counts() {
+    use downbeat_scripts::OnFailure as Policy;
+    for (of_first, of_second, rest) in [
+        (Policy::Without, Policy::Home, Some(Rest::Home)),
+        (Policy::Home, Policy::Without, Some(Rest::Home)),
+        (Policy::Home, Policy::Stop, Some(Rest::InPlace)),
+        (Policy::Stop, Policy::Without, Some(Rest::InPlace)),
+        (Policy::Without, Policy::Without, None),
+    ] {
+        let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)], &[("a", 0, 400)]]);
+        let policy = &mut choreography.acts[0].on_failure;
+        policy.robots = vec![("r0".parse().unwrap(), of_first), ("r1".parse().unwrap(), of_second)];
+        let robots = ["r0", "r1", "r2"];
+        let participants =
+            robots.map(|id| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block));
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let mission = Mission::new(Arc::new(choreography), participants.to_vec(), options, at(0)).unwrap();
+        let mut played = Played::begun(mission);
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.fail_all(now, vec![(0, broken()), (1, broken())]);
+        let rest_of_third = match &played.mission.robots[2].stop {
+            Stop::Sent(sent) => Some(sent.rest),
+            _ => None,
+        };
+        assert_eq!(rest_of_third, rest, "{of_first:?} and {of_second:?}");
+    }
+}
+
+#[test]
+fn an_act_that_is_sent_while_another_plays_leaves_its_robots_alone_for_no_longer_than_their_lease() {
+    let mut mission = waits_in(2);
+    mission.acts.clear();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let end = played.mission.acts[0].timing().unwrap().end;
+    played.run_until(end - ms(1));
+    let leases = played.mission.acts.iter().map(|act| act.timing().and_then(|timing| timing.played));
+    assert_eq!(leases.collect::<Vec<_>>(), [None, Some(super::super::bench::RUNNING)]);
+}
+
+#[test]
+fn a_round_of_acts_that_nobody_is_left_to_play_ends_the_mission() {
+    let mut mission = one_after_the_other();
+    let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+    choreography.acts[1].plan = choreography.acts[0].plan.clone();
+    choreography.acts[1].next = Way::Act(0);
+    mission.robots[0].standing = Standing::Out;
+    let _ended = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    assert_eq!(mission.outcome(), Some(&Outcome::DoneWithout));
+    assert!((2..=3).contains(&mission.acts_begun), "{} acts", mission.acts_begun);
+}
+
+#[test]
+fn an_act_that_the_operator_leaves_before_its_start_was_withdrawn_whatever_was_sent() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    assert!(mission.acts[0].is_unaccounted());
+    mission.leave(at(1));
+    assert_eq!(mission.fates[0].fate, ActFate::Withdrawn);
+}
+
+/// Robots of one act; the first one has played all of it, and the others play on.
+fn the_first_is_done(tells: &[Tells]) -> Played {
+    let scripts: Vec<Planned> =
+        (0..tells.len()).map(|robot| ("a", 0, if robot == 0 { 100 } else { 10_000 })).collect();
+    let scripts: Vec<&[Planned]> = scripts.iter().map(std::slice::from_ref).collect();
+    let participant = |(robot, tells): (usize, &Tells)| {
+        let id = format!("r{robot}");
+        Participant::new(RobotId::new(&id).unwrap(), super::robot(&id, *tells, 2).block)
+    };
+    let participants = tells.iter().enumerate().map(participant).collect();
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    played.run_until(played.now + ms(1_000));
+    assert_eq!(played.mission.acts[0].is_done_by_one(), tells[0] != Tells::Nothing);
+    assert!(!played.mission.acts[0].is_over());
+    played
+}
+
+#[test]
+fn an_act_that_is_left_before_it_is_over_was_stopped_though_a_robot_has_played_all_it_had() {
+    for tells in [[Everything; 2], [Tells::Nothing; 2]] {
+        let mut played = the_first_is_done(&tells);
+        let now = played.now;
+        played.mission.leave(now);
+        assert_eq!(fates(&played), [ActFate::Stopped], "{tells:?}");
+        let mut played = the_first_is_done(&tells);
+        assert_eq!(stop(&mut played), Outcome::Stopped);
+        assert_eq!(fates(&played), [ActFate::Stopped], "{tells:?}");
+    }
+}
+
+#[test]
+fn an_act_whose_last_robot_was_left_out_may_have_moved_it_and_the_next_one_is_played() {
+    // One that drops undecided scripts cannot begin the act before its commitment.
+    for (starts, drops, first) in [
+        (true, true, ActFate::Stopped),
+        (true, false, ActFate::Stopped),
+        (false, true, ActFate::Withdrawn),
+        (false, false, ActFate::Stopped),
+    ] {
+        let mut mission = one_after_the_other();
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        choreography.acts[0].on_failure.default = OnFailure::Without;
+        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
+        let mut played = Played::begun(mission);
+        if starts {
+            played.run_to_the_start();
+        }
+        let now = played.now;
+        played.mission.fail(now, 0, broken());
+        assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "it had started: {starts}");
+        assert_eq!(fates(&played), [first, ActFate::Played], "it had started: {starts}, drops: {drops}");
+    }
+}
+
+#[test]
+fn an_act_may_have_moved_a_robot_that_has_not_spoken_as_early_as_its_clock_may_have_it() {
+    let (mut mission, act, _) = sent_act();
+    let timing = act.timing().unwrap();
+    let earliest = timing.earliest_start();
+    assert!(earliest < timing.start && !act.is_committed());
+    for drops in [false, true] {
+        mission.robots[0].block.as_mut().unwrap().pending_until = drops;
+        let moved = [earliest - Span::from_nanos(1), earliest].map(|now| mission.may_have_begun(now, &act));
+        assert_eq!(moved, [false, !drops]);
+    }
+
+    let mut played = Played::begun(begins_at_once(Tells::Nothing));
+    played.run_to_the_start();
+    let act = &played.mission.acts[0];
+    let start = act.timing().unwrap().start;
+    assert!(act.is_committed() && !act.has_begun());
+    assert_eq!([at(0), start].map(|now| played.mission.may_have_begun(now, act)), [false, true]);
+}

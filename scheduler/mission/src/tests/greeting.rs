@@ -1,0 +1,749 @@
+//! Who counts as the robot that is meant, when robots are asked again, and robots of other sessions.
+
+use downbeat_scripts::AllOrNone;
+use urrcp::{AvailabilityResponse, ControlError};
+
+use super::played::Played;
+use super::*;
+use crate::bench::Tells::Reports;
+use crate::bench::ms;
+use crate::poses::Expected;
+use crate::seize::Ownership;
+
+fn asks(actions: &[Action]) -> usize {
+    let asks = |action: &&Action| {
+        matches!(action, Action::Send { message: Message::AvailabilityRequest(_) | Message::Inquiry(_), .. })
+    };
+    actions.iter().filter(asks).count()
+}
+
+#[test]
+fn where_robots_are_not_asked_for_their_names_whatever_comes_is_from_the_one_that_is_meant() {
+    let response = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1)),
+        timestamp: by_robot(at(1)),
+        status: Status::Ok,
+        error: None,
+    };
+    let message = Message::AvailabilityResponse(response);
+    for (greeting, up, counts) in
+        [(Greeting::Skip, false, true), (Greeting::Full, false, false), (Greeting::Full, true, true)]
+    {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = greeting;
+        mission.robots[0].connected(at(0));
+        if up {
+            mission.robots[0].named();
+        }
+        assert_eq!(mission.is_the_one(at(1), 0, &message), counts, "{greeting:?}, named: {up}");
+    }
+}
+
+#[test]
+fn a_robot_that_could_start_what_was_not_decided_is_refused_where_the_scenario_is_strict() {
+    let strict = Some(AllOrNone::Strict);
+    for (tells, all_or_none, refused) in
+        [(Everything, strict, false), (Reports, strict, true), (Reports, None, false)]
+    {
+        let mut mission = begins_at_once(tells);
+        Arc::make_mut(&mut mission.choreography).requirements.all_or_none = all_or_none;
+        mission.options.greeting = Greeting::Full;
+        let block = robot("r0", tells, 2).block.unwrap();
+        mission.introduced(at(0), 0, block);
+        assert_eq!(mission.robots[0].has_failed(), refused, "{tells:?} {all_or_none:?}");
+        let checks = &preflight::table(&mission, at(0)).rows[0].checks;
+        let warned = checks
+            .iter()
+            .any(|(_, verdict)| matches!(verdict, Verdict::Warning(why) if why.contains("pending_until")));
+        assert_eq!(warned, tells == Reports && !refused, "{tells:?} {all_or_none:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_gives_its_reason_instead_of_its_name_is_not_waited_for() {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission.robots[0].connected(at(0));
+    let error = ControlError::new(ErrorCode::Internal, "battery is empty");
+    let response = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1)),
+        timestamp: by_robot(at(1)),
+        status: Status::Failed,
+        error: Some(error.clone()),
+    };
+    mission.receive(at(1), 0, Message::AvailabilityResponse(response));
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::NotAvailable { error }]);
+}
+
+#[test]
+fn a_robot_whose_answer_is_under_way_is_asked_again_after_three_round_trips_and_a_little() {
+    let mut mission = greets_a_clock(0, 40);
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].questions.asked(at(100));
+    let again = at(100) + ms(3 * 40 + 20);
+    mission.ask_further(again - Span::from_nanos(1), 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 0);
+    mission.ask_further(again, 0);
+    assert_eq!(asks(&std::mem::take(&mut mission.actions)), 1);
+}
+
+/// A mission that may take a robot of another session, which has proven who it is.
+fn may_seize() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission.options.seize = true;
+    mission.robots[0].proven = true;
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission
+}
+
+fn busy() -> ControlError {
+    ControlError::new(ErrorCode::Busy, "it belongs to `other`")
+}
+
+#[test]
+fn only_a_proven_robot_of_another_session_is_taken_and_only_before_it_was_ours() {
+    type Change = fn(&mut Mission);
+    let changes: [(&str, Change); 5] = [
+        ("the operator does not want it", |mission| mission.options.seize = false),
+        ("it has not proven who it is", |mission| mission.robots[0].proven = false),
+        ("it was ours", |mission| mission.robots[0].ownership = Ownership::Seized),
+        ("it has answered", |mission| {
+            let there = by_robot(at(1));
+            mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(2)));
+        }),
+        ("the mission has begun", |mission| mission.phase = Phase::Performing),
+    ];
+    for (why, change) in changes {
+        let mut mission = may_seize();
+        change(&mut mission);
+        assert!(!mission.is_to_be_seized(0, &busy()) && !mission.robots[0].is_of_another(), "{why}");
+    }
+    let internal = ControlError::new(ErrorCode::Internal, "its hardware is away");
+    assert!(!may_seize().is_to_be_seized(0, &internal));
+    let mut mission = may_seize();
+    assert!(mission.is_to_be_seized(0, &busy()) && mission.robots[0].is_of_another());
+}
+
+#[test]
+fn a_robot_of_another_session_is_taken_unless_another_robot_has_failed() {
+    for fails in [false, true] {
+        let mut mission = may_seize();
+        assert!(!mission.seize_others(at(1)), "it belongs to nobody");
+        assert!(mission.is_to_be_seized(0, &busy()));
+        mission.robots[0].positions = vec![("a".parse().unwrap(), 1.0)];
+        if fails {
+            mission.note_failure(0, FailureKind::Garbled { reason: "x".into() });
+        }
+        assert_eq!(mission.seize_others(at(1)), !fails);
+        if fails {
+            assert_eq!(mission.robots[0].ownership, Ownership::Asked);
+            let busy = FailureKind::NotAvailable { error: busy() };
+            assert_eq!(mission.robots[0].failures.last().map(|failure| &failure.kind), Some(&busy));
+            continue;
+        }
+        assert_eq!(mission.robots[0].ownership, Ownership::Seizing);
+        assert_eq!(mission.robots[0].positions, [], "where it stood while it was another's");
+        let seizes = |action: &Action| matches!(action, Action::Send { message: Message::AvailabilityRequest(asked), .. } if asked.seize);
+        assert!(mission.actions.iter().any(seizes));
+        mission.is_ours(at(2), 0);
+        assert_eq!(mission.robots[0].ownership, Ownership::Seized);
+    }
+}
+
+#[test]
+fn a_robot_that_has_become_free_meanwhile_is_asked_as_any_other() {
+    let mut mission = may_seize();
+    assert!(mission.is_to_be_seized(0, &busy()));
+    mission.is_ours(at(1), 0);
+    assert_eq!(mission.robots[0].ownership, Ownership::Asked);
+}
+
+/// A mission whose robot says that its device `a`, which begins at 45, can tell where it stands.
+fn tells_where_it_stands() -> Mission {
+    let mut mission = may_seize();
+    let text = serde_json::to_string(mission.robots[0].block.as_ref().unwrap()).unwrap().replacen(
+        "\"available_control_types\":{",
+        "\"available_control_types\":{\"sensor\":{\"min_value\":0,\"max_value\":90},",
+        1,
+    );
+    let mut block: urrcp::InitializationBlock = serde_json::from_str(&text).unwrap();
+    block.devices[0].interpolation = urrcp::Interpolation::Linear;
+    mission.robots[0].block = Some(block);
+    mission
+}
+
+#[test]
+fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at_a_time() {
+    for (ownership, stands, reads) in
+        [(Ownership::Seized, 10.0, 1), (Ownership::Seized, 45.0, 0), (Ownership::Asked, 10.0, 0)]
+    {
+        let mut mission = tells_where_it_stands();
+        mission.robots[0].ownership = ownership.clone();
+        mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
+        mission.follow_on_its_way(at(1), 0);
+        assert_eq!(mission.robots[0].reads.len(), reads, "{ownership:?} at {stands}");
+        assert_eq!(mission.robots[0].positions.len(), 1 - reads);
+        mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
+        mission.follow_on_its_way(at(2), 0);
+        assert_eq!(mission.robots[0].reads.len(), reads, "its answer is awaited");
+    }
+}
+
+fn asked() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    mission
+}
+
+/// So many exchanges of timestamps with the robot.
+fn answers_times(mission: &mut Mission, count: i64) {
+    for exchange in 0..count {
+        let there = by_robot(at(exchange * 10 + 1));
+        let sample = ClockSample::from_exchange(at(exchange * 10), there, there, at(exchange * 10 + 2));
+        mission.robots[0].clock.add(sample);
+    }
+}
+
+#[test]
+fn robots_are_asked_who_they_are_and_eight_times_for_their_clock_before_anything_is_sent() {
+    let mut played = Played::begun(asked());
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    let first = played.sent.iter().position(|(.., message)| matches!(message, Message::ControlRequest(_)));
+    let before = &played.sent[..first.unwrap()];
+    let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_) | Message::Inquiry(_));
+    // One of them asks for positions.
+    assert_eq!(before.iter().filter(|(.., message)| asks(message)).count(), 9);
+    let positions =
+        |message: &Message| matches!(message, Message::Inquiry(inquiry) if !inquiry.devices.is_empty());
+    assert!(before.iter().any(|(.., message)| positions(message)));
+    assert!(matches!(before[0].2, Message::InitializationRequest(_)));
+    let greeted = played.told.iter().find_map(|told| match told {
+        Progress::Greeted { clock_offset_max, preflight } => Some((*clock_offset_max, preflight.clone())),
+        _ => None,
+    });
+    let (offset, preflight) = greeted.unwrap();
+    assert!(offset.unwrap() < Span::from_micros(1), "{offset:?}");
+    let failed =
+        |(_, verdict): &(Check, Verdict)| matches!(verdict, Verdict::Failure(_) | Verdict::Warning(_));
+    assert!(!preflight.rows[0].checks.iter().any(failed), "{preflight:?}");
+    assert!(played.recorded.iter().any(|record| matches!(record, Record::Checked)));
+}
+
+/// Three round trips of four seconds each, before anything is played.
+fn was_slow(mission: &mut Mission) {
+    for sent in [-15_000, -10_000, -5_000].map(at) {
+        let there = by_robot(sent + ms(2_000));
+        mission.robots[0].clock.add(ClockSample::from_exchange(sent, there, there, sent + ms(4_000)));
+    }
+}
+
+#[test]
+fn a_robot_that_was_slow_as_long_as_others_were_connected_to_is_measured_further() {
+    let mut mission = asked();
+    was_slow(&mut mission);
+    let mut played = Played::begun(mission);
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn a_robot_that_stays_slow_is_measured_further_for_four_seconds_and_then_refused() {
+    let mut mission = asked();
+    was_slow(&mut mission);
+    for (now, goes_on) in [(0, true), (3_960, true), (3_980, false)] {
+        // While it samples, the mission asks again every 20 ms.
+        if let Some((_, next)) = &mut mission.sampling {
+            *next = at(now) + ms(20);
+        }
+        assert_eq!(mission.still_sampling(at(now)), goes_on, "{now}");
+    }
+    mission.check_links();
+    let slow = |failure: &Failure| matches!(failure.kind, FailureKind::TooSlow { .. });
+    assert!(mission.robots[0].failures.iter().any(slow));
+}
+
+#[test]
+fn a_preflight_ends_once_the_fleet_is_checked() {
+    for (fails, outcome) in [(false, Outcome::Ready), (true, Outcome::NotReady)] {
+        let mut mission = asked();
+        mission.options.preflight_only = true;
+        let mut played = Played::of(mission, if fails { vec![0] } else { Vec::new() });
+        assert_eq!(played.run_to_the_end(), outcome);
+        let moved = |(.., message): &(Timestamp<Server>, usize, Message)| {
+            matches!(message, Message::ControlRequest(_))
+        };
+        assert!(!played.sent.iter().any(moved));
+    }
+}
+
+#[test]
+fn a_robot_that_fails_while_it_is_greeted_keeps_the_mission_from_starting() {
+    let mut mission = asked();
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    mission.fail(at(1), 0, FailureKind::Garbled { reason: "x".into() });
+    assert_eq!(mission.outcome(), Some(&Outcome::NotStarted));
+}
+
+#[test]
+fn what_was_awaited_in_vain_is_named() {
+    type Reached = fn(&mut Mission);
+    let reached: [(Reached, Option<&str>); 6] = [
+        (|_| {}, Some("connection")),
+        (|mission| mission.robots[0].connected(at(0)), Some("initialization block")),
+        (|mission| _ = mission.robots[0].named(), Some("availability response")),
+        (|mission| answers_times(mission, 7), Some("further availability responses")),
+        (
+            |mission| {
+                answers_times(mission, 1);
+                mission.read(at(100), 0, "a".parse().unwrap(), super::super::robot_state::Reading::Wait(0));
+            },
+            Some("readings of its sensors"),
+        ),
+        (|mission| mission.robots[0].reads.clear(), None),
+    ];
+    for count in 1..=reached.len() {
+        let mut mission = asked();
+        reached[..count].iter().for_each(|(reach, _)| reach(&mut mission));
+        mission.greeting_overdue(at(5_000));
+        let kinds = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect::<Vec<_>>();
+        let within = mission.options.patience;
+        let expected =
+            reached[count - 1].1.map(|awaited| FailureKind::Silent { awaited: awaited.to_owned(), within });
+        assert_eq!(kinds, expected.into_iter().collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn answers_that_counted_for_nothing_are_told_of_a_robot_that_seems_silent() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    mission.robots[0].exchanges.ignore();
+    mission.greeting_overdue(at(5_000));
+    let text = mission.robots[0].failures[0].kind.to_string();
+    assert!(text.contains("availability response to a question (1 came that answer none"), "{text}");
+}
+
+/// Acts follow each other for ever, played by whichever of two robots are there. The second one is not there at first.
+fn waits_for_nobody(greeting: Greeting) -> Played {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].next = Way::Act(0);
+    choreography.acts[0].wait = Wait::Done;
+    begun_without_the_second(choreography, greeting)
+}
+
+/// A mission of two robots. The second one is not there at first.
+fn begun_without_the_second(choreography: Choreography, greeting: Greeting) -> Played {
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let participants = vec![participant("r0"), participant("r1")];
+    let options = MissionOptions { greeting, join: Join::NextAct, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let mut played = Played::linked(mission, &[0]);
+    played.happens(Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() });
+    played.run_until(at(1_000));
+    played
+}
+
+#[test]
+fn a_robot_that_comes_later_joins_the_acts_that_have_not_been_sent() {
+    for greeting in [Greeting::Full, Greeting::Skip] {
+        let mut played = waits_for_nobody(greeting);
+        assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+        assert_eq!(played.mission.phase, Phase::Performing, "{greeting:?}");
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(5_000));
+        assert_eq!(played.mission.robots[1].standing, Standing::In, "{greeting:?}");
+        assert!(played.mission.robots[1].totals.started > 0, "{greeting:?}");
+        let told = played.told.iter().filter(|told| matches!(told, Progress::Reattached { .. }));
+        assert_eq!(told.count(), 1, "{greeting:?}");
+        if greeting == Greeting::Full {
+            assert_eq!(played.mission.robots[1].totals.reconnects, 0, "its first link");
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_would_jump_when_it_joins_is_left_out_and_the_others_play() {
+    for (stands_at, left_out) in [(Some(0.0), true), (Some(45.0), false), (None, false)] {
+        let mut played = waits_for_nobody(Greeting::Full);
+        let block = played.mission.robots[1].block.as_mut().unwrap();
+        block.devices[0].interpolation = urrcp::Interpolation::Linear;
+        played.positions = stands_at.map(|at| ("a".parse().unwrap(), at)).into_iter().collect();
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(5_000));
+        let robot = &played.mission.robots[1];
+        let misplaced = |failure: &Failure| matches!(failure.kind, FailureKind::Position { .. });
+        assert_eq!(robot.failures.iter().any(misplaced), left_out, "at {stands_at:?}");
+        assert_eq!(robot.totals.started > 0, !left_out, "at {stands_at:?}");
+        assert!(robot.touched.is_empty() == left_out, "at {stands_at:?}");
+        assert!(played.mission.outcome().is_none(), "the other robot still plays");
+    }
+}
+
+#[test]
+fn an_act_ends_at_once_if_its_only_robot_joins_late_and_would_jump() {
+    let mut choreography = choreography(&[&[("a", 0, 3_000)], &[("a", 0, 3_000)]]);
+    let mut alone = choreography.acts[0].clone();
+    alone.plan.robots.remove(0);
+    (choreography.acts[0].next, alone.wait) = (Way::Act(1), Wait::Done);
+    choreography.acts.push(alone);
+    let mut played = begun_without_the_second(choreography, Greeting::Full);
+    let block = played.mission.robots[1].block.as_mut().unwrap();
+    block.devices[0].interpolation = urrcp::Interpolation::Linear;
+    played.positions = [("a".parse().unwrap(), 0.0)].into();
+    played.happens(Event::LinkUp { robot: 1 });
+    played.run_until(at(6_000));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::DoneWithout));
+    assert!(played.mission.robots[1].touched.is_empty());
+}
+
+#[test]
+fn a_robot_that_is_elsewhere_after_a_new_link_before_its_first_act_fails() {
+    for (stands_at, fails) in [(0.0, true), (45.0, false)] {
+        let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+        choreography.acts[0].wait = Wait::Operator;
+        let participant =
+            |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+        let participants = vec![participant("r0"), participant("r1")];
+        let mission = Mission::new(Arc::new(choreography), participants, MissionOptions::default(), at(0));
+        let mut played = Played::linked(mission.unwrap(), &[0, 1]);
+        let block = played.mission.robots[1].block.as_mut().unwrap();
+        block.devices[0].interpolation = urrcp::Interpolation::Linear;
+        played.positions = [("a".parse().unwrap(), 45.0)].into();
+        played.run_until(at(1_000));
+        assert_eq!(played.mission.phase, Phase::Performing, "at {stands_at}");
+        let reason = "closed".to_owned();
+        played.happens(Event::LinkDown { robot: 1, loss: Loss::Closed, reason });
+        played.positions = [("a".parse().unwrap(), stands_at)].into();
+        played.happens(Event::LinkUp { robot: 1 });
+        played.run_until(at(2_000));
+        played.happens(Event::Go { act: None, by: None });
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::NotStarted, fails, "at {stands_at}: {outcome:?}");
+        assert_eq!(played.mission.robots[1].touched.is_empty(), fails, "at {stands_at}");
+    }
+}
+
+#[test]
+fn a_robot_that_never_comes_or_comes_after_its_last_act_has_begun_was_left_out() {
+    for comes in [false, true] {
+        let long = choreography(&[&[("a", 0, 10_000)], &[("a", 0, 10_000)]]);
+        let mut played = begun_without_the_second(long, Greeting::Full);
+        if comes {
+            played.happens(Event::LinkUp { robot: 1 });
+        }
+        assert_eq!(played.run_to_the_end(), Outcome::DoneWithout, "comes: {comes}");
+        let [failure] = &*played.mission.robots[1].failures else { panic!("comes: {comes}") };
+        assert!(matches!(failure.kind, FailureKind::NeverJoined { .. }), "{failure:?}");
+        assert_eq!(played.mission.robots[1].standing == Standing::In, comes);
+    }
+}
+
+#[test]
+fn a_robot_that_comes_later_and_cannot_join_yet_or_ever_stops_nobody() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mutes(1);
+    played.happens(Event::LinkUp { robot: 1 });
+    let block = robot("r1", Everything, 2).block.unwrap();
+    played.happens(Event::Received { robot: 1, message: Message::InitializationBlock(block) });
+    let away = AvailabilityResponse {
+        originate_timestamp: None,
+        receive_timestamp: by_robot(at(1_000)),
+        timestamp: by_robot(at(1_000)),
+        status: Status::Failed,
+        error: Some(ControlError::new(ErrorCode::Internal, "its hardware is away")),
+    };
+    let asked = asks_of(&played, 1);
+    played.happens(Event::Received { robot: 1, message: Message::AvailabilityResponse(away) });
+    played.run_until(at(4_000));
+    assert_eq!(
+        (&played.mission.phase, played.mission.robots[1].standing),
+        (&Phase::Performing, Standing::Absent)
+    );
+    assert!(asks_of(&played, 1) > asked, "the mission asks again");
+
+    let mut unfit = waits_for_nobody(Greeting::Full);
+    Arc::make_mut(&mut unfit.mission.choreography).requirements.all_or_none = Some(AllOrNone::Strict);
+    unfit.mutes(1);
+    unfit.happens(Event::LinkUp { robot: 1 });
+    let block = robot("r1", Reports, 2).block.unwrap();
+    unfit.happens(Event::Received { robot: 1, message: Message::InitializationBlock(block) });
+    unfit.run_until(at(4_000));
+    assert_eq!((&unfit.mission.phase, unfit.mission.robots[1].standing), (&Phase::Performing, Standing::Out));
+    assert_eq!(unfit.mission.robots[1].failures.len(), 1);
+}
+
+/// The number of availability requests that a robot was sent.
+fn asks_of(played: &Played, robot: usize) -> usize {
+    let asks = |message: &Message| matches!(message, Message::AvailabilityRequest(_));
+    played.sent.iter().filter(|(_, to, message)| *to == robot && asks(message)).count()
+}
+
+#[test]
+fn a_robot_that_was_absent_and_is_another_one_is_left_out() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    let block = robot("another", Everything, 2).block.unwrap();
+    let told = || Event::Received { robot: 1, message: Message::InitializationBlock(block.clone()) };
+    played.mutes(1);
+    for _ in 0..2 {
+        played.happens(Event::LinkUp { robot: 1 });
+        played.happens(told());
+        assert_eq!(played.mission.robots[1].standing, Standing::Out);
+        assert_eq!(played.mission.robots[1].failures.len(), 1, "it is told once");
+        assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.connecting));
+    }
+    assert_eq!(played.mission.phase, Phase::Performing, "the others go on");
+}
+
+#[test]
+fn another_robot_at_an_address_is_told_once_while_robots_are_greeted_and_its_link_is_kept() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    let block = robot("another", Everything, 2).block.unwrap();
+    for _ in 0..2 {
+        let message = Message::InitializationBlock(block.clone());
+        let _told = mission.handle(at(1), Event::Received { robot: 0, message });
+    }
+    assert_eq!(mission.robots[0].failures.len(), 1);
+    assert!(mission.robots[0].lost().is_none());
+}
+
+#[test]
+fn that_ntp_is_lost_and_back_is_told_once_each() {
+    let mut mission = begins_at_once(Everything);
+    let state =
+        |lost: Option<i64>| Event::ServerTime(NtpState { lost_since: lost.map(at), ..NtpState::default() });
+    let mut told = |lost| {
+        let actions = mission.handle(at(0), state(lost));
+        let what = |action: &Action| match action {
+            Action::Tell(Progress::NtpLost { since }) => Some(Some(*since)),
+            Action::Tell(Progress::NtpBack { .. }) => Some(None),
+            _ => None,
+        };
+        actions.iter().filter_map(what).collect::<Vec<_>>()
+    };
+    assert_eq!(told(None), []);
+    assert_eq!(told(Some(5)), [Some(at(5))]);
+    assert_eq!(told(Some(5)), []);
+    assert_eq!(told(None), [None]);
+    assert_eq!(told(None), []);
+    assert_eq!(told(Some(9)), [Some(at(9))]);
+    assert_eq!(mission.ntp().and_then(|state| state.lost_since), Some(at(9)));
+}
+
+#[test]
+fn a_robot_that_says_nothing_is_sent_its_stop_after_a_moment_and_one_that_says_it_is_another_is_not() {
+    let mut mission = asked();
+    mission.robots[0].connected(at(0));
+    assert!(!mission.takes_stops(at(250) - Span::from_nanos(1), 0));
+    assert!(mission.takes_stops(at(250), 0));
+    let (expected, told) = ("r0".parse().unwrap(), "another".parse().unwrap());
+    mission.note_failure(0, FailureKind::AnotherRobot { expected, told });
+    assert!(!mission.takes_stops(at(250), 0));
+}
+
+#[test]
+fn a_robot_that_cannot_be_reached_is_tried_again_unless_that_is_of_no_use() {
+    for (loss, before, now, fails) in [
+        (Loss::Refused, None, 0, false),
+        (Loss::Refused, Some(0), 499, false),
+        (Loss::Refused, Some(0), 500, true),
+        (Loss::Unreachable, Some(0), 500, false),
+        (Loss::Unreachable, Some(0), 4_999, false),
+        (Loss::Unreachable, Some(0), 5_000, true),
+        (Loss::Denied, None, 0, true),
+    ] {
+        let mut mission = asked();
+        mission
+            .robots
+            .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+        let down = |loss| Event::LinkDown { robot: 0, loss, reason: "why".to_owned() };
+        if let Some(before) = before {
+            let _reconnects = mission.handle(at(before), down(Loss::Unreachable));
+        }
+        let actions = mission.handle(at(now), down(loss));
+        assert_eq!(mission.robots[0].has_failed(), fails, "{loss:?} at {now}");
+        let again = actions.iter().any(|action| matches!(action, Action::Reconnect { .. }));
+        assert_eq!(again, !fails, "{loss:?} at {now}");
+    }
+}
+
+#[test]
+fn a_robot_that_belongs_to_another_session_when_it_is_asked_fails() {
+    let mut mission = asked();
+    mission
+        .robots
+        .push(super::super::robot_state::RobotState::new(Participant::new("r1".parse().unwrap(), None)));
+    mission.robots[0].connected(at(0));
+    mission.robots[0].named();
+    let there = by_robot(at(1));
+    let response = AvailabilityResponse {
+        error: Some(busy()),
+        ..AvailabilityResponse::new(&urrcp::AvailabilityRequest::default(), there, there, Status::Failed)
+    };
+    let message = Message::AvailabilityResponse(response);
+    let _failed = mission.handle(at(2), Event::Received { robot: 0, message });
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::NotAvailable { error: busy() }]);
+}
+
+/// The same with another smallest step and largest error of the device, in the words of its description.
+fn with_limits(change: impl FnOnce(&mut serde_json::Value)) -> Mission {
+    let mut mission = tells_where_it_stands();
+    let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
+    change(&mut block["devices"][0]);
+    mission.robots[0].block = Some(serde_json::from_value(block).unwrap());
+    mission
+}
+
+#[test]
+fn a_device_may_stand_two_of_its_steps_or_two_of_its_errors_away_from_its_first_value() {
+    for (granularity, max_error, within) in [(1.0, None, 2.0), (0.5, Some(3.0), 6.0), (2.0, Some(0.5), 4.0)] {
+        let mut mission = with_limits(|device| {
+            let limits = &mut device["available_control_types"]["position"];
+            limits["granularity"] = granularity.into();
+            max_error.into_iter().for_each(|error: f64| limits["max_error"] = error.into());
+        });
+        for (off, misplaced) in [(within, 0), (-within, 0), (within + 0.25, 1), (-within - 0.25, 1)] {
+            mission.robots[0].positions = vec![("a".parse().unwrap(), 45.0 + off)];
+            assert_eq!(mission.misplaced(0).len(), misplaced, "{off} of {within}");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_jumps_or_has_time_to_get_there_may_stand_anywhere() {
+    let first = |mission: &mut Mission, after: i64, control_type| {
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        let step = urrcp::Step {
+            offset: urrcp::Millis::from_span(ms(after)),
+            setpoint: urrcp::Setpoint::new(control_type, 45.0),
+            stop_condition: None,
+        };
+        choreography.acts[0].plan.robots[0].scripts[0].script = urrcp::Script::new(vec![step]).unwrap();
+    };
+    let position = urrcp::ControlType::Position;
+    for (linear, after, control_type, speed, expected) in [
+        (true, 0, position, None, Some(2.0)),
+        (false, 0, position, None, None),
+        (false, 0, position, Some(10.0), Some(2.0)),
+        (true, 1, position, None, None),
+        (true, 1_000, position, Some(10.0), Some(12.0)),
+        (true, 0, urrcp::ControlType::Speed, None, None),
+    ] {
+        let mut mission = tells_where_it_stands();
+        if !linear {
+            mission.robots[0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Hold;
+        }
+        first(&mut mission, after, control_type);
+        mission.first_uses[0].values_mut().for_each(|(_, largest)| *largest = speed);
+        let told = mission.expected_position(0, &"a".parse().unwrap());
+        let expected = expected.map(|within| Expected { position: 45.0, within });
+        assert_eq!(told, expected, "linear: {linear}, after {after} ms, {control_type:?}, {speed:?}");
+    }
+}
+
+#[test]
+fn a_device_that_first_moves_in_a_later_act_may_not_jump_either() {
+    let mut show = choreography(&[&[("a", 0, 400)]]);
+    let mut second = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
+    second.next = Way::Act(0);
+    show.acts.push(second);
+    for (next, misplaced) in [(Way::Act(1), 1), (Way::End, 0)] {
+        show.acts[0].next = next;
+        let block = robot("r0", Everything, 2).block.map(|mut block| {
+            block.devices.iter_mut().for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+            block
+        });
+        let participant = Participant::new(RobotId::new("r0").unwrap(), block);
+        let show = Arc::new(show.clone());
+        let mut mission = Mission::new(show, vec![participant], MissionOptions::default(), at(0)).unwrap();
+        let stated = [("a", 45.0), ("b", 10.0)];
+        let stated = stated.map(|(device, position)| (device.parse().unwrap(), position));
+        mission.robots[0].commanded = stated.into();
+        let found = mission.misplaced(0);
+        let is_b = |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
+        assert_eq!((found.len(), found.iter().all(is_b)), (misplaced, true), "{next:?}: {found:?}");
+    }
+}
+
+#[test]
+fn that_an_absent_robot_cannot_be_reached_is_no_loss_and_it_is_tried_again() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mission.robots[1].link = super::super::robot_state::Link::Connecting;
+    let now = played.now;
+    let down = Event::LinkDown { robot: 1, loss: Loss::Unreachable, reason: "off".to_owned() };
+    let actions = played.mission.handle(now, down);
+    assert!(actions.iter().any(|action| matches!(action, Action::Reconnect { robot: 1, .. })));
+    let told = |action: &Action| matches!(action, Action::Tell(Progress::LinkLost { .. }));
+    assert!(!actions.iter().any(told), "{actions:?}");
+    assert!(played.mission.robots[1].lost().is_some_and(|lost| lost.give_up.is_none()));
+}
+
+#[test]
+fn a_robot_that_has_failed_does_not_join_when_it_comes() {
+    let mut played = waits_for_nobody(Greeting::Full);
+    played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
+    played.happens(Event::LinkUp { robot: 1 });
+    played.run_until(at(5_000));
+    assert!(played.mission.robots[1].introduced && played.mission.robots[1].clock.samples() >= 8);
+    assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+}
+
+#[test]
+fn a_mission_is_done_without_a_robot_that_failed_while_it_was_absent() {
+    let mut choreography = choreography(&[&[("a", 0, 4_000)], &[("a", 0, 4_000)]]);
+    choreography.acts[0].wait = Wait::Done;
+    let mut played = begun_without_the_second(choreography, Greeting::Full);
+    played.mission.note_failure(1, FailureKind::Garbled { reason: "x".into() });
+    assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
+    assert_eq!(played.mission.robots[1].standing, Standing::Absent);
+}
+
+#[test]
+fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
+    use super::super::robot_state::Reading;
+    let mut mission = may_seize();
+    let sensor: DeviceId = "a".parse().unwrap();
+    mission.read(at(0), 0, sensor.clone(), Reading::Requirement(0));
+    for millis in 1..1_024 {
+        mission.read(at(millis), 0, sensor.clone(), Reading::Wait(0));
+    }
+    assert_eq!(mission.robots[0].reads.len(), 1_024);
+    mission.read(at(2_000), 0, sensor, Reading::Wait(1));
+    let left: Vec<_> = mission.robots[0].reads.values().collect();
+    assert!(left.len() == 2 && left.contains(&&Reading::Requirement(0)) && left.contains(&&Reading::Wait(1)));
+}
+
+#[test]
+fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_depends_on() {
+    use super::super::robot_state::Reading;
+    for (preflight_only, shown) in [(true, vec!["b"]), (false, Vec::new())] {
+        let mut mission = tells_where_it_stands();
+        mission.options.preflight_only = preflight_only;
+        let mut block = serde_json::to_value(mission.robots[0].block.as_ref().unwrap()).unwrap();
+        for device in [1, 2] {
+            let sensor = serde_json::json!({"min_value": 0, "max_value": 90});
+            block["devices"][device]["available_control_types"]["sensor"] = sensor;
+        }
+        mission.robots[0].block = Some(serde_json::from_value(block).unwrap());
+        let range = SensorRange::Above(50.0);
+        mission.robots[0].settings.require = vec![Requirement { sensor: "c".parse().unwrap(), range }];
+        mission.read_positions(at(0), 0);
+        let reads: Vec<_> = mission.robots[0].reads.values().cloned().collect();
+        assert!(reads.contains(&Reading::Position("a".parse().unwrap())), "{reads:?}");
+        let told = reads.iter().filter_map(|read| match read {
+            Reading::Shown(device) => Some(device.as_str()),
+            _ => None,
+        });
+        assert_eq!(told.collect::<Vec<_>>(), shown);
+    }
+}

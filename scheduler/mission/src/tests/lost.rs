@@ -1,0 +1,374 @@
+//! Robots whose link breaks, or that say nothing, while they play.
+
+use urrcp::{ControlType, Millis, Script, Setpoint, Step};
+
+use super::played::Played;
+use super::*;
+use crate::bench::{RUNNING, ms};
+use crate::failure_kind::FailureKind;
+use crate::report::{Report, StopState};
+
+fn breaks() -> Event {
+    Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() }
+}
+
+/// A mission whose only robot plays and has lost its link.
+fn broken() -> Played {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.mutes(0);
+    played.happens(breaks());
+    played
+}
+
+#[test]
+fn a_robot_whose_link_stays_away_is_given_up_and_not_before() {
+    let Played { mut mission, now, .. } = broken();
+    let until = mission.give_up.unwrap();
+    assert!(until >= now + RUNNING);
+    mission.give_up_lost(until - Span::from_nanos(1));
+    assert!(!mission.robots[0].has_failed(), "it may still come back");
+    mission.give_up_lost(until);
+    let kinds: Vec<_> = mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert_eq!(kinds, [FailureKind::LinkDown { reason: "it broke".to_owned() }]);
+    assert_eq!(mission.give_up, None, "nobody else is waited for");
+}
+
+#[test]
+fn the_operator_is_told_once_that_a_link_is_lost_and_until_when_it_may_come_back() {
+    let mut played = broken();
+    played.run_until(played.now + ms(1));
+    played.happens(breaks());
+    let lost = |progress: &Progress| match progress {
+        Progress::LinkLost { reason, until, .. } => Some((reason.clone(), *until)),
+        _ => None,
+    };
+    let told: Vec<_> = played.told.iter().filter_map(lost).collect();
+    assert_eq!(told, [("it broke".to_owned(), played.mission.give_up)]);
+}
+
+#[test]
+fn a_robot_that_is_heard_again_is_waited_for_no_more() {
+    let mut played = broken();
+    let until = played.mission.give_up.unwrap();
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    assert_eq!(played.mission.give_up, Some(until), "it has said nothing");
+    played.run_until(played.now + ms(1));
+    assert!(played.told.iter().any(|told| matches!(told, Progress::Reattached { .. })));
+    assert_eq!(played.mission.give_up, None);
+    assert_eq!(played.run_to_the_end(), Outcome::Done);
+    assert_eq!(played.mission.robots[0].totals.reconnects, 1);
+}
+
+/// A mission that stops because another process answers in place of its robot, which still plays.
+fn replaced(patience: Span) -> Played {
+    let mut played = broken();
+    played.mission.options.patience = patience;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + ms(20));
+    let robot = &played.mission.robots[0];
+    assert!(matches!(robot.stop, Stop::Confirmed(_)) && !robot.is_settled());
+    played
+}
+
+fn is_confirmed(played: &Played) -> bool {
+    confirmations(played) > 0
+}
+
+#[test]
+fn a_stop_that_another_process_has_confirmed_counts_once_the_lease_of_the_first_one_has_ended() {
+    let mut played = replaced(RUNNING * 3);
+    played.run_until(played.now + RUNNING - ms(40));
+    assert!(played.mission.outcome().is_none() && !is_confirmed(&played));
+    played.run_until(played.now + ms(60));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::Failed));
+    assert!(is_confirmed(&played));
+}
+
+fn confirmations(played: &Played) -> usize {
+    played.recorded.iter().filter(|record| matches!(record, Record::StopConfirmed { .. })).count()
+}
+
+#[test]
+fn a_stop_that_another_process_confirms_before_it_is_known_that_it_is_another_one_counts_as_late() {
+    let mut played = broken();
+    played.mission.options.patience = RUNNING * 3;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + RUNNING - ms(40));
+    assert!(matches!(played.mission.robots[0].stop, Stop::Confirmed(_)));
+    assert_eq!((played.mission.outcome(), confirmations(&played)), (None, 0));
+    played.run_until(played.now + ms(60));
+    assert_eq!((played.mission.outcome(), confirmations(&played)), (Some(&Outcome::Stopped), 1));
+}
+
+#[test]
+fn a_process_that_answers_again_after_another_one_has_confirmed_its_stop_is_stopped() {
+    let mut played = replaced(RUNNING * 3);
+    assert_eq!(played.stops(), 1);
+    played.happens(breaks());
+    assert!(played.mission.robots[0].lost().unwrap().connecting);
+    played.happens(Event::LinkUp { robot: 0 });
+    assert_eq!(played.stops(), 2);
+}
+
+/// Time from the start of this script of 10 s until a process that still runs it comes to rest; `None` for never.
+fn rests_elsewhere(lease: Option<Span>, last: Setpoint) -> Option<Span> {
+    let mut choreography = choreography(&[&[("a", 0, 10_000)]]);
+    let script = &mut choreography.acts[0].plan.robots[0].scripts[0];
+    script.stop_condition.running = lease.map(Millis::from_span);
+    let step = |offset, setpoint| Step { offset: Millis::from_span(offset), setpoint, stop_condition: None };
+    let first = Setpoint::new(last.control_type, 1.0);
+    script.script = Script::new(vec![step(Span::ZERO, first), step(ms(10_000), last)]).unwrap();
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let mission = Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    played.run_to_the_start();
+    let id = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&id);
+    let (start, now) = (played.mission.acts[0].timing().unwrap().start, played.now);
+    played.mission.inquire_now(now, 0);
+    let actions = played.mission.advance(now);
+    played.carry_out(actions);
+    played.run_until(now + ms(1));
+    played.mission.robots[0].elsewhere.expect("another process may run it").map(|until| until - start)
+}
+
+#[test]
+fn another_process_moves_a_robot_until_its_lease_or_its_last_step_and_drives_it_until_its_lease() {
+    let position = Setpoint::new(ControlType::Position, 5.0);
+    let (driven, halted) = (Setpoint::new(ControlType::Speed, 5.0), Setpoint::new(ControlType::Speed, 0.0));
+    let (short, long) = (Some(ms(2_000)), Some(ms(60_000)));
+    for (lease, last, from, to) in [
+        (short, position.clone(), 2_000, 2_100),
+        (long, position.clone(), 10_000, 10_100),
+        (None, position, 10_000, 10_100),
+        (None, halted, 10_000, 10_100),
+        (long, driven.clone(), 60_000, 60_100),
+    ] {
+        let rests = rests_elsewhere(lease, last.clone()).expect("it comes to rest");
+        assert!(ms(from) <= rests && rests <= ms(to), "{lease:?} {last:?}: {rests}");
+    }
+    assert_eq!(rests_elsewhere(None, driven), None);
+}
+
+#[test]
+fn the_longest_lease_of_the_scripts_that_are_lost_counts() {
+    let elsewhere = |leases: &[Option<i64>]| {
+        let mut mission = begins_at_once(Everything);
+        leases.iter().for_each(|lease| mission.robots[0].runs_elsewhere(lease.map(at)));
+        mission.robots[0].elsewhere
+    };
+    assert_eq!(elsewhere(&[]), None);
+    assert_eq!(elsewhere(&[Some(3), Some(5), Some(4)]), Some(Some(at(5))));
+    assert_eq!(elsewhere(&[Some(3), None, Some(4)]), Some(None), "one runs without a lease");
+}
+
+#[test]
+fn a_robot_in_the_process_of_the_mission_is_moved_by_no_other_process() {
+    let mut played = broken();
+    played.mission.robots[0].in_process = true;
+    let script = played.mission.robots[0].requests.keys().next().cloned().unwrap();
+    played.loses(&script);
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+    played.run_until(played.now + ms(20));
+    assert_eq!(played.mission.outcome(), Some(&Outcome::Failed));
+    assert!(is_confirmed(&played));
+}
+
+#[test]
+fn a_stop_that_another_process_has_confirmed_is_unconfirmed_while_a_lease_may_run() {
+    let mut played = replaced(RUNNING / 2);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+    let report = Report::of(&played.mission).unwrap();
+    let stop = &report.robots[0].stop;
+    let StopState::Unconfirmed { lease_ends: Some(ends) } = stop else { panic!("{stop:?}") };
+    assert!(*ends > played.now - ms(60_000) && !is_confirmed(&played));
+}
+
+#[test]
+fn a_robot_whose_process_is_gone_has_lost_what_it_had() {
+    for (loss, fails) in [(Loss::Refused, true), (Loss::Closed, false), (Loss::Unreachable, false)] {
+        let mut mission = begins_at_once(Everything);
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let _down = mission.handle(at(2), Event::LinkDown { robot: 0, loss, reason: "why".to_owned() });
+        assert_eq!(mission.robots[0].has_failed(), fails, "{loss:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_plays_may_be_silent_for_its_lease_and_a_round_trip() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    assert_eq!(played.mission.silence_bound(played.now, 0), None, "its act is not committed");
+    played.run_to_the_start();
+    let bound = |played: &mut Played, round_trip: i64| {
+        let there = by_robot(at(0));
+        let mut clock = crate::clock::ClockEstimate::default();
+        clock.add(ClockSample::from_exchange(at(0), there, there, at(round_trip)));
+        played.mission.robots[0].clock = clock;
+        played.mission.silence_bound(played.now, 0)
+    };
+    assert_eq!(bound(&mut played, 0), Some(RUNNING));
+    assert_eq!(bound(&mut played, 200), Some(RUNNING + ms(200)));
+    played.mission.robots[0].stop = Stop::Confirmed(Rest::InPlace);
+    assert_eq!(played.mission.silence_bound(played.now, 0), None, "it was stopped");
+}
+
+#[test]
+fn a_robot_that_falls_silent_while_it_plays_fails() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    played.mutes(0);
+    let since = played.now;
+    played.run_until(since + ms(1_900));
+    assert!(!played.mission.robots[0].has_failed());
+    played.run_until(since + ms(4_000));
+    let kinds: Vec<_> =
+        played.mission.robots[0].failures.iter().map(|failure| failure.kind.clone()).collect();
+    assert!(matches!(kinds.as_slice(), [FailureKind::Silent { .. }]), "{kinds:?}");
+}
+
+#[test]
+fn a_robot_that_only_answers_is_asked_about_its_script_after_this_machine_was_held_up() {
+    for late in [100, 600, 1_100, 2_000] {
+        let mut played = Played::begun(one_act(Tells::Answers, 400));
+        let start = played.mission.acts[0].timing().unwrap().start;
+        played.run_until(start - ms(10));
+        // A round is due as well, and its inquiry, which names no script, is sent and answered first.
+        played.now = start + ms(400 + late);
+        played.run_until(played.now);
+        played.delay_reports(ms(60));
+        let outcome = played.run_to_the_end();
+        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+    }
+}
+
+#[test]
+fn reports_that_arrived_while_this_machine_was_held_up_are_read_before_a_robot_is_blamed() {
+    for late in [600, 1_100, 2_000] {
+        let mut played = Played::begun(one_act(Tells::Reports, 400));
+        let start = played.mission.acts[0].timing().unwrap().start;
+        played.run_until(start - ms(10));
+        played.now = start + ms(400 + late);
+        let actions = played.mission.advance(played.now);
+        played.carry_out(actions);
+        let outcome = played.run_to_the_end();
+        assert_eq!((outcome, played.mission.robots[0].failures.len()), (Outcome::Done, 0), "{late} ms late");
+    }
+}
+
+#[test]
+fn a_round_that_comes_late_says_that_this_machine_was_held_up_and_nothing_of_the_robots() {
+    for (late, held_up) in [(100, 0), (101, 1)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        let due = played.now;
+        played.mission.next_round = Some(due);
+        played.mission.robots[0].questions.asked(due);
+        played.mission.notice_hold_up(due + ms(late));
+        assert_eq!(played.mission.rounds_held_up, held_up);
+        assert_eq!(played.mission.robots[0].questions.unanswered().is_none(), held_up > 0);
+    }
+}
+
+#[test]
+fn a_round_that_falls_into_the_quiet_around_a_start_comes_a_moment_later() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let start = played.mission.acts[0].timing().unwrap().start;
+    let now = start - Span::from_micros(100);
+    played.run_until(now);
+    let before = played.sent.len();
+    played.mission.next_round = Some(now);
+    played.mission.renew_if_due(now);
+    assert_eq!((played.mission.actions.len(), played.sent.len()), (0, before));
+    assert_eq!(played.mission.next_round, Some(start + ms(1)));
+}
+
+#[test]
+fn the_operator_is_told_what_a_robot_says_of_itself_now_and_then() {
+    let mut played = Played::begun(one_act(Everything, 10_000));
+    played.run_to_the_start();
+    let heard =
+        |played: &Played| played.told.iter().filter(|told| matches!(told, Progress::Heard { .. })).count();
+    let before = heard(&played);
+    played.run_until(played.now + ms(6_000));
+    // Nine rounds, of which every second one is later than 900 ms after the one that was told of.
+    assert!((4..=5).contains(&(heard(&played) - before)), "{before}, {}", heard(&played));
+}
+
+#[test]
+fn lost_robots_are_given_up_each_at_its_own_time() {
+    let mut mission = super::hostile::of_two(TOLERANCE);
+    mission.phase = Phase::Performing;
+    for (robot, give_up) in [(0, at(20)), (1, at(10))] {
+        let reason = format!("the link of {robot}");
+        let lost = crate::robot_state::Lost {
+            reason,
+            loss: Loss::Closed,
+            since: at(0),
+            connecting: true,
+            give_up: Some(give_up),
+        };
+        mission.robots[robot].link = crate::robot_state::Link::Lost(lost);
+    }
+    mission.give_up = Some(at(10));
+    mission.give_up_lost(at(10) - Span::from_nanos(1));
+    assert!(!mission.robots[1].has_failed());
+    mission.give_up_lost(at(10));
+    let failed = [0, 1].map(|robot| mission.robots[robot].has_failed());
+    assert_eq!((failed, mission.give_up), ([false, true], Some(at(20))));
+}
+
+#[test]
+fn a_round_that_a_short_lease_needs_is_not_put_off_by_the_quiet_around_a_start() {
+    for (lease, waits) in [(20, true), (10, false)] {
+        let mut mission = begins_at_once(Everything);
+        let choreography = Arc::get_mut(&mut mission.choreography).unwrap();
+        let running = Some(urrcp::Millis::from_span(ms(lease)));
+        choreography.acts[0].plan.robots[0].scripts[0].stop_condition.running = running;
+        let mut played = Played::begun(mission);
+        let now = played.mission.acts[0].timing().unwrap().start - Span::from_micros(100);
+        played.run_until(now);
+        played.mission.next_round = Some(now);
+        played.mission.renew_if_due(now);
+        assert_eq!(played.mission.actions.is_empty(), waits, "a lease of {lease} ms");
+    }
+}
+
+#[test]
+fn silence_is_noticed_by_a_machine_that_looks_for_it_a_little_late() {
+    for (looks, noticed) in [(-1, false), (0, true), (1, true)] {
+        let mut played = Played::begun(one_act(Everything, 10_000));
+        played.run_to_the_start();
+        let now = played.now;
+        played.mission.robots[0].heard(now - ms(60_000));
+        played.mission.robots[0].questions.asked(now - ms(60_000));
+        played.mission.next_silence = Some(now - ms(looks));
+        played.mission.notice_silence(now);
+        assert_eq!(played.mission.robots[0].has_failed(), noticed, "{looks} ms after it was due");
+    }
+}
+
+#[test]
+fn a_robot_that_an_act_asks_on_the_way_to_its_start_is_not_asked_once_more_by_a_round() {
+    for (asked, more) in [(1, 0), (10_000, 1)] {
+        let mut played = Played::begun(begins_at_once(Everything));
+        let now = played.now;
+        assert!(played.mission.acts[0].approaches(0) && !played.mission.acts[0].hushes(0, now));
+        played.mission.robots[0].questions.forgive();
+        let mut questions = crate::robot_state::Questions::default();
+        questions.asked(now - ms(asked));
+        played.mission.robots[0].questions = questions;
+        played.mission.next_round = Some(now);
+        played.mission.renew_if_due(now);
+        assert_eq!(played.mission.actions.len(), more, "asked {asked} ms ago");
+    }
+}

@@ -1,0 +1,314 @@
+//! A mission with robots that do what they are told, in virtual time: what it says while it plays, and how it ends.
+
+use std::collections::HashMap;
+
+use urrcp::{
+    AvailabilityResponse, Command, ControlRequest, DeviceReport, Inquiry, InquiryResponse, RequestReport,
+    RequestState,
+};
+
+use super::*;
+
+use crate::bench::{ms, refusal, report, response};
+
+/// From a message to its answer.
+const ROUND_TRIP: Span = Span::from_micros(400);
+
+/// A script that a robot has: when it starts and ends.
+type Held = (usize, DeviceId, Timestamp<Server>, Timestamp<Server>);
+
+pub(super) struct Played {
+    pub(super) mission: Mission,
+    pub(super) now: Timestamp<Server>,
+    records: u64,
+    scripts: HashMap<RequestId, Held>,
+    /// Scripts that have ended before their last step, with the reason and the number of steps done.
+    ended: HashMap<RequestId, (ErrorCode, u32)>,
+    arrivals: Vec<(Timestamp<Server>, Event)>,
+    /// Robots whose messages are lost both ways from now on.
+    pub(super) mute: Vec<usize>,
+    /// The positions that the robots state for their devices.
+    pub(super) positions: HashMap<DeviceId, f64>,
+    pub(super) told: Vec<Progress>,
+    pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
+    pub(super) recorded: Vec<Record>,
+}
+
+impl Played {
+    /// All links stand at once, and the first act is sent as soon as it is known how long the disk takes.
+    pub(super) fn begun(mission: Mission) -> Self {
+        Self::of(mission, Vec::new())
+    }
+
+    /// The same; these robots hear nothing, and say nothing.
+    pub(super) fn of(mission: Mission, mute: Vec<usize>) -> Self {
+        let all: Vec<usize> = (0..mission.robots.len()).collect();
+        let mut played = Self::linked(mission, &all);
+        played.mute = mute;
+        played.run_until(at(10));
+        played
+    }
+
+    /// The links of these robots are about to stand.
+    pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
+        let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
+        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
+        let (scripts, ended, mute) = (HashMap::new(), HashMap::new(), Vec::new());
+        let (now, positions) = (at(0), HashMap::new());
+        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
+    }
+
+    /// The process has died, and another one resumes the mission at this instant and is about to connect. Robots have continued,
+    /// and their reports in between are lost.
+    pub(super) fn resumed_at(&self, now: Timestamp<Server>, kept: &Kept, ended: Vec<ActReport>) -> Self {
+        let participant = |robot: &RobotState| Participant::new(robot.id.clone(), robot.block.clone());
+        let participants = self.mission.robots.iter().map(participant).collect();
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let choreography = Arc::clone(&self.mission.choreography);
+        let mission =
+            Mission::resume(choreography, participants, options, kept, ended.into_iter(), now).unwrap();
+        let all: Vec<usize> = (0..mission.robots.len()).collect();
+        let arrivals = all.into_iter().map(|robot| (now, Event::LinkUp { robot })).collect();
+        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
+        let (scripts, ended, mute) = (self.scripts.clone(), self.ended.clone(), Vec::new());
+        let positions = self.positions.clone();
+        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
+    }
+
+    pub(super) fn run_until(&mut self, until: Timestamp<Server>) {
+        for _ in 0..100_000 {
+            let arrives = self.arrivals.iter().map(|(at, _)| *at).min();
+            let wakes = self.mission.next_wakeup();
+            let Some(next) = arrives.into_iter().chain(wakes).min().filter(|next| *next <= until) else {
+                self.now = self.now.max(until);
+                return;
+            };
+            self.now = self.now.max(next);
+            let due = |(at, _): &mut (Timestamp<Server>, Event)| *at <= next;
+            let due: Vec<_> = self.arrivals.extract_if(.., due).collect();
+            due.into_iter().for_each(|(_, event)| self.happens(event));
+            let actions = self.mission.advance(self.now);
+            self.carry_out(actions);
+        }
+        panic!("it wakes up for nothing at {}: {}", self.now, self.mission.due());
+    }
+
+    pub(super) fn run_to_the_end(&mut self) -> Outcome {
+        self.run_until(self.now + ms(60_000));
+        self.mission.outcome().cloned().expect("it ends")
+    }
+
+    /// Until the first act under way has started.
+    pub(super) fn run_to_the_start(&mut self) {
+        let begun = self.mission.acts[0].timing().unwrap().begun();
+        self.run_until(begun + ms(5));
+    }
+
+    pub(super) fn happens(&mut self, event: Event) {
+        let actions = self.mission.handle(self.now, event);
+        self.carry_out(actions);
+        let actions = self.mission.advance(self.now);
+        self.carry_out(actions);
+    }
+
+    pub(super) fn carry_out(&mut self, actions: Vec<Action>) {
+        for action in actions {
+            match action {
+                Action::Send { robot, message, .. } => {
+                    if !self.mute.contains(&robot) {
+                        self.answer(robot, &message);
+                    }
+                    self.sent.push((self.now, robot, message));
+                }
+                Action::Record(record) => {
+                    if record.is_durable() {
+                        self.records += 1;
+                        self.arrivals.push((self.now + ms(2), Event::Recorded { count: self.records }));
+                    }
+                    self.recorded.push(record);
+                }
+                Action::Tell(progress) => self.told.push(progress),
+                Action::Reconnect { .. } | Action::Answer(_) => {}
+            }
+        }
+    }
+
+    fn answer(&mut self, robot: usize, message: &Message) {
+        let there = by_robot(self.now + ROUND_TRIP / 2);
+        let answer = match message {
+            Message::AvailabilityRequest(request) => {
+                let response = AvailabilityResponse::new(request, there, there, Status::Ok);
+                Message::AvailabilityResponse(response)
+            }
+            Message::InitializationRequest(_) => {
+                Message::InitializationBlock(self.mission.robots[robot].block.clone().unwrap())
+            }
+            Message::Inquiry(inquiry) => Message::InquiryResponse(self.inquired(inquiry)),
+            Message::ControlRequest(request) => self.asked_to(robot, request),
+            other => panic!("{other:?}"),
+        };
+        self.says(self.now + ROUND_TRIP, robot, answer);
+    }
+
+    fn inquired(&self, inquiry: &Inquiry) -> InquiryResponse {
+        let when = self.now + ROUND_TRIP / 2;
+        let requests = inquiry.requests.iter().map(|id| {
+            if let Some((code, steps_done)) = self.ended.get(id) {
+                let ended = report(id, RequestState::Ended, None);
+                let steps_done = Some(*steps_done);
+                return RequestReport { steps_done, error: refusal(code.clone()), ..ended };
+            }
+            let state = match self.scripts.get(id) {
+                None => RequestState::Unknown,
+                Some((.., start, _)) if when < *start => RequestState::Held,
+                Some((.., end)) if when < *end => RequestState::Running,
+                Some(_) => RequestState::Ended,
+            };
+            let begun = matches!(state, RequestState::Running | RequestState::Ended);
+            let start = self.scripts.get(id).filter(|_| begun).map(|(.., start, _)| by_robot(*start));
+            RequestReport { event_timestamp: start, ..report(id, state, None) }
+        });
+        let requests = requests.collect();
+        let stated = |device: &DeviceId| {
+            let position = self.positions.get(device).copied();
+            DeviceReport { device_id: device.clone(), room: 2, position }
+        };
+        let devices = inquiry.devices.iter().map(stated).collect();
+        InquiryResponse {
+            requests,
+            devices,
+            ..InquiryResponse::new(inquiry, by_robot(when), by_robot(when), Status::Ok)
+        }
+    }
+
+    fn asked_to(&mut self, robot: usize, request: &ControlRequest) -> Message {
+        let (device, id) = (&request.device_id, request.request_id.as_ref());
+        let says = |status, at| Message::ControlResponse(response(device, id, status, at));
+        let there = self.now + ROUND_TRIP / 2;
+        let Command::Script(script) = &request.command else { return says(Status::Failed, there) };
+        let Some((sent, offset)) = request.timestamp.zip(request.time_offset_to_start) else {
+            let now = self.now;
+            let cancelled =
+                self.scripts.extract_if(|_, (of, on, _, end)| (*of, &*on) == (robot, device) && *end > now);
+            // Scripts have a step at their start and one at their end.
+            let steps = |start: Timestamp<Server>| u32::from(start <= now);
+            let ended = cancelled.map(|(id, (.., start, _))| (id, (ErrorCode::Cancelled, steps(start))));
+            self.ended.extend(ended);
+            let own = |message: &Message| matches!(message, Message::ControlResponse(said) if said.device_id == *device);
+            self.arrivals.retain(|(_, event)| !matches!(event, Event::Received { robot: of, message } if *of == robot && own(message)));
+            return says(Status::Ok, there);
+        };
+        let start = sent + offset.span();
+        let end = start + script.duration();
+        let known = self.scripts.insert(id.unwrap().clone(), (robot, device.clone(), start, end)).is_some();
+        if self.mission.robots[robot].reports() && !known {
+            let of = (response(device, id, Status::Started, start), response(device, id, Status::Ok, end));
+            self.says(start + ROUND_TRIP / 2, robot, Message::ControlResponse(of.0));
+            self.says(end + ROUND_TRIP / 2, robot, Message::ControlResponse(of.1));
+        }
+        says(Status::Accepted, there)
+    }
+
+    fn says(&mut self, at: Timestamp<Server>, robot: usize, message: Message) {
+        self.arrivals.push((at, Event::Received { robot, message }));
+    }
+
+    /// A pending lease ends: the robot does not begin the script.
+    pub(super) fn drops(&mut self, id: &RequestId) {
+        self.loses(id);
+        self.ended.insert(id.clone(), (ErrorCode::LinkLost, 0));
+    }
+
+    /// The process of the robot is replaced by one that does not know the script.
+    pub(super) fn loses(&mut self, id: &RequestId) {
+        self.scripts.remove(id);
+        let of_it = |message: &Message| matches!(message, Message::ControlResponse(said) if said.request_id.as_ref() == Some(id));
+        self.arrivals
+            .retain(|(_, event)| !matches!(event, Event::Received { message, .. } if of_it(message)));
+    }
+
+    /// Delays the link of a robot.
+    pub(super) fn delay_link(&mut self, robot: usize, by: Span) {
+        for (at, event) in &mut self.arrivals {
+            if matches!(event, Event::LinkUp { robot: of } if *of == robot) {
+                *at = *at + by;
+            }
+        }
+    }
+
+    /// Delays the answers under way that report on scripts, but no others.
+    pub(super) fn delay_reports(&mut self, by: Span) {
+        for (at, event) in &mut self.arrivals {
+            let Event::Received { message: Message::InquiryResponse(response), .. } = event else { continue };
+            if !response.requests.is_empty() {
+                *at = *at + by;
+            }
+        }
+    }
+
+    /// Ends all scripts of all robots now, after `steps_done` steps.
+    pub(super) fn ends_early(&mut self, steps_done: u32) {
+        self.ended.extend(self.scripts.drain().map(|(id, _)| (id, (ErrorCode::LinkLost, steps_done))));
+    }
+
+    /// The number of stops that were sent, one for each device.
+    pub(super) fn stops(&self) -> usize {
+        let stops = self.sent.iter().filter(|(.., message)| {
+            matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_none())
+        });
+        stops.count()
+    }
+
+    pub(super) fn mutes(&mut self, robot: usize) {
+        self.mute.push(robot);
+        self.arrivals
+            .retain(|(_, event)| !matches!(event, Event::Received { robot: of, .. } if *of == robot));
+    }
+}
+
+#[test]
+fn a_mission_whose_robots_do_what_they_are_told_is_done() {
+    for tells in [Everything, Tells::Reports, Tells::Answers, Tells::Nothing] {
+        let mut played = Played::begun(begins_at_once(tells));
+        let outcome = played.run_to_the_end();
+        let expected = if tells == Tells::Nothing { Outcome::Unknown } else { Outcome::Done };
+        assert_eq!(outcome, expected, "{tells:?}");
+    }
+}
+
+#[cfg(feature = "metrics")]
+#[test]
+fn acts_under_way_are_counted_by_how_far_they_are() {
+    let mut mission = waits_in(1);
+    assert_eq!(mission.act_stages(), [0, 0, 0]);
+    assert_eq!(mission.phase_name(), super::figures::PhaseName::Greeting);
+    mission = Played::begun(mission).mission;
+    assert_eq!(mission.act_stages(), [0, 1, 0], "on its way to its start");
+    let mut played = Played::begun(waits_in(1));
+    played.run_to_the_start();
+    assert_eq!(played.mission.act_stages(), [1, 0, 1], "one plays, and one waits for the operator");
+    assert_eq!(played.mission.phase_name(), super::figures::PhaseName::Performing);
+}
+
+#[cfg(feature = "metrics")]
+#[test]
+fn the_figures_of_a_robot_contain_the_acts_under_way() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    let figures = |played: &Played| {
+        let figures = played.mission.figures_of(0);
+        (
+            figures.totals.sent,
+            figures.totals.started,
+            figures.is_linked,
+            figures.takes_part,
+            figures.awaits_stop,
+        )
+    };
+    assert_eq!(figures(&played), (1, 0, true, true, false));
+    played.run_to_the_start();
+    assert_eq!(figures(&played), (1, 1, true, true, false));
+    assert!(played.mission.figures_of(0).clock.is_some());
+    played.mutes(0);
+    played.happens(Event::StopRequested { rest: Rest::InPlace, by: None });
+    assert_eq!(figures(&played), (1, 1, true, true, true));
+}

@@ -1,0 +1,93 @@
+//! Motions that sensors verify, in virtual time: two robots with bodies that follow late, and the latencies that are known of them.
+
+use downbeat_scripts::{Folder, Source, compile, read_fleet};
+
+use super::Rehearsal;
+use crate::fleet::{greeting, participants, simulated};
+use crate::mission::{MissionOptions, MotionReport, MotionSpread};
+
+const ARM: &str = "id: arm
+api_version: '1'
+reports: true
+devices:
+  - id: elbow
+    unit: deg
+    default_value: 0
+    interpolation: linear
+    available_control_types:
+      position: {min_value: -90, max_value: 90, granularity: 0.01}
+      script: {min_value: -90, max_value: 90, granularity: 0.01, max_number_of_steps: 100}
+  - id: angle
+    available_control_types:
+      sensor: {min_value: -180, max_value: 180}
+";
+const UP: &str = "scenario: up
+cues:
+  - {cue: up, at: 0s, robots: [left, right], tracks: {elbow: [{at: 0s, to: 0}, {at: 1s, to: 40}]}}
+";
+
+/// Plays with a left arm that begins to follow 60 ms after its command and a right one that does so after 12 ms. With a lag of 10 ms,
+/// 0.02 degrees of this ramp take 3.34 ms (t - 10 (1 - exp(-t / 10)) = 0.5 ms), 2.84 ms more than without it.
+fn motions(known: [&str; 2], measured: &str) -> (Vec<MotionReport>, Option<MotionSpread>) {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    file("arm.yaml", ARM);
+    file("latency.yaml", &format!("latency: {measured}"));
+    let robot = |name: &str, latency: &str, known: &str| {
+        format!(
+            "  {name}:\n    init: arm.yaml\n    address: sim\n    {known}\n    calibrate: {{elbow: {{sensor: angle, by: 2, visible: 0.02}}}}\n    \
+             simulate: {{clock_offset: 30ms, moves: {{elbow: {{latency: {latency}, time_constant: 10ms, sensor: angle, noise: 0.05, delay: 2ms}}}}}}\n"
+        )
+    };
+    let robots = [robot("left", "60ms", known[0]), robot("right", "12ms", known[1])].concat();
+    let (fleet, findings) =
+        read_fleet(&file("fleet.yaml", &format!("latency: latency.yaml\nrobots:\n{robots}")));
+    let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
+    let source = Source::read(&file("up.yaml", UP)).unwrap();
+    let compiled = compile(&source, &fleet, &Folder::new(folder.path().to_path_buf()));
+    let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:?}", compiled.findings));
+    let robots: Vec<_> = fleet.robots.iter().collect();
+    let machines = robots.iter().zip(1..).map(|(robot, seed)| simulated(robot, seed).unwrap()).collect();
+    let options =
+        MissionOptions { greeting: greeting(&fleet), verify_motion: true, ..MissionOptions::default() };
+    let played = Rehearsal::new(choreography, participants(&robots), options, machines).unwrap().play();
+    let act = played.report.acts.into_iter().next().unwrap();
+    (act.motions, act.motion_spread)
+}
+
+/// In milliseconds.
+fn error(motion: &MotionReport) -> f64 {
+    motion.error.unwrap_or_else(|| panic!("{motion:?}")).as_millis_f64()
+}
+
+#[test]
+fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_known() {
+    let (apart, spread) = motions(["clock: ntp", "clock: ntp"], "{}");
+    let [left, right] = apart.as_slice() else { panic!("{apart:?}") };
+    for (motion, latency) in [(left, 62.84), (right, 14.84)] {
+        let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
+        assert!((error(motion) - latency).abs() < uncertainty && uncertainty < 20.0, "{apart:?}");
+    }
+    let spread = spread.unwrap();
+    let off = (spread.spread.as_millis_f64() - 48.0).abs();
+    assert!(off < spread.uncertainty.as_millis_f64() && spread.motions == 2, "{spread:?}");
+
+    let (together, spread) = motions(["latency: 60ms", "latency: 12ms"], "{}");
+    let [left, right] = together.as_slice() else { panic!("{together:?}") };
+    assert_eq!(left.planned, right.planned, "both are to begin at once");
+    assert!(error(left).abs() < 6.0 && error(right).abs() < 6.0, "{together:?}");
+    let spread = spread.unwrap();
+    assert!(spread.spread < spread.uncertainty && spread.spread.as_millis_f64() < 10.0, "{spread:?}");
+
+    let file = "{left: {elbow: {median: 62.84ms, time_constant: 10ms}}, right: {elbow: {median: 14.84ms, time_constant: 10ms}}}";
+    let (measured, spread) = motions(["clock: ntp", "clock: ntp"], file);
+    for motion in &measured {
+        let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
+        assert!(error(motion).abs() < uncertainty && uncertainty < 3.0, "{measured:?}");
+    }
+    assert!(spread.unwrap().spread.as_millis_f64() < 3.0, "{spread:?}");
+}
