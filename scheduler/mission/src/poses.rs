@@ -137,12 +137,8 @@ impl Mission {
             let asked = self.robots[robot].positions_asked.filter(|(act, _)| *act == number);
             let at = asked.map_or(now, |(_, at)| at);
             if asked.is_none() {
-                let member = self.acts[index].member(robot);
-                let devices = member.into_iter().flat_map(|member| member.firsts());
-                let adrift = &self.robots[robot].adrift;
-                let devices = devices.map(|script| &script.plan.device);
-                let devices = devices.filter(|device| adrift.is_empty() || adrift.contains(*device));
-                let devices: Vec<_> = devices.cloned().collect();
+                let scripts = self.unplaced_of(&self.acts[index], robot);
+                let devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
                 self.robots[robot].forget_positions();
                 self.robots[robot].positions_asked = Some((number, now));
                 self.ask_positions_of(now, robot, &devices);
@@ -169,48 +165,65 @@ impl Mission {
         due
     }
 
-    /// Members that were asked and would have to jump at their first step. If a robot does not answer, it counts only if a stop has
-    /// left its devices adrift.
+    /// Members that were asked and would have to jump at their first step. If a robot does not answer, it counts only if no check of
+    /// its devices holds for this act.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
             let reading = *self.robots[robot].commanded.get(&script.device)?;
-            let id = &self.robots[robot].id;
-            let is_used = |used: &&DeviceUse| used.robot == *id && used.device == script.device;
-            let speed = || act.written().devices.iter().find(is_used)?.speed_max;
-            let expected = self.expected_of(robot, script, speed)?;
+            let expected = self.expected_in(act, robot, script)?;
             let device = script.device.clone();
             let kind = FailureKind::Position { device, reading, expected: expected.position };
             ((reading - expected.position).abs() > expected.within).then_some((robot, kind))
         };
         let unplaced = self.unplaced(act);
-        let members = unplaced.iter().filter_map(|robot| act.member(*robot));
-        let firsts = members.flat_map(|member| member.firsts().map(|script| (member.robot, &script.plan)));
-        let jumping = firsts.filter_map(|(robot, script)| jump(robot, script));
-        jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(*robot))).collect()
+        let scripts =
+            unplaced.iter().flat_map(|robot| self.unplaced_of(act, *robot).map(move |of| (*robot, of)));
+        let jumping = scripts.filter_map(|(robot, script)| jump(robot, script));
+        jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(act, *robot))).collect()
     }
 
-    /// The failure of a robot with devices adrift that has not stated their positions: one of them would almost certainly jump.
-    fn hides_its_pose(&self, robot: usize) -> Option<(usize, FailureKind)> {
+    /// The failure of a robot that has not stated the positions of devices that nothing else places: one of them may well jump.
+    fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
-        let hides = !state.adrift.is_empty() && state.positions_owed > 0;
+        let hides = state.positions_owed > 0
+            && self.unplaced_of(act, robot).any(|script| !self.is_checked(act, robot, &script.device));
         let within = lead::counted(state.round_trip()) * 3 + STATED_WITHIN;
         let kind = || FailureKind::Silent { awaited: "positions of its devices".to_owned(), within };
         hides.then(|| (robot, kind()))
     }
 
-    /// Members of an act that the mission asks for their positions: robots that the greeting has not checked, and robots with devices
-    /// that a stop has left adrift. The greeting has not checked robots that joined late and, in the first act, robots on a new link.
-    /// These have not been sent anything that moves a device. With `handshake: skip`, only robots with devices adrift are asked.
+    /// Members of an act that the mission asks for positions.
     fn unplaced(&self, act: &Act) -> Vec<usize> {
+        let members = act.present().map(|member| member.robot);
+        members.filter(|robot| self.unplaced_of(act, *robot).next().is_some()).collect()
+    }
+
+    /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift, and
+    /// devices that may have to jump and that the mission has not moved yet, if no check of their positions holds for this act. With
+    /// `handshake: skip`, only devices adrift are asked for.
+    fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
+        let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;
-        let counts = |robot: &usize| {
-            let robot = &self.robots[*robot];
-            let is_unplaced = robot.unplaced && (robot.joined_late || act.number() == 0);
-            let is_untouched = asks && is_unplaced && robot.touched.is_empty();
-            (is_untouched || !robot.adrift.is_empty()) && robot.takes_inquiries()
+        let is_unplaced = move |script: &&DeviceScript| {
+            let device = &script.device;
+            let is_unchecked = || state.unplaced || !self.is_checked(act, robot, device);
+            let is_untouched = asks && !state.touched.contains(device) && is_unchecked();
+            let may_jump = || self.expected_in(act, robot, script).is_some();
+            state.adrift.contains(device) || is_untouched && may_jump()
         };
-        act.present().map(|member| member.robot).filter(counts).collect()
+        let member = act.member(robot).filter(|_| state.takes_inquiries()).into_iter();
+        member.flat_map(|member| member.firsts()).map(|script| &script.plan).filter(is_unplaced)
+    }
+
+    /// Whether the greeting has checked the position of a device for this act, and no stop has left the device adrift since.
+    fn is_checked(&self, act: &Act, robot: usize, device: &DeviceId) -> bool {
+        self.is_first_use(act, robot, device) && !self.robots[robot].adrift.contains(device)
+    }
+
+    /// Whether this act is the first one that moves a device, in the order in which acts follow each other by `next`.
+    fn is_first_use(&self, act: &Act, robot: usize, device: &DeviceId) -> bool {
+        self.first_uses[robot].get(device).is_some_and(|(first, _)| first.act == act.index())
     }
 
     /// Devices that would have to jump at their first step.
@@ -218,9 +231,8 @@ impl Mission {
         let failure = |(device, reading): (&DeviceId, f64)| {
             let expected = self.expected_position(index, device)?;
             let jumps = (reading - expected.position).abs() > expected.within;
-            let kind =
-                || FailureKind::Position { device: device.clone(), reading, expected: expected.position };
-            jumps.then(kind)
+            let (device, expected) = (device.clone(), expected.position);
+            jumps.then_some(FailureKind::Position { device, reading, expected })
         };
         self.robots[index].known_positions().filter_map(failure).collect()
     }
@@ -260,6 +272,13 @@ impl Mission {
         let (first, speed) = self.first_uses.get(index)?.get(device)?;
         let script = &self.choreography.acts[first.act].plan.robots[first.robot].scripts[first.script];
         self.expected_of(index, script, || *speed)
+    }
+
+    /// The same for the first script of a device in an act.
+    fn expected_in(&self, act: &Act, robot: usize, script: &DeviceScript) -> Option<Expected> {
+        let id = &self.robots[robot].id;
+        let is_used = |used: &&DeviceUse| used.robot == *id && used.device == script.device;
+        self.expected_of(robot, script, || act.written().devices.iter().find(is_used)?.speed_max)
     }
 
     /// The same for the first script of a device in an act, in which the device has this largest speed.

@@ -42,6 +42,9 @@ impl Mission {
             if kept.dropped.contains(&robot.id) {
                 robot.standing = Standing::Out;
             }
+            if let Some(devices) = kept.touched.get(&robot.id) {
+                robot.touched.clone_from(devices);
+            }
         }
         kept.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
         mission.note_failures_of(&kept.failures);

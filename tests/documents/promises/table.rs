@@ -141,6 +141,24 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
+        "If another act is the first one that moves a device, as after a wait that timed out or after a \
+         failure, the mission asks for the position of that device just before this act.",
+        &[Simulation('m', "22-a-device-that-has-not-moved-jumps")],
+    ),
+    (
+        Mission,
+        "A robot that would jump then, or does not answer within three round trips and 200 ms, has failed.",
+        &[
+            Test(
+                "scheduler/mission/src/tests/greeting.rs::a_device_that_first_moves_in_an_act_that_does_not_follow_by_next_may_not_jump_either",
+            ),
+            Test(
+                "scheduler/mission/src/tests/greeting.rs::a_robot_that_does_not_state_where_its_untouched_device_is_does_not_move_it",
+            ),
+        ],
+    ),
+    (
+        Mission,
         "The mission asks for it first on every new link, also in the middle of a mission, after `resume` \
          and during a stop, and sends nothing else until the robot has answered.",
         &[

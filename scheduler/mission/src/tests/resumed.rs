@@ -294,3 +294,26 @@ fn a_withdrawn_mission_has_failed_if_anything_may_have_moved_and_has_not_started
     assert_eq!(withdrawn(false, late.clone()), (late.clone(), why()));
     assert_eq!(withdrawn(true, late.clone()), (Outcome::Failed, late.hold_up()));
 }
+
+#[test]
+fn a_device_that_moved_before_the_resumption_moves_on_as_the_scenario_says() {
+    let mut show = choreography(&[&[("a", 0, 400)]]);
+    for (device, length, next) in [("b", 9_000, Way::Act(2)), ("a", 400, Way::End)] {
+        let mut act = choreography(&[&[(device, 0, length)]]).acts.remove(0);
+        (act.next, act.name) = (next, format!("moves {device}"));
+        show.acts.push(act);
+    }
+    show.acts[0].next = Way::Act(1);
+    let mut block = robot("r0", Everything, 2).block.unwrap();
+    block.devices.iter_mut().for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), Some(block))];
+    let mission = Mission::new(Arc::new(show), participants, MissionOptions::default(), at(0)).unwrap();
+    let mut played = Played::linked(mission, &[0]);
+    played.positions = ["a", "b"].map(|device| (device.parse().unwrap(), 45.0)).into();
+    played.run_until(at(3_000));
+    assert_eq!(played.mission.acts[0].index(), 1);
+    let mut resumed = resumed_after(&played, 100);
+    resumed.mission.options.greeting = Greeting::Full;
+    resumed.positions.insert("a".parse().unwrap(), 0.0);
+    assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.mission.robots[0].failures);
+}

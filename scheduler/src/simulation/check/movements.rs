@@ -3,8 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::{Choreography, DeviceScript, FirstUse, OnFailure};
-use urrcp::{ControlType, DeviceId, Interpolation, Message, Server, Span, Timestamp};
+use downbeat_scripts::OnFailure;
+use urrcp::{ControlType, Device, DeviceId, Interpolation, Message, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::facts::{Facts, SentScript};
@@ -17,52 +17,21 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// The devices that would have to jump to their first value if their robot has not moved before: the first value in `act` or, if
-/// that is `None`, in the mission. Includes only devices that move linearly, are not behind an edge, and have a position that the robot
-/// states.
-pub(super) fn jumps_of(facts: &Facts<'_>, robot: usize, act: Option<usize>) -> HashSet<DeviceId> {
-    let (choreography, drawn) = (&facts.drawn().choreography, &facts.drawn().robots[robot]);
-    let firsts: Vec<_> = match act {
-        Some(act) => {
-            let alone = Choreography::of_plan(choreography.acts[act].plan.clone());
-            let firsts = alone.first_uses(0).into_iter();
-            firsts.map(|first| FirstUse { act, ..first }).collect()
-        }
-        None => choreography.first_uses(0),
-    };
-    let scripts = firsts.into_iter().filter_map(|first| {
-        let planned = &choreography.acts[first.act].plan.robots[first.robot];
-        (planned.robot == drawn.block.id).then(|| &planned.scripts[first.script])
-    });
-    let jumps = |script: &&DeviceScript| {
-        let device = drawn.block.device(script.device.as_str());
-        let linear = device.is_some_and(|device| {
-            device.interpolation == Interpolation::Linear && device.default_value.is_some()
-        });
-        let at_once = script.script.steps().first().filter(|step| step.offset.span() == Span::ZERO);
-        linear && at_once.is_some_and(|step| (step.setpoint.value - BEGINS_AT).abs() > JUMP)
-    };
-    let jumping = scripts.filter(|_| states_positions(drawn)).filter(jumps);
-    jumping.map(|script| script.device.clone()).collect()
+/// Whether a device that has not moved yet jumps if its first value is this one. Includes only devices that move linearly, are not behind
+/// an edge, and have a position that the robot states.
+pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, first: f64) -> bool {
+    let is_linear =
+        |device: &Device| device.interpolation == Interpolation::Linear && device.default_value.is_some();
+    let is_known = states_positions(drawn) && drawn.block.device(device.as_str()).is_some_and(is_linear);
+    is_known && (first - BEGINS_AT).abs() > JUMP
 }
 
-/// Index, in the choreography, of the first act in which a robot moved.
-fn first_act_of(facts: &Facts<'_>, robot: usize) -> Option<usize> {
-    let moved = |script: &SentScript<'_>| script.robot == robot && !script.log.is_empty();
-    facts.acts.iter().find(|act| act.scripts.iter().any(moved)).map(|act| act.promise.act)
-}
-
-/// Checks that no robot that states its positions jumps at the start of a mission or when it joins one.
+/// Checks that no device of a robot that states its positions jumps with its first movement, whichever act that is.
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
-        let act = first_act_of(facts, robot).filter(|_| facts.drawn().joins(robot));
-        // The way home and the approach are planned from where the robot is.
-        if act.is_some_and(|act| act >= facts.drawn().choreography.acts.len()) {
-            continue;
-        }
-        let jumping = jumps_of(facts, robot, act);
+        let drawn = &facts.drawn().robots[robot];
         // If a robot is absent at first, its first process starts when it arrives.
-        let comes_later = facts.drawn().robots[robot].there_from > Span::ZERO;
+        let comes_later = drawn.there_from > Span::ZERO;
         let began_anew = begins(facts, robot).nth(usize::from(comes_later)).map(Timestamp::as_nanos);
         let mut moved = HashSet::new();
         for entry in &facts.ran.logs[robot] {
@@ -70,7 +39,9 @@ fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
                 break;
             }
             let is_first = moved.insert(&entry.device);
-            if is_first && jumping.contains(&entry.device) && entry.is_set() {
+            let jumps = is_first && entry.is_set();
+            let jumps = jumps && jumps_from_the_beginning(drawn, &entry.device, entry.value);
+            if jumps && !was_sent_home(facts, robot, entry) {
                 let what = format!("r{robot} jumped from {BEGINS_AT} to its first value: {entry:?}");
                 verdict.violated('m', what);
             }
@@ -109,8 +80,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 }
 
 /// Whether the way home had nothing to move here: a stop left the device at its default position, and before the act in which the
-/// device jumps was promised, the mission sent all robots home. The act begins as the scenario says, as it does after a way home that
-/// moves the device. An approach would have moved it to the first position of the act.
+/// device jumps was promised, the mission sent all robots home.
 fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> bool {
     let device = facts.drawn().robots[robot].block.device(jump.stop.device.as_str());
     let is_there = device.is_some_and(|device| {
@@ -119,12 +89,25 @@ fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> 
         let away = rests_at.zip(device.default_value).map(|(rests_at, default)| (rests_at - default).abs());
         away.is_some_and(|away| away <= 0.0)
     });
-    let id = jump.entry.request_id.as_deref();
+    is_there && were_sent_home(facts, robot, Timestamp::from_nanos(jump.stop.true_ns), jump.entry)
+}
+
+/// Whether an earlier act had a part for the device of this entry and was withdrawn before the device moved, and the mission sent all
+/// robots home after that.
+fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
+    let of_device = |script: &SentScript<'_>| script.promised.device == entry.device;
+    let first = facts.acts.iter().find(|act| act.of(robot).any(of_device));
+    first.is_some_and(|act| were_sent_home(facts, robot, act.at, entry))
+}
+
+/// Whether the mission sent all robots home between this instant and the promise of the act to which an entry belongs. The act begins
+/// as the scenario says, as it does after a way home that moves the device. An approach would have moved it to the first position of
+/// the act.
+fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, entry: &LogEntry) -> bool {
+    let id = entry.request_id.as_deref();
     let is_it = |script: &SentScript<'_>| id == Some(script.promised.request_id.as_str());
-    let mut acts = facts.acts.iter().filter(|_| is_there);
-    let Some(act) = acts.find(|act| act.of(robot).any(is_it)) else { return false };
-    let since = facts.between(Timestamp::from_nanos(jump.stop.true_ns), act.at).iter();
-    let home = since.rev().find_map(|(_, happened)| match happened {
+    let Some(act) = facts.acts.iter().find(|act| act.of(robot).any(is_it)) else { return false };
+    let home = facts.between(since, act.at).iter().rev().find_map(|(_, happened)| match happened {
         Happened::Told(told) => match **told {
             Progress::GoingHome { .. } | Progress::AtHome => Some(true),
             Progress::Approaching { .. } => Some(false),

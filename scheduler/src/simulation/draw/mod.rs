@@ -52,11 +52,6 @@ impl Drawn {
         self.disk.capacity = None;
         self
     }
-
-    /// Whether a robot is absent at first and may join later.
-    pub(crate) fn joins(&self, robot: usize) -> bool {
-        self.join == Join::NextAct && self.robots[robot].there_from > Span::ZERO
-    }
 }
 
 /// In one of this many missions, the operator sends the robots home.

@@ -6,7 +6,7 @@ use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;
 use crate::mission::{FailureKind, Progress};
-use crate::simulation::check::movements::jumps_of;
+use crate::simulation::check::movements::jumps_from_the_beginning;
 use crate::simulation::draw::BEGINS_AT;
 use crate::simulation::trajectory::JUMP;
 use crate::simulation::{Happened, Network};
@@ -58,14 +58,12 @@ impl Said<'_> {
         }
     }
 
-    /// Whether the robot states its positions, and a device is away from its first position in the mission, or in an act at which the
-    /// robot may join.
+    /// Whether the robot states its positions, and a device that has never moved is away from the first position of an act.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
-        let FailureKind::Position { device, reading, .. } = kind else { return false };
-        let drawn = self.facts.drawn();
-        let acts = if drawn.joins(robot) { drawn.choreography.acts.len() } else { 0 };
-        let jumps = |act| jumps_of(self.facts, robot, act).contains(device);
-        *reading == BEGINS_AT && (0..acts).map(Some).chain([None]).any(jumps)
+        let FailureKind::Position { device, reading, expected } = kind else { return false };
+        let drawn = &self.facts.drawn().robots[robot];
+        let has_moved = self.facts.ran.logs[robot].iter().any(|entry| entry.device == *device);
+        *reading == BEGINS_AT && !has_moved && jumps_from_the_beginning(drawn, device, *expected)
     }
 
     /// Whether a stop may have left the device at this position, away from the expected one.
