@@ -11,8 +11,9 @@ use urrcp::{
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
+use super::prepare::answers_within;
 use super::robot_state::{Reading, RobotState, Standing};
-use super::{Greeting, Join, Mission, Phase, lead};
+use super::{Greeting, Join, Mission, Phase};
 
 /// The position that the first step of a device expects.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,9 +28,6 @@ const SHOWN_MAX: usize = 64;
 
 /// Maximum number of devices in one inquiry, so that small robots can accept it.
 const NAMES_MAX: usize = 100;
-
-/// The time that a robot has to state positions before an act, in addition to three round trips. After that, they are unknown.
-const STATED_WITHIN: Span = Span::from_millis(200);
 
 impl RobotState {
     /// Twice the error of a position: the one that the device declares, or its granularity if that is larger.
@@ -143,7 +141,7 @@ impl Mission {
                 self.robots[robot].positions_asked = Some((number, now));
                 self.ask_positions_of(now, robot, &devices);
             }
-            let until = at + lead::counted(self.robots[robot].round_trip()) * 3 + STATED_WITHIN;
+            let until = at + answers_within(&self.robots[robot]);
             if self.robots[robot].positions_owed > 0 {
                 match now < until {
                     true => due = due.max(Some(until)),
@@ -188,7 +186,7 @@ impl Mission {
         let state = &self.robots[robot];
         let hides = state.positions_owed > 0
             && self.unplaced_of(act, robot).any(|script| !self.is_checked(act, robot, &script.device));
-        let within = lead::counted(state.round_trip()) * 3 + STATED_WITHIN;
+        let within = answers_within(state);
         let kind = || FailureKind::Silent { awaited: "positions of its devices".to_owned(), within };
         hides.then(|| (robot, kind()))
     }

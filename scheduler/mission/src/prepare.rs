@@ -26,6 +26,9 @@ const HOLD_UP_LEAST: Span = Span::from_millis(5);
 /// robot may be slow.
 const UNMEASURED: Span = Span::from_millis(500);
 
+/// The time that a robot has to answer before an act is promised, in addition to three round trips.
+const ANSWERED_WITHIN: Span = Span::from_millis(200);
+
 /// What an act needs before it can start.
 struct Need {
     lead: LeadTime,
@@ -51,6 +54,10 @@ impl Mission {
         let unknown = self.unknown_clocks(act);
         if !unknown.is_empty() {
             return self.await_clocks(now, index, unknown);
+        }
+        let unmeasured = self.unmeasured_on_new_links(now, act);
+        if !unmeasured.is_empty() {
+            return self.await_answers(now, index, unmeasured);
         }
         let skew = self.skew_of(act, now);
         let slow = self.too_slow(act, skew.as_ref());
@@ -215,6 +222,45 @@ impl Mission {
         self.fail_all(now, unknown.into_iter().map(silent).collect());
     }
 
+    /// Members whose clock was measured on an earlier link only, and when each has to have answered on its new link. A robot that does
+    /// not name itself in that time is treated like one without a link.
+    fn unmeasured_on_new_links(&self, now: Timestamp<Server>, act: &Act) -> Vec<(usize, Timestamp<Server>)> {
+        let unmeasured = |robot: usize| {
+            let state = &self.robots[robot];
+            let (linked, within) = (state.unmeasured_since()?, answers_within(state));
+            if state.is_up() {
+                return Some((robot, state.questions.unanswered().unwrap_or(now) + within));
+            }
+            Some((robot, linked + within)).filter(|(_, until)| now < *until)
+        };
+        act.present().filter_map(|member| unmeasured(member.robot)).collect()
+    }
+
+    fn await_answers(
+        &mut self,
+        now: Timestamp<Server>,
+        index: usize,
+        unmeasured: Vec<(usize, Timestamp<Server>)>,
+    ) {
+        let (waits, silent): (Vec<_>, Vec<_>) = unmeasured.into_iter().partition(|(_, until)| now < *until);
+        if !silent.is_empty() {
+            let kind = |robot: usize| FailureKind::Silent {
+                awaited: "answer on its new link".to_owned(),
+                within: answers_within(&self.robots[robot]),
+            };
+            let failing = silent.into_iter().map(|(robot, _)| (robot, kind(robot))).collect();
+            return self.refuse_or_look_again(now, index, failing);
+        }
+        for (robot, _) in &waits {
+            // The question that begins the link may have had to wait for another act.
+            if self.robots[*robot].questions.last_unanswered().is_none() {
+                self.ask(now, *robot);
+            }
+        }
+        let due = waits.into_iter().map(|(_, until)| until).min();
+        self.acts[index].look_again_at(due);
+    }
+
     /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
         match self.robots.iter().all(RobotState::holds_nothing) {
@@ -375,6 +421,11 @@ impl Mission {
         };
         act.present().filter_map(earlier).max().unwrap_or(Span::ZERO).max(Span::ZERO)
     }
+}
+
+/// How long a robot that has just come back, or that is asked for positions, may take to answer.
+pub(super) fn answers_within(robot: &RobotState) -> Span {
+    lead::counted(robot.round_trip()) * 3 + ANSWERED_WITHIN
 }
 
 /// How much has to travel, measured on the real encoding of the largest script.

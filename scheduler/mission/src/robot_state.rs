@@ -235,6 +235,8 @@ pub(crate) struct RobotState {
     /// To whom it belongs, while robots are greeted.
     pub(crate) ownership: Ownership,
     pub(crate) link: Link,
+    /// When its newest link was made, if an earlier one had broken.
+    relinked_at: Option<Timestamp<Server>>,
     /// Attempts to reach it since it was last heard.
     attempts: u32,
     pub(crate) standing: Standing,
@@ -318,6 +320,7 @@ impl RobotState {
             ownership: Ownership::default(),
             id: participant.id,
             link: Link::Connecting,
+            relinked_at: None,
             attempts: 0,
             standing: Standing::In,
             joined_late: false,
@@ -427,10 +430,19 @@ impl RobotState {
     /// A link to its address stands. Which robot answers there it has to say first.
     pub(crate) fn connected(&mut self, now: Timestamp<Server>) {
         let unheard = self.lost_mut().cloned();
+        self.relinked_at = unheard.as_ref().map(|_| now);
         self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
         self.exchanges.begin_again();
         self.positions_asked = None;
+    }
+
+    /// When its link was made, if its clock was measured on an earlier link and it has not answered on this one yet: it may be another
+    /// process by now, with another clock.
+    pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
+        let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
+        let answered = self.questions.answered();
+        self.relinked_at.filter(|at| stands && self.clock.samples() > 0 && answered < Some(*at))
     }
 
     /// It is the one that is meant, or it is not asked. `false`: that was known of this link.

@@ -161,6 +161,7 @@ impl Mission {
     pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
         let state = &mut self.robots[robot];
         let (steps, known) = (state.clock.steps(), state.clock.tells_outliers());
+        let known = known && state.unmeasured_since().is_none();
         state.clock.add(sample);
         state.questions.answer(sample.sent);
         // A process that takes a mission up does not know by which clock the robot was sent what it has.

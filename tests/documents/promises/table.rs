@@ -159,6 +159,21 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
+        "The mission promises an act only once each such robot has answered a question on its new link.",
+        &[Test(
+            "scheduler/mission/src/tests/greeting.rs::an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link",
+        )],
+    ),
+    (
+        Mission,
+        "A robot that says who it is, but does not answer within three round trips and 200 ms, has failed, \
+         unless it still plays another act.",
+        &[Test(
+            "scheduler/mission/src/tests/greeting.rs::an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link",
+        )],
+    ),
+    (
+        Mission,
         "The mission asks for it first on every new link, also in the middle of a mission, after `resume` \
          and during a stop, and sends nothing else until the robot has answered.",
         &[

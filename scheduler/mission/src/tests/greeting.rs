@@ -812,3 +812,36 @@ fn a_device_that_moves_later_than_others_of_its_robot_is_asked_for_again_on_a_ne
         assert_eq!(refuses_b(&played), fails, "at {stands_at}: {outcome}");
     }
 }
+
+#[test]
+fn an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link() {
+    for (answers, says_its_name) in [(true, true), (false, true), (false, false)] {
+        let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+        choreography.acts[0].wait = Wait::Operator;
+        let participant =
+            |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Tells::Reports, 2).block);
+        let participants = ["r0", "r1"].map(participant).to_vec();
+        let mission = Mission::new(Arc::new(choreography), participants, MissionOptions::default(), at(0));
+        let mut played = Played::linked(mission.unwrap(), &[0, 1]);
+        played.run_until(at(1_000));
+        let reason = "closed".to_owned();
+        played.happens(Event::LinkDown { robot: 1, loss: Loss::Closed, reason });
+        let back = played.now;
+        played.happens(Event::LinkUp { robot: 1 });
+        if !says_its_name {
+            played.mutes(1);
+        }
+        played.run_until(back + Span::from_micros(200));
+        if !answers {
+            played.mute = vec![1];
+        }
+        played.happens(Event::Go { act: None, by: None });
+        let is_promised =
+            |played: &Played| played.recorded.iter().any(|record| matches!(record, Record::Prepared(_)));
+        assert!(!is_promised(&played), "{answers} {says_its_name}");
+        played.run_until(back + ms(50));
+        assert_eq!(is_promised(&played), answers, "{answers} {says_its_name}");
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::Done, answers, "{answers} {says_its_name}: {outcome}");
+    }
+}
