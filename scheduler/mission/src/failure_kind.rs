@@ -157,7 +157,11 @@ pub enum FailureKind {
     },
     /// A device stands where its first keyframe does not expect it.
     #[error(
-        "device `{device}` is at {reading}, its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"
+        "device `{device}` is at {reading}, {}",
+        match act {
+            None => format!("its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"),
+            Some(act) => format!("its first keyframe in the act `{act}` expects {expected}: move it there in an act before, or put that keyframe later"),
+        }
     )]
     Position {
         /// Which device.
@@ -166,6 +170,9 @@ pub enum FailureKind {
         reading: f64,
         /// Where it should.
         expected: f64,
+        /// The act for which the mission found this, if no approach before the mission could have moved the device there.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        act: Option<String>,
     },
     /// It says of a script what cannot be true.
     #[error("device `{device}` reports what cannot be: {claim}")]
@@ -294,7 +301,7 @@ mod tests {
                 FailureKind::Requirement { sensor: device(), reading: None, range }
             }
             FailureKind::Requirement { .. } => {
-                FailureKind::Position { device: device(), reading: 0.0, expected: 1.0 }
+                FailureKind::Position { device: device(), reading: 0.0, expected: 1.0, act: Some(text()) }
             }
             FailureKind::Position { .. } => {
                 FailureKind::Claim { device: device(), claim: Claim::Steps { claimed: 2, planned: 1 } }

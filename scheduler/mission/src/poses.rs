@@ -171,7 +171,11 @@ impl Mission {
             let reading = *self.robots[robot].commanded.get(&script.device)?;
             let expected = self.expected_in(act, robot, script)?;
             let device = script.device.clone();
-            let kind = FailureKind::Position { device, reading, expected: expected.position };
+            // An approach moves devices ahead of the first act, to the positions from which they first move by `next`.
+            let is_first = act.number() == act.attempts();
+            let approached = is_first && self.is_first_use(act, robot, &device);
+            let act = (!approached).then(|| act.name());
+            let kind = FailureKind::Position { device, reading, expected: expected.position, act };
             ((reading - expected.position).abs() > expected.within).then_some((robot, kind))
         };
         let unplaced = self.unplaced(act);
@@ -230,7 +234,7 @@ impl Mission {
             let expected = self.expected_position(index, device)?;
             let jumps = (reading - expected.position).abs() > expected.within;
             let (device, expected) = (device.clone(), expected.position);
-            jumps.then_some(FailureKind::Position { device, reading, expected })
+            jumps.then_some(FailureKind::Position { device, reading, expected, act: None })
         };
         self.robots[index].known_positions().filter_map(failure).collect()
     }

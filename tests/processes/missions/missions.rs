@@ -347,7 +347,7 @@ fn a_late_joiner_that_would_jump_is_left_out_and_does_not_move() {
     let (left, right) = ports(&session);
     let _left = robot(&session, "left", left);
     let ran = joins_late(&session, "arm.yaml", right);
-    ran.says(5, &["right: device `shoulder` is at 0, its first keyframe expects 20"]);
+    ran.says(5, &["right: device `shoulder` is at 0, its first keyframe in the act `finale` expects 20"]);
     assert_eq!(std::fs::read_to_string(session.path("right.jsonl")).unwrap(), "");
 }
 

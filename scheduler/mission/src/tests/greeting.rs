@@ -426,6 +426,8 @@ fn a_robot_that_is_elsewhere_after_a_new_link_before_its_first_act_fails() {
         let outcome = played.run_to_the_end();
         assert_eq!(outcome == Outcome::NotStarted, fails, "at {stands_at}: {outcome:?}");
         assert_eq!(played.mission.robots[1].touched.is_empty(), fails, "at {stands_at}");
+        let mut failures = played.mission.robots[1].failures.iter();
+        assert!(failures.all(|failure| failure.kind.to_string().contains("`run --approach 5s`")));
     }
 }
 
@@ -767,11 +769,15 @@ fn leads_to(on_timeout: usize) -> Played {
     played
 }
 
-/// Whether `b` was found elsewhere, and has not moved.
+/// Whether `b` was found elsewhere, and has not moved. The advice is one that helps before an act that is not the first one.
 fn refuses_b(played: &Played) -> bool {
     let robot = &played.mission.robots[0];
-    let is_b = |failure: &Failure| matches!(&failure.kind, FailureKind::Position { device, .. } if device.as_str() == "b");
-    robot.failures.iter().any(is_b) && !robot.touched.contains("b")
+    let is_b =
+        |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
+    let Some(failure) = robot.failures.iter().find(|failure| is_b(&failure.kind)) else { return false };
+    let told = "device `b` is at 0, its first keyframe in the act `another` expects 45: move it there in an act before, or put that keyframe later";
+    assert_eq!(failure.kind.to_string(), told);
+    !robot.touched.contains("b")
 }
 
 #[test]

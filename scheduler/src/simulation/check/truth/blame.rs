@@ -60,7 +60,7 @@ impl Said<'_> {
 
     /// Whether the robot states its positions, and a device that has never moved is away from the first position of an act.
     fn would_jump(&self, robot: usize, kind: &FailureKind) -> bool {
-        let FailureKind::Position { device, reading, expected } = kind else { return false };
+        let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
         let has_moved = self.facts.ran.logs[robot].iter().any(|entry| entry.device == *device);
         *reading == BEGINS_AT && !has_moved && jumps_from_the_beginning(drawn, device, *expected)
@@ -68,7 +68,7 @@ impl Said<'_> {
 
     /// Whether a stop may have left the device at this position, away from the expected one.
     fn was_left_elsewhere(&self, robot: usize, kind: &FailureKind) -> bool {
-        let FailureKind::Position { device, reading, expected } = kind else { return false };
+        let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let mut log = self.facts.ran.logs[robot].iter().filter(|entry| entry.device == *device);
         let was_there =
             |entry: &LogEntry| entry.motion == MotionKind::Slow || (entry.value - reading).abs() <= JUMP;
