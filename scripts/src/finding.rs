@@ -180,7 +180,7 @@ pub struct Finding {
     pub hint: Option<String>,
     /// The offending line.
     pub source_line: String,
-    /// Other places that have to do with it, in the order of the argument.
+    /// Other places that have to do with it, in the order of the argument; then those of the same mistake.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub related: Vec<Related>,
 }
@@ -198,9 +198,17 @@ pub struct Related {
     pub message: String,
     /// The line.
     pub source_line: String,
+    /// Whether the same mistake is here. The message of the finding names the line already.
+    #[serde(skip)]
+    pub is_repeat: bool,
 }
 
 impl Finding {
+    /// The places that explain it, without those of the same mistake.
+    pub(crate) fn chain(&self) -> impl Iterator<Item = &Related> {
+        self.related.iter().filter(|place| !place.is_repeat)
+    }
+
     /// Whether a file itself is at fault, not what is written in it: it cannot be read or written, or is in the way.
     #[must_use]
     pub fn is_about_access(&self) -> bool {

@@ -101,6 +101,7 @@ fn related_place(
         width: spot.width.max(1),
         message: message.to_owned(),
         source_line: carried(lines.line(&source.text, spot.line), room),
+        is_repeat: false,
     }
 }
 

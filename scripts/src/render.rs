@@ -91,12 +91,9 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
             group
         }
     };
-    if !finding.related.is_empty() {
-        let chain: Vec<_> = finding
-            .related
-            .iter()
-            .map(|place| format!("{} (line {})", shown(&place.message), place.line))
-            .collect();
+    let chain: Vec<_> =
+        finding.chain().map(|place| format!("{} (line {})", shown(&place.message), place.line)).collect();
+    if !chain.is_empty() {
         group = group.element(Level::NOTE.message(chain.join(", ")));
     }
     if let Some(hint) = &finding.hint {
@@ -107,7 +104,7 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
         // The renderer counts the column within what is shown of the line.
         Some(mark) if mark.left_out > 0 => {
             let (line, column) =
-                finding.related.first().map_or((finding.line, finding.column), |at| (at.line, at.column));
+                finding.chain().next().map_or((finding.line, finding.column), |at| (at.line, at.column));
             let place = |column: usize| format!("{file}:{line}:{column}");
             rendered.replacen(&place(column - mark.left_out), &place(column), 1)
         }
@@ -126,12 +123,12 @@ struct Mark {
 
 /// The finding's line with what was expected; where a chain of places leads to it, the lines of that chain.
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
-    if finding.related.is_empty() {
+    let mut places: Vec<_> = finding.chain().enumerate().collect();
+    if places.is_empty() {
         let (text, span, left_out) = shown_part(&finding.source_line, finding.column, finding.width);
         let label = format!("expected {}", shown(&finding.expected));
         return vec![(finding.line, text, vec![Mark { span, label, primary: true, left_out }])];
     }
-    let mut places: Vec<_> = finding.related.iter().enumerate().collect();
     places.sort_by_key(|(_, place)| (place.line, place.column));
     let mut lines: Vec<(usize, String, Vec<Mark>)> = Vec::new();
     for (index, place) in places {

@@ -2,32 +2,39 @@
 
 use std::collections::HashMap;
 
-use crate::finding::{Code, Finding};
+use crate::finding::{Code, Finding, Related};
 
 /// Most lines that a message lists.
 const LISTED_MAX: usize = 5;
 
-/// Joins findings about the same mistake into the first of them, which says where the others are. Each finding comes with the uses that
-/// led to it, for the end of its message.
+/// Joins findings about the same mistake into the first of them, which says where the others are, for editors in its related places.
+/// Each finding comes with the uses that led to it, for the end of its message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     let mut first: HashMap<Mistake, usize> = HashMap::new();
-    let mut joined: Vec<(Finding, Vec<usize>)> = Vec::with_capacity(findings.len());
+    let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());
     for (mut finding, uses) in findings {
         if let Some(mistake) = Mistake::of(&finding) {
             if let Some(known) = first.get(&mistake) {
-                joined[*known].1.push(finding.line);
+                joined[*known].related.push(repeat(finding));
                 continue;
             }
             first.insert(mistake, joined.len());
         }
         finding.message.push_str(&uses);
-        joined.push((finding, Vec::new()));
+        joined.push(finding);
     }
-    let told = |(mut finding, lines): (Finding, Vec<usize>)| {
+    for finding in &mut joined {
+        let repeats = finding.related.iter().filter(|place| place.is_repeat);
+        let lines = repeats.map(|place| place.line).collect();
         finding.message.push_str(&others(finding.line, lines));
-        finding
-    };
-    joined.into_iter().map(told).collect()
+    }
+    joined
+}
+
+/// The place of a mistake that another finding reports.
+fn repeat(finding: Finding) -> Related {
+    let Finding { line, column, width, source_line, .. } = finding;
+    Related { line, column, width, message: "the same mistake".to_owned(), source_line, is_repeat: true }
 }
 
 /// What equal mistakes have in common.
@@ -166,6 +173,30 @@ mod tests {
         assert_eq!(messages(all), [expected]);
         let many = "no move `wvae`; the same mistake in 9 other lines (2, 3, 4 and 6 more)";
         assert_eq!(messages((1..11).map(typo).collect()), [many]);
+    }
+
+    #[test]
+    fn the_places_of_joined_findings_are_related_to_the_first_one() {
+        let mut first = found(Code::UnknownMove, 3, "no move `wvae`", "did you mean `wave`?");
+        let mut second = found(Code::UnknownMove, 7, "no move `wvae`", "did you mean `wave`?");
+        (first.0.column, second.0.column, second.0.width) = (4, 9, 4);
+        second.0.source_line = "move: wvae".into();
+        let joined = join(vec![first, second]);
+        let expected = Related {
+            line: 7,
+            column: 9,
+            width: 4,
+            message: "the same mistake".into(),
+            source_line: "move: wvae".into(),
+            is_repeat: true,
+        };
+        assert_eq!(joined[0].related, [expected]);
+        let result = &crate::sarif(&joined)["runs"][0]["results"][0];
+        let region = &result["relatedLocations"][0]["physicalLocation"]["region"];
+        assert_eq!(*region, serde_json::json!({"startLine": 7, "startColumn": 9, "endColumn": 13}));
+        // People read the line in the message: the text shows only the first place.
+        let text = crate::render(&joined, false);
+        assert!(text.contains("; the same mistake in line 7") && !text.contains("move: wvae"), "{text}");
     }
 
     #[test]
