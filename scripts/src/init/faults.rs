@@ -8,7 +8,7 @@ use super::EXPECTED;
 use super::keys::{self, Level};
 use crate::composed::composed;
 use crate::fields::Reader;
-use crate::finding::{Code, Finding, Part, Place};
+use crate::finding::{Code, Finding, Part, Place, did_you_mean_this};
 use crate::locate::locate;
 use crate::node::shortened;
 use crate::render::counted;
@@ -25,7 +25,17 @@ pub(super) fn of(source: &Source) -> Vec<Finding> {
             by_id(&mut findings, &devices);
             return locate(std::slice::from_ref(source), findings.finish());
         }
-        // Left out or something else: the block itself says so.
+        None => {
+            of_missing(
+                &mut findings,
+                &Whose::of("the robot", Level::Block),
+                &Place::default(),
+                "devices",
+                &block,
+            );
+            return locate(std::slice::from_ref(source), findings.finish());
+        }
+        // Something else: the block itself says so.
         _ => return Vec::new(),
     };
     check::<InitializationBlock>(
@@ -188,8 +198,14 @@ fn check_as<T: DeserializeOwned>(
     let is_word = |c: char| c.is_alphanumeric() || c == '_';
     let mut words = message.split(|c: char| !is_word(c));
     let is = |value: &Value, word| value.as_str() == Some(word);
-    let named =
+    let by_word =
         words.find_map(|word| keys.iter().find(|(key, value)| is(key, word) || is(value, word))?.0.as_str());
+    let quoted = |value: &Value| match value {
+        Value::Bool(value) => message.contains(&format!("`{value}`")),
+        Value::Number(value) => message.contains(&format!("`{value}`")),
+        _ => false,
+    };
+    let named = by_word.or_else(|| keys.iter().find(|(_, value)| quoted(value))?.0.as_str());
     let place = match named {
         Some(key) => place.of_key(key),
         None => Place { key: true, ..place.clone() },
@@ -208,7 +224,17 @@ fn of_missing(findings: &mut Reader, whose: &Whose, place: &Place, missing: &str
             Place { key: true, ..place.of_key(key) },
             Some(format!("unknown key `{}`: did you mean `{missing}`?", shortened(key))),
         ),
-        None => (Place { key: true, ..place.clone() }, None),
+        None => {
+            let mut all = keys.iter().filter(|_| matches!(missing, "min_value" | "max_value"));
+            let advice = all.find_map(|(key, value)| keys::advice(whose.level, key.as_str()?, value));
+            let by_name = || match (whose.level, keys.iter().next()) {
+                (Level::Device, Some((Value::String(id), _))) if missing == "id" && keys.len() == 1 => {
+                    Some(format!("write `id: {}` and the other keys below it", shortened(id)))
+                }
+                _ => None,
+            };
+            (Place { key: true, ..place.clone() }, advice.or_else(by_name))
+        }
     };
     add(findings, place, message, &format!("a key `{missing}`"), hint);
 }
@@ -232,12 +258,30 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
     let expected = match expected {
         "u32" | "u64" | "usize" => "a whole number",
         "f64" => "a number",
+        "a boolean" => "true or false",
+        // Of the keys of a device, only `interpolation` is a word.
+        "a Value::Tagged enum" if whose.level == Level::Device => "`hold` or `linear`",
+        "a Value::Tagged enum" => "a word",
         _ => expected,
     };
+    let truth = |text: &str| match text.to_lowercase().as_str() {
+        "yes" | "on" => Some("write `true`".to_owned()),
+        "no" | "off" => Some("write `false`".to_owned()),
+        _ => None,
+    };
+    if let Some(hint) = value.and_then(Value::as_str).filter(|_| expected == "true or false").and_then(truth)
+    {
+        let found = format!("found the text `{}`", value.and_then(Value::as_str).unwrap_or_default());
+        return (of(&found), expected.to_owned(), Some(hint));
+    }
     let hint = value.and_then(Value::as_str).filter(|_| expected.contains("number")).and_then(number);
     let found = match found.strip_prefix("invalid type: string ") {
         Some(text) => format!("found the text `{}`", text.trim_matches('"')),
-        None => found.replace("unknown variant", "unknown word").replace("invalid type: ", "found "),
+        None => found
+            .replace("unknown variant", "unknown word")
+            .replace("invalid type: ", "found ")
+            .replace("found boolean", "found the truth value")
+            .replace("found floating point", "found the number"),
     };
     let found = match found.as_str() {
         "found sequence" => "found a list".to_owned(),
@@ -249,6 +293,10 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         return (format!("{found} where a key belongs, in {}", whose.name), "a key".to_owned(), hint);
     }
     let is_grid = found.starts_with("granularity");
+    let control_type = found.strip_prefix("control type `").and_then(|rest| rest.strip_suffix('`'));
+    let near = control_type.and_then(|name| keys::meant(Level::ControlTypes, name));
+    let hint = hint.or_else(|| near.map(did_you_mean_this));
+    let found = if control_type.is_some() { format!("unknown {found}") } else { found };
     let hint =
         hint.or_else(|| is_grid.then(|| "write the smallest step that the device can make".to_owned()));
     (of(&found), expected.to_owned(), hint)

@@ -89,6 +89,74 @@ impl Level {
     }
 }
 
+/// Other words for the keys of a map: the map, the words, and the key. What holds for position holds for scripts.
+const WORDS: [(Level, &[&str], &str); 19] = [
+    (Level::Block, &["joints", "motors", "axes", "actuators", "servos", "channels"], "devices"),
+    (Level::Block, &["api", "protocol", "protocol_version"], "api_version"),
+    (Level::Block, &["robot_id", "serial", "uid"], "id"),
+    (Level::Block, &["manufacturer", "vendor", "maker", "brand"], "manufacture"),
+    (Level::Device, &["default", "home", "initial", "zero", "rest"], "default_value"),
+    (
+        Level::Device,
+        &["control_types", "types", "interfaces", "command_interfaces", "controls", "control"],
+        "available_control_types",
+    ),
+    (Level::Device, &["label", "title", "description"], "name"),
+    (Level::Device, &["queue", "buffer"], "script_queue"),
+    (Level::Device, &["delay", "lag"], "latency"),
+    (Level::ControlTypes, &["velocity", "vel"], "speed"),
+    (Level::ControlTypes, &["angle", "pos"], "position"),
+    (Level::ControlTypes, &["trajectory", "program", "scripts"], "script"),
+    (Level::Motion, &["min", "lower", "low", "minimum"], "min_value"),
+    (Level::Motion, &["max", "upper", "high", "maximum"], "max_value"),
+    (Level::Motion, &["step", "resolution", "precision", "increment", "grid"], "granularity"),
+    (Level::Motion, &["error", "accuracy", "tolerance"], "max_error"),
+    (Level::Script, &["max_steps", "steps", "max_points", "length"], "max_number_of_steps"),
+    (Level::Script, &["types", "modes"], "control_types"),
+    (Level::Sensor, &["delay", "latency"], "max_delay"),
+];
+
+/// Words for a limit of the speed, which a device declares as a control type.
+const SPEEDS: [&str; 9] = [
+    "velocity",
+    "speed",
+    "max_speed",
+    "speed_max",
+    "max_velocity",
+    "velocity_max",
+    "speed_limit",
+    "velocity_limit",
+    "limits",
+];
+const RANGES: [&str; 4] = ["range", "bounds", "limits", "interval"];
+const ENDS: [&str; 6] = ["min", "max", "min_value", "max_value", "lower", "upper"];
+
+/// What to do instead of a key that no single key replaces.
+pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
+    let is_motion = matches!(level, Level::Motion | Level::Script | Level::Sensor);
+    if is_motion && RANGES.contains(&key) {
+        return Some(match value.as_sequence().map(Vec::as_slice) {
+            Some([least, largest]) if [least, largest].iter().all(|end| end.is_number()) => {
+                let end = |value: &Value| value.as_f64().unwrap_or_default();
+                format!("write `min_value: {}, max_value: {}`", end(least), end(largest))
+            }
+            _ => "write `min_value` and `max_value`".to_owned(),
+        });
+    }
+    if level == Level::Device && (RANGES[..2].contains(&key) || ENDS.contains(&key)) {
+        return Some(
+            "write `min_value` and `max_value` under each of its `available_control_types`".to_owned(),
+        );
+    }
+    let is_speed =
+        SPEEDS.contains(&key) && !value.is_mapping() || (key == "limits" && level == Level::Device);
+    (is_speed && (is_motion || level == Level::Device)).then(|| {
+        "limit the speed under `available_control_types`, by `speed: {min_value: -30, max_value: 30, granularity: \
+         1}`, or in the fleet file, by `limits: {DEVICE: {speed: 30}}`"
+            .to_owned()
+    })
+}
+
 /// The key of this map that a key which is none of them was meant to be.
 pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     let known = level.keys();
@@ -97,7 +165,12 @@ pub(super) fn meant(level: Level, key: &str) -> Option<&'static str> {
     }
     let hint = did_you_mean(key, known.iter().copied());
     let near = known.iter().find(|name| hint.as_ref() == Some(&did_you_mean_this(name)));
-    near.or_else(|| known.iter().find(|name| name.split('_').next() == Some(key))).copied()
+    let is_like =
+        |of: Level| of == level || (of == Level::Motion && matches!(level, Level::Script | Level::Sensor));
+    let other =
+        WORDS.iter().find(|(of, words, name)| is_like(*of) && words.contains(&key) && known.contains(name));
+    let word = other.map(|(.., name)| *name);
+    word.or_else(|| near.or_else(|| known.iter().find(|name| name.split('_').next() == Some(key))).copied())
 }
 
 /// Keys that have no effect where they are: those that belong elsewhere, and those that are misspelt. Keys of the robot's own software,
@@ -130,10 +203,12 @@ fn check(findings: &mut Reader, level: Level, place: &Place, map: &Mapping) {
         let elsewhere = Level::ALL.into_iter().find(|other| other.keys().contains(&key));
         // A key that exists is not misspelt elsewhere.
         let meant = meant(level, key).filter(|meant| !map.contains_key(*meant));
-        let hint = match (elsewhere, meant) {
-            (Some(other), _) => format!("write it {}", other.place()),
-            (None, Some(meant)) => did_you_mean_this(meant),
-            (None, None) => continue,
+        let advice = advice(level, key, map.get(key).unwrap_or(&Value::Null));
+        let hint = match (advice, elsewhere, meant) {
+            (Some(advice), ..) => advice,
+            (None, Some(other), _) => format!("write it {}", other.place()),
+            (None, None, Some(meant)) => did_you_mean_this(meant),
+            (None, None, None) => continue,
         };
         let message = format!("the key `{}` is ignored here", shortened(key));
         let place = Place { key: true, ..place.of_key(key) };
