@@ -53,7 +53,8 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     let (song, read) = match read_events(bytes) {
         Ok(read) => read,
         Err((code, message)) => {
-            sink.about(name, code, message, "a standard MIDI file", None);
+            let hint = message.contains("cut off").then_some("copy or export the file again");
+            sink.about(name, code, message, "a standard MIDI file", hint);
             return Vec::new();
         }
     };

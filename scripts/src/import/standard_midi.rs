@@ -53,15 +53,18 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
         }
         let begin = at + CHUNK;
         let (Some(name), Some(length)) = (bytes.get(at..at + 4), number(bytes, at + 4, 4)) else {
-            return Err(format!("the file ends at byte {} within the header of a chunk", bytes.len()));
+            let end = bytes.len();
+            return Err(format!(
+                "the file is cut off at byte {end} within the header of a chunk at byte {at}, which has {CHUNK} bytes"
+            ));
         };
         let is_track = name == b"MTrk";
         found += usize::from(is_track);
         let Some(end) = begin.checked_add(length).filter(|end| *end <= bytes.len()) else {
             let what = if is_track { format!("track {found}") } else { "a chunk".to_owned() };
-            let end = bytes.len();
+            let (end, left) = (bytes.len(), bytes.len() - begin);
             return Err(format!(
-                "{what} ends at byte {end}, its header states {length} bytes: the file is cut off"
+                "the file is cut off at byte {end}: {what}, from byte {begin} on, has {left} of {length} bytes"
             ));
         };
         if is_track {
@@ -87,13 +90,16 @@ fn unwrapped(bytes: &[u8]) -> &[u8] {
 /// The timing, the number of tracks and the length of the header.
 fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     if !bytes.starts_with(b"MThd") {
-        return Err("this is not a MIDI file: it does not begin with MThd".to_owned());
+        return Err(not_midi(bytes));
     }
     let part = |at, width| number(bytes, at, width);
     let (Some(length), Some(format), Some(tracks), Some(division)) =
         (part(4, 4), part(8, 2), part(10, 2), part(12, 2))
     else {
-        return Err(format!("the header ends at byte {}, it has {HEADER} bytes", bytes.len()));
+        return Err(format!(
+            "the file is cut off at byte {} within its header, which has {HEADER} bytes",
+            bytes.len()
+        ));
     };
     if length < HEADER - CHUNK {
         return Err(format!("the header has {length} bytes, at least {} are expected", HEADER - CHUNK));
@@ -113,6 +119,18 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
         (rate, _) => return Err(format!("the header states {} SMPTE frames a second", 256 - rate)),
     };
     Ok((timing, tracks, length))
+}
+
+/// What a file begins with instead, which tells a text from another binary format.
+fn not_midi(bytes: &[u8]) -> String {
+    let begin = &bytes[..bytes.len().min(4)];
+    match begin {
+        [] => "the file is empty".to_owned(),
+        _ if begin.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) => {
+            format!("this is not a MIDI file: at byte 0 is `{}`, expected `MThd`", begin.escape_ascii())
+        }
+        _ => "this is not a MIDI file: at byte 0 is something else than `MThd`".to_owned(),
+    }
 }
 
 /// The most significant byte comes first.

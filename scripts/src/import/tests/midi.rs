@@ -26,7 +26,10 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
 #[test]
 fn files_that_are_no_songs_are_refused() {
     let bytes = fixture_of("beat.mid");
-    refused(ImportFormat::Midi, b"", &["DB0001", "not a MIDI file"]);
+    refused(ImportFormat::Midi, b"", &["DB0001", "the file is empty"]);
+    refused(ImportFormat::Midi, b"scenario: x", &["DB0001", "at byte 0 is `scen`, expected `MThd`"]);
+    refused(ImportFormat::Midi, b"\xff\xd8\xff\xe0", &["DB0001", "at byte 0 is something else"]);
+    refused(ImportFormat::Midi, b"MThd\0\0", &["DB0001", "cut off at byte 6", "copy or export"]);
     refused(ImportFormat::Midi, b"RIFF0000", &["DB0001"]);
     refused(ImportFormat::Midi, &vec![0; 5_000_000], &["DB0068", "5000000 bytes"]);
     let head = |division: [u8; 2]| [b"MThd\0\0\0\x06\0\x01\0\x01".as_slice(), &division].concat();
@@ -71,7 +74,7 @@ fn a_track_is_read_to_its_end_or_refused_at_the_byte_where_it_breaks() {
     let note = [0, 0x90, 60, 100];
     let whole = song(&[&note[..], &note, &END].concat());
     for length in 23..whole.len() {
-        check(&whole[..length], &["DB0001", "track 1", &format!("byte {length}"), "ends"]);
+        check(&whole[..length], &["DB0001", "track 1", &format!("cut off at byte {length}")]);
     }
     for status in [0xf1, 0xf4, 0xf8, 0xfe] {
         let bytes = song(&[&note[..], &[0, status], &note, &END].concat());
