@@ -7,6 +7,9 @@ use crate::finding::{Code, Finding, Related};
 /// Most lines that a message lists.
 const LISTED_MAX: usize = 5;
 
+/// The hint for a decimal comma, in numbers and times of any kind.
+const DECIMAL_POINT: &str = "write a decimal point";
+
 /// Joins findings about the same mistake into the first of them, which says where the others are, for editors in its related places.
 /// Each finding comes with the uses that led to it, for the end of its message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
@@ -53,6 +56,13 @@ impl Mistake {
     fn of(finding: &Finding) -> Option<Self> {
         let Finding { code, message, expected, hint, .. } = finding;
         let hint = hint.as_deref();
+        let definitions =
+            || finding.related.iter().skip(1).map(|place| (place.line, place.column)).collect::<Vec<_>>();
+        if hint.is_some_and(|hint| hint.starts_with(DECIMAL_POINT)) {
+            let (message, expected) = (String::new(), String::new());
+            let hint = Some(DECIMAL_POINT.to_owned());
+            return Some(Self { code: Code::WrongType, message, expected, hint, definitions: definitions() });
+        }
         let (message, hint) = match code {
             // Two numbers may be wrong for different reasons.
             Code::WrongType if hint.is_none() => (message.clone(), None),
@@ -82,13 +92,12 @@ impl Mistake {
             | Code::WrongKind => (message.clone(), hint.map(str::to_owned)),
             _ => return None,
         };
-        let definitions = finding.related.iter().skip(1).map(|place| (place.line, place.column)).collect();
         (finding.line > 0).then(|| Self {
             code: *code,
             message,
             expected: expected.clone(),
             hint,
-            definitions,
+            definitions: definitions(),
         })
     }
 }
