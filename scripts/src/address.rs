@@ -204,7 +204,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
                 }
                 _ => None,
             };
-            ("is not an address", hint)
+            ("is not an address", hint.or_else(|| of_another_bus(text)))
         }
     }
 }
@@ -243,6 +243,16 @@ impl Address {
             _ => None,
         }
     }
+}
+
+/// A hint for a serial port, or the name of a robot in another middleware.
+fn of_another_bus(text: &str) -> Option<String> {
+    let is_serial = text.starts_with("/dev/")
+        || text.strip_prefix("COM").is_some_and(|number| number.parse::<u8>().is_ok());
+    let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt", "osc"]
+        .iter()
+        .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
+    (is_serial || is_other).then(|| "write `program:COMMAND` with a driver for it (docs/edge.md)".to_owned())
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Hints for what people write where the language has another word, key or form: words of other programs, units, lists without brackets.
 
+mod advice;
 mod keyframes;
 mod keys;
 

@@ -6,7 +6,7 @@ use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
 use urrcp::{Server, Span, StopCondition, Timestamp};
 
-use super::cue::ORDER;
+use super::cue::{CUE_KEYS, ORDER};
 use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
 use crate::duration::parse_duration;
@@ -226,6 +226,9 @@ fn act(
     at: &At<'_>,
     index: usize,
 ) -> Option<Act> {
+    let moves = ["robots", "tracks", "move", "sequence", "form", "turn", "grow", "shift", "along"];
+    let own = without_cue(reader, at, "an act", &ACT_KEYS, &moves);
+    let at = &own.as_ref().map_or(*at, |own| at.with(own));
     let [name, cues, wait, next, failure, doubt, own_zones, order, tempo, signature] =
         reader.map(at, "an act", ACT_KEYS, &["cues"])?;
     let name = name
@@ -264,6 +267,43 @@ fn act(
         on_doubt: doubt.and_then(|at| reader.word(&at, &ON_DOUBT)).unwrap_or(defaults.on_doubt),
         name,
     })
+}
+
+/// The map without the keys of a cue, which are one fault, if one of `moves` is among them.
+pub(super) fn without_cue(
+    reader: &mut Reader,
+    at: &At<'_>,
+    what: &str,
+    known: &[&str],
+    moves: &[&str],
+) -> Option<Node> {
+    let Node::Map(entries) = at.node else { return None };
+    let is_of_cue = |key: &str| CUE_KEYS.contains(&key) && !known.contains(&key);
+    let (cue, own): (Vec<_>, Vec<_>) = entries.iter().partition(|(key, _)| is_of_cue(key));
+    if !cue.iter().any(|(key, _)| moves.contains(&key.as_str())) {
+        return None;
+    }
+    let (first, node) = cue.first()?;
+    let keys: Vec<String> = cue.iter().map(|(key, _)| format!("`{key}`")).collect();
+    let message = match keys.as_slice() {
+        [key] => format!("{key} is a key of a cue, not of {what}"),
+        [all @ .., last] => format!("{} and {last} are keys of a cue, not of {what}", all.join(", ")),
+        [] => return None,
+    };
+    let shown: Vec<String> = cue.iter().map(|(key, node)| format!("{key}: {}", briefly(node))).collect();
+    let hint = Some(format!("write an entry of `cues`: `cues: [{{{}}}]`", shown.join(", ")));
+    let place = at.entry(first, 0, node).key_place();
+    reader.add(Code::UnknownKey, place, message, "a cue", hint);
+    Some(Node::Map(own.into_iter().cloned().collect()))
+}
+
+/// A single value as it is written.
+fn briefly(node: &Node) -> String {
+    match node {
+        Node::Text(text) => shortened(text),
+        Node::Number(number) => number.to_string(),
+        _ => "...".to_owned(),
+    }
 }
 
 /// `[table, lift]`, or `{table: auto, lift: given}`.

@@ -100,10 +100,22 @@ pub(super) fn read(
     for (missing, key) in
         [(robots.is_none() && moves && cast.is_none(), "robots"), (robots.is_some() && !moves, "tracks")]
     {
-        if missing && !reader.is_miswritten(at, key) {
+        let is_moved = || {
+            ["move", "form", "turn", "grow", "shift", "along", "over"]
+                .iter()
+                .any(|key| reader.is_miswritten(at, key))
+        };
+        if missing && !reader.is_miswritten(at, key) && (key == "robots" || !is_moved()) {
             let message = format!("a cue has no `{key}`");
-            let hint =
-                Some("a cue with neither robots nor tracks is a mark that others can refer to".to_owned());
+            let hint = Some(match key {
+                "robots" => {
+                    "a cue with neither robots nor tracks is a mark that others can refer to".to_owned()
+                }
+                _ => {
+                    "say what its robots do: `tracks`, a `move`, or `form`, `turn`, `grow`, `shift`, `along`"
+                        .to_owned()
+                }
+            });
             reader.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
         }
     }

@@ -132,7 +132,7 @@ pub(super) fn read(
     let sweeps = [keys.turn, keys.grow, keys.shift, keys.along];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
     let Some(first) = first else {
-        let over = keys.over?;
+        let over = keys.over.filter(|_| !GROUP_KEYS.iter().any(|key| reader.is_miswritten(cue, key)))?;
         let expected = "one of `form`, `turn`, `grow`, `shift`, `along` that takes so long";
         let hint = Some("a cue with tracks has a `duration`".to_owned());
         reader.add(Code::MissingKey, over.key_place(), "`over` in a cue without a `form`", expected, hint);

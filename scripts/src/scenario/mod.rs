@@ -387,6 +387,8 @@ pub(crate) fn read(
 ) -> Option<Scenario> {
     let root = documents.nodes.first()?;
     let at = At::document(root, 0);
+    let own = acts::without_cue(reader, &at, "the scenario", &SCENARIO_KEYS, &["tracks", "form"]);
+    let at = own.as_ref().map_or(at, |own| at.with(own));
     let [
         name,
         fleet_file,

@@ -1,29 +1,43 @@
 //! Hints for keys: words of other programs, keys of another map, keys that are left out.
 
+use super::advice::ADVICE;
+use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::did_you_mean_this;
 use crate::node::{Node, shortened};
 use crate::scenario::CUE_KEYS;
 
 /// Other words for the keys of a map: the map, the words, and the key.
-const KEYS: [(&str, &[&str], &str); 62] = [
-    ("a keyframe", &["value", "position", "pos", "angle", "target", "val"], "to"),
+const KEYS: [(&str, &[&str], &str); 76] = [
+    ("a keyframe", &["value", "position", "positions", "pos", "angle", "target", "val", "goal"], "to"),
     ("a keyframe", &["time", "t", "when", "start", "time_from_start"], "at"),
-    ("a keyframe", &["easing", "curve", "interpolation", "transition"], "ease"),
+    ("a keyframe", &["easing", "curve", "interpolation", "interp", "transition"], "ease"),
     ("a point", &["value", "position", "pos", "angle", "target", "val"], "to"),
     ("a point", &["time", "t", "when", "start"], "at"),
-    ("a cue", &["name", "id", "title", "label"], "cue"),
+    ("a cue", &["name", "id", "title", "label", "number"], "cue"),
     ("a cue", &["start", "time", "begin", "when"], "at"),
     ("a cue", &["group", "groups", "who", "cast"], "robots"),
     ("a cue", &["length"], "duration"),
     ("a cue", &["loop", "loops", "times", "count"], "repeat"),
-    ("a cue", &["until", "end", "deadline", "finish"], "end_by"),
+    ("a cue", &["until", "end", "deadline", "finish", "stop"], "end_by"),
     ("a cue", &["zone", "zones", "needs"], "uses"),
     ("a cue", &["formation"], "form"),
     ("a cue", &["path"], "along"),
     ("a cue", &["rotate", "rotation"], "turn"),
     ("a cue", &["translate", "offset"], "shift"),
     ("a cue", &["args", "arguments"], "parameters"),
+    ("a cue", &["depends_on", "requires", "follow", "follows"], "after"),
+    ("a cue", &["simultaneous", "parallel", "sync", "together"], "with"),
+    ("a cue", &["joints", "motors", "axes", "channels", "keyframes", "animation", "values"], "tracks"),
+    ("a cue", &["action", "call"], "move"),
+    ("a track", &["sine", "sin", "sinus", "oscillate", "oscillation"], "wave"),
+    ("a track", &["curve", "bezier", "points"], "spline"),
+    ("a track", &["keys", "frames", "fcurve"], "keyframes"),
+    ("a track", &["csv", "file", "data"], "samples"),
+    ("a track", &["expression", "function", "equation"], "formula"),
+    ("a track", &["ramp", "velocity", "speed"], "travel"),
+    ("a wave", &["amp", "size", "height"], "amplitude"),
+    ("a wave", &["cycle", "cycle_time", "T"], "period"),
     ("an act", &["name", "id", "title", "label"], "act"),
     ("an act", &["then", "follow", "goto"], "next"),
     ("`wait`", &["max", "limit"], "timeout"),
@@ -32,6 +46,7 @@ const KEYS: [(&str, &[&str], &str); 62] = [
     ("the scenario", &["bpm"], "tempo"),
     ("the scenario", &["meter", "time_signature"], "signature"),
     ("the scenario", &["scenes", "parts"], "acts"),
+    ("the scenario", &["timeline", "steps", "actions", "events", "animation"], "cues"),
     ("a wave", &["length", "duration"], "for"),
     ("a wave", &["centre", "middle", "offset"], "center"),
     ("a wave", &["hz", "freq"], "frequency"),
@@ -46,7 +61,7 @@ const KEYS: [(&str, &[&str], &str); 62] = [
     ("the formation", &["position", "center", "centre"], "at"),
     ("the formation", &["rotation"], "rotate"),
     ("the formation", &["ring"], "circle"),
-    ("limits", &["velocity", "max_speed", "v"], "speed"),
+    ("limits", &["velocity", "max_speed", "v", "vel", "max_velocity"], "speed"),
     ("limits", &["accel", "max_acceleration"], "acceleration"),
     ("robot", &["host", "ip", "url", "endpoint"], "address"),
     ("robot", &["description", "model", "file", "path"], "init"),
@@ -65,6 +80,7 @@ const KEYS: [(&str, &[&str], &str); 62] = [
     ("`canon`", &["duration"], "over"),
     ("`canon`", &["order", "axis"], "by"),
     ("`travel`", &["accel"], "acceleration"),
+    ("the space", &["safety", "margin", "clearance", "separation"], "distance"),
     ("a tempo", &["tempo"], "bpm"),
     ("a tempo", &["meter", "time_signature"], "signature"),
     ("`samples`", &["path", "csv", "source"], "file"),
@@ -85,66 +101,45 @@ pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Optio
     if let Some(place) = elsewhere(what, key) {
         return Some(format!("write it {place}"));
     }
-    let advice = match (what, key) {
-        ("a cue", "fade" | "fade_in" | "fade_out" | "transition" | "crossfade") => {
-            "write `ease: smooth` in each keyframe, whose `at` says when it is reached".to_owned()
-        }
-        ("a keyframe", "speed" | "velocity" | "duration" | "for" | "fade") => {
-            "leave it out: the value is reached at the time `at`".to_owned()
-        }
-        ("a keyframe", "delay" | "wait" | "pause" | "hold") => {
-            "leave it out: repeat the value in a keyframe with a later `at`".to_owned()
-        }
-        ("`along`", "circle" | "points") => {
-            "define the path under `paths`, and name it: `path: NAME`".to_owned()
-        }
-        ("`form`", "circle" | "line" | "grid" | "v" | "sphere" | "text" | "svg" | "cloud" | "points") => {
-            "define the formation under `formations`, and name it: `to: NAME`".to_owned()
-        }
-        ("a cue", "delay" | "wait") => {
-            format!("to begin later, write `at: {given}`, or `after: NAME + {given}`")
-        }
-        ("a cue", "speed") => {
-            "`duration` stretches a movement; `--speed` plays the whole show more slowly".to_owned()
-        }
-        ("a cue", "ease" | "easing") => {
-            format!("write it in each keyframe: `{{at: 1s, to: 45, ease: {given}}}`")
-        }
-        ("the scenario", "version" | "author" | "description" | "date" | "music" | "audio") => {
-            format!("leave it out, or write a comment: `# {key}: {given}`")
-        }
-        ("the scenario", "duration" | "length") => {
-            "leave it out: a show lasts as long as its cues".to_owned()
-        }
-        ("an act", "repeat" | "loop") => "write it in the cues of the act".to_owned(),
-        ("`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`", "count" | "number" | "n" | "robots") => {
-            "leave it out: there is a place for each robot of the cue".to_owned()
-        }
-        ("a keyframe of several values", "ease") => "leave it out: several values are set at once".to_owned(),
-        ("a tempo", "bar" | "from_bar" | "start") => format!("write `at: bar {given}`"),
-        ("`wait`", "operator" | "done") if *value == Node::Null => format!("write `for: {key}`"),
-        ("an act", "at" | "after" | "with" | "before") => {
-            "acts follow each other in the order of the file, or as `next` says".to_owned()
-        }
-        ("an act", "timeout" | "otherwise") => {
-            format!("write it under `wait`: `wait: {{for: operator, {key}: {given}}}`")
-        }
-        ("the scenario", "robots" | "groups") => {
-            "write it in the fleet file, and name its robots in each cue".to_owned()
-        }
-        ("`circle`", "diameter") => match value {
+    if reader.units.has_device(key)
+        && let Some(place) = of_devices(what, key)
+    {
+        return Some(format!("`{key}` is a device: write it {place}"));
+    }
+    if matches!(key, "wait" | "delay" | "pause") && what == "a cue" && parse_duration(&given).is_none() {
+        return advice(what, "trigger", &given);
+    }
+    if let Some(advice) = advice(what, key, &given) {
+        return Some(advice);
+    }
+    match (what, key) {
+        (
+            "`line`" | "`circle`" | "`v`" | "`sphere`" | "`grid`",
+            "count" | "number" | "n" | "robots" | "drones",
+        ) => Some("leave it out: there is a place for each robot of the cue".to_owned()),
+        ("a tempo", "bar" | "from_bar" | "start") => Some(format!("write `at: bar {given}`")),
+        ("`wait`", "operator" | "done") if *value == Node::Null => Some(format!("write `for: {key}`")),
+        ("`circle`", "diameter") => Some(match value {
             Node::Number(diameter) => format!("write half of it: `radius: {}`", diameter / 2.0),
             _ => "write half of it as the `radius`".to_owned(),
-        },
-        ("a cue" | "an override" | "an entry of `play`", device) if reader.units.has_device(device) => {
-            format!("`{device}` is a device: write it below `tracks:`")
-        }
-        (part, device) if part.starts_with("the move ") && reader.units.has_device(device) => {
-            format!("`{device}` is a device: write it below `tracks:`")
-        }
-        _ => return None,
-    };
-    Some(advice)
+        }),
+        _ => None,
+    }
+}
+
+/// The place of the device `key`, which is written as a key of a map that moves devices.
+fn of_devices(what: &str, key: &str) -> Option<String> {
+    match what {
+        "a cue" | "an override" | "an entry of `play`" => Some("below `tracks:`".to_owned()),
+        "an act" => Some(format!("in a cue, `cues: [{{robots: NAME, tracks: {{{key}: ...}}}}]`")),
+        _ => what.starts_with("the move ").then(|| "below `tracks:`".to_owned()),
+    }
+}
+
+/// What to do instead of a key that no other key replaces.
+fn advice(what: &str, key: &str, given: &str) -> Option<String> {
+    let found = ADVICE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
+    found.map(|(.., advice)| advice.replace("{key}", key).replace("{given}", given))
 }
 
 /// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
@@ -168,7 +163,11 @@ const ELSEWHERE: [(&str, &[&str], &str); 18] = [
         &["moves", "sequences", "variables", "roles", "formations", "paths"],
         "at the top of the scenario: all acts share it",
     ),
-    ("an act", &["robots", "tracks", "move"], "in a cue, below `cues`"),
+    (
+        "an act",
+        &["to", "value", "keyframes"],
+        "in a keyframe of a cue: `cues: [{robots: NAME, tracks: {DEVICE: [{at: 1s, to: 45}]}}]`",
+    ),
     ("a cue", &["variables", "roles", "start_tolerance"], "at the top of the scenario"),
     ("a cue", &["tempo", "bpm", "signature"], "at the top of the scenario, or in an act"),
     ("a cue", &["next", "on_failure", "on_doubt", "timeout", "otherwise"], "in an act, next to its `cues`"),
