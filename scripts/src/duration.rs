@@ -49,6 +49,70 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
+/// What an instant is that stands where a length of time belongs: `2026-12-01`, `8pm`.
+pub(crate) fn instant(text: &str) -> Option<&'static str> {
+    let is_number = |part: &str, most: usize| {
+        (1..=most).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit())
+    };
+    let date = text.split(['T', 't', ' ']).next().unwrap_or(text);
+    let parts: Vec<&str> = date.split(['-', '/', '.']).collect();
+    if let [a, b, c] = parts.as_slice()
+        && is_number(b, 2)
+        && ((a.len() == 4 && is_number(a, 4) && is_number(c, 2))
+            || (c.len() == 4 && is_number(c, 4) && is_number(a, 2)))
+    {
+        return Some("date");
+    }
+    let small = text.to_ascii_lowercase();
+    let hours = small.strip_suffix("am").or_else(|| small.strip_suffix("pm"))?.trim();
+    hours.split(':').all(|part| is_number(part, 2)).then_some("time of day")
+}
+
+/// A range without units, or with one of a bar alone: `1..3`, `bar 4..8`.
+pub(crate) fn bare_range(text: &str) -> Option<String> {
+    let (from, to) = text.split_once("..")?;
+    let (from, to) = (from.trim(), to.trim());
+    let is_number = |text: &str| text.parse::<f64>().is_ok_and(|value| value >= 0.0);
+    if !is_number(to) {
+        let unit = to.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+        return (is_number(from) && parse_duration(to).is_some())
+            .then(|| format!("write `{from}{unit}..{to}`"));
+    }
+    if is_number(from) {
+        return Some(format!("add the unit: `{from}s..{to}s`"));
+    }
+    let unit = from.trim_start_matches(|c: char| c.is_ascii_digit() || c == '.');
+    match from.strip_prefix("bar ") {
+        Some(bar) if is_number(bar) => Some(format!("write `{from}..bar {to}`")),
+        _ => parse_duration(from).map(|_| format!("write `{from}..{to}{unit}`")),
+    }
+}
+
+/// `4-8`: a range, or a bar and a beat.
+pub(crate) fn of_two_numbers(text: &str) -> Option<String> {
+    let (from, to) = text.split_once('-')?;
+    let [from, to] = [from.trim().parse::<u32>().ok()?, to.trim().parse::<u32>().ok()?];
+    Some(format!("a range is written `{from}s..{to}s`, and a position in the music `bar {from} beat {to}`"))
+}
+
+/// How a position in the music is written: `bar 4.2`, `bars 4-8`, `4 beat 2`.
+pub(crate) fn position(text: &str) -> Option<String> {
+    let mut words = text.split(|c: char| !c.is_ascii_alphabetic()).filter(|word| !word.is_empty());
+    if !words.all(|word| matches!(word, "bar" | "bars" | "beat" | "beats")) || !text.contains('b') {
+        return None;
+    }
+    let numbers: Vec<&str> =
+        text.split(|c: char| !c.is_ascii_digit()).filter(|number| !number.is_empty()).collect();
+    let is_range = text.contains('-') || text.contains("..");
+    match (numbers.as_slice(), is_range && !text.contains("beat")) {
+        ([from, to], true) => Some(format!("a range is written `bar {from}..bar {to}`")),
+        ([bar, beat], false) if !is_range => Some(format!(
+            "a position is written `bar {bar} beat {beat}`, and a length `{bar} bars {beat} beats`"
+        )),
+        _ => Some("a position is written `bar 3 beat 2`, and a length `3 bars 2 beats`".to_owned()),
+    }
+}
+
 /// How a time is written that a person would understand: `1:30`, `1 second`, `0,3s`.
 pub(crate) fn hint(text: &str) -> Option<String> {
     let text = text.trim();
@@ -57,6 +121,12 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     }
     if ["now", "start", "begin", "immediately"].contains(&text) {
         return Some("the beginning is `0s`".to_owned());
+    }
+    if ["auto", "automatic", "default"].contains(&text) {
+        return Some("leave the key out for its default".to_owned());
+    }
+    if let Some(rest) = text.strip_prefix('+').filter(|rest| parse_duration(rest).is_some()) {
+        return Some(format!("write `{rest}`"));
     }
     let joined: String = text.split_whitespace().collect();
     if joined != text && parse_duration(&joined).is_some() {
@@ -91,6 +161,9 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     }
     if let Some(length) = musical(text) {
         return Some(format!("write `{length}`"));
+    }
+    if let Some(position) = position(text) {
+        return Some(position);
     }
     let span = in_words(&with_point)?;
     Some(format!("write `{}`", written(span)))
@@ -300,8 +373,39 @@ mod tests {
         ] {
             assert_eq!(hint(text).as_deref(), Some(right));
         }
+        for (text, right) in [
+            ("bar 4.2", "a position is written `bar 4 beat 2`, and a length `4 bars 2 beats`"),
+            ("bars 4-8", "a range is written `bar 4..bar 8`"),
+            ("beats 1-3", "a position is written `bar 3 beat 2`, and a length `3 bars 2 beats`"),
+        ] {
+            assert_eq!(position(text).as_deref(), Some(right));
+        }
+        for (text, right) in [
+            ("1..3", Some("add the unit: `1s..3s`")),
+            ("1..3s", Some("write `1s..3s`")),
+            ("500ms..800", Some("write `500ms..800ms`")),
+            ("bar 4..8", Some("write `bar 4..bar 8`")),
+            ("1s..3s", None),
+            ("$a..$b", None),
+            ("bar 1..bar 3", None),
+        ] {
+            assert_eq!(bare_range(text).as_deref(), right, "{text}");
+        }
         assert!(hint("-1s").is_some());
         assert_eq!(hint("later"), None);
+    }
+
+    #[test]
+    fn an_instant_is_told_from_a_length_of_time_and_from_an_expression() {
+        for date in ["2026-12-01", "2026-12-01T20:00:00Z", "2026-12-01 20:00", "1.12.2026", "12/01/2026"] {
+            assert_eq!(instant(date), Some("date"), "{date}");
+        }
+        for time in ["8pm", "7:30 PM", "11am"] {
+            assert_eq!(instant(time), Some("time of day"), "{time}");
+        }
+        for other in ["20:00", "2s-1s", "2026-12", "4-4", "1.2.3", "10 / 2 / 1", "spam", "am", "$a-$b-$c"] {
+            assert_eq!(instant(other), None, "{other}");
+        }
     }
 
     #[test]

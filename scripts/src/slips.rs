@@ -16,6 +16,7 @@ use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::{Part, Place, did_you_mean_this};
 use crate::node::{Node, shortened};
+use crate::scenario::parse_time;
 use crate::scope::Scope;
 
 /// The devices of a fleet by name, each with its unit if all robots that have it agree.
@@ -55,17 +56,26 @@ impl Units {
     }
 }
 
+/// Parts of the names of easings that have no near one here.
+const OTHER_EASINGS: [&str; 9] =
+    ["cubicbezier", "bounce", "elastic", "spring", "overshoot", "expo", "circ", "quad", "quart"];
+
 /// A hint for an unknown word.
 pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let plain: String = wrong.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase();
     let has = |word: &str| known.clone().any(|known| known == word);
     let meant = match plain.as_str() {
-        "hold" | "constant" | "none" | "jump" | "discrete" | "stepped" if has("step") => "step",
-        "sine" | "sin" | "soft" | "ease" | "smoothstep" | "minimumjerk" | "bezier" if has("smooth") => {
+        "hold" | "constant" | "none" | "jump" | "discrete" | "stepped" | "instant" if has("step") => "step",
+        "sine" | "sin" | "soft" | "ease" | "smoothstep" | "minimumjerk" | "minjerk" | "scurve" | "bezier"
+            if has("smooth") =>
+        {
             "smooth"
         }
         easing if has("smooth") && easing.starts_with("easeinout") => "smooth",
-        easing if has("smooth") && easing.starts_with("ease") => {
+        easing if has("smooth") && OTHER_EASINGS.iter().any(|other| easing.contains(other)) => {
+            return Some("for another curve, write more keyframes, a `spline` or a `formula`".to_owned());
+        }
+        easing if has("smooth") && ["ease", "in", "out"].iter().any(|begin| easing.starts_with(begin)) => {
             return Some("no easing is soft at one end only: `smooth` begins and ends softly".to_owned());
         }
         "reverse" | "reversed" | "backwards" | "back" | "desc" | "descending" if has("backward") => {
@@ -80,6 +90,54 @@ pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone
         "left" | "lefttoright" | "right" | "righttoleft" if has("x") => "x",
         "continue" | "ignore" | "skip" | "goon" if has("without") => "without",
         "halt" | "abort" | "fail" if has("stop") => "stop",
+        "round" | "nearest" | "clamp" | "adjust" | "correct" | "warn" if has("snap") => "snap",
+        "error" | "strict" | "reject" | "forbid" | "deny" if has("snap") => "refuse",
+        "automatic" | "any" | "free" | "optimal" | "optimize" | "best" | "shortest" | "parallel"
+            if has("auto") =>
+        {
+            "auto"
+        }
+        "fifo" | "first" | "fixed" | "file" | "manual" | "listed" | "sequential" if has("auto") => "given",
+        "exclusive" | "mutex" | "lock" | "single" | "shared" if has("auto") => {
+            return Some(
+                "a zone is for one cue at a time: `given` keeps the order of the file, `auto` finds a short one"
+                    .to_owned(),
+            );
+        }
+        "pause" | "freeze" | "estop" | "emergencystop" if has("without") => "stop",
+        "retry" | "restart" | "reconnect" if has("without") => {
+            return Some(
+                "a robot that has failed does not begin again in this act: `without` continues without it"
+                    .to_owned(),
+            );
+        }
+        "abort" | "cancel" | "wait" | "stop" | "refuse" if has("withdraw") => "withdraw",
+        "continue" | "go" | "run" | "ignore" if has("withdraw") => "start",
+        "park" | "rest" | "default" | "zero" | "reset" | "return" | "origin"
+            if known.clone().eq(["home"]) =>
+        {
+            "home"
+        }
+        "robots" | "members" | "all" | "cue" | "index" if known.clone().eq(["group"]) => "group",
+        "distance" | "sum" | "way" | "ways" | "mean" | "average" if has("longest") => "total",
+        "max" | "maximum" | "worst" | "time" if has("longest") => "longest",
+        "hold" | "wait" | "stop" | "keep" | "hover" if has("stay") => "stay",
+        "land" | "park" | "return" if has("stay") => "home",
+        "even" | "uniform" | "spread" if has("evenly") => "evenly",
+        "closest" | "near" | "shortest" if has("evenly") => "nearest",
+        "seconds" | "second" | "sec" if has("us") => "s",
+        "milliseconds" | "millis" | "msec" if has("us") => "ms",
+        "microseconds" | "micros" | "usec" if has("us") => "us",
+        "order" | "number" | "name" | "id" if has("index") => "index",
+        "shuffle" | "shuffled" if has("index") => "random",
+        "distance" | "radius" | "place" | "position" | "center" | "centre" | "middle" if has("index") => {
+            return Some("distances are measured from a point: `by: [0, 0, 0]`".to_owned());
+        }
+        "random" | "shuffle" if has("inward") => return Some("write `by: random` with a `seed`".to_owned()),
+        "center" | "middle" | "centerout" | "centreout" | "out" if has("inward") => "outward",
+        "in" | "edges" | "edgesin" if has("inward") => "inward",
+        "velocity" | "vel" if has("speed") => "speed",
+        "angle" | "pos" | "joint" if has("speed") => "position",
         "no" | "off" | "false" | "none" if has("skip") => "skip",
         "yes" | "on" | "true" if has("full") => "full",
         "stop" | "stay" | "none" | "hold" if known.clone().eq(["home"]) => {
@@ -95,6 +153,15 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
     match node {
         Node::Text(text) if reader.scope.get(text).is_some() => {
             Some(format!("the variable is written `${text}`"))
+        }
+        Node::Text(text) if is_value(place) && STATES.contains(&text.to_lowercase().as_str()) => {
+            Some("write the number that the device takes, such as `0` or `1`".to_owned())
+        }
+        Node::Text(text) if expected.starts_with("robot `") && text.ends_with(".yaml") => {
+            Some(format!("write `{{init: {}, address: sim}}`", shortened(text)))
+        }
+        Node::Bool(_) if expected.starts_with("`simulate`") => {
+            Some("leave it out: `address: sim` alone simulates the robot".to_owned())
         }
         Node::Text(text) if expected == "true or false" => truth(text, place),
         Node::Text(text) if expected.starts_with("an entry of `play`") => {
@@ -189,6 +256,12 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         Node::Number(value) if expected.starts_with("a list of keyframes") => {
             Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
         }
+        Node::Number(_)
+            if expected.starts_with("a place in metres")
+                && matches!(place.path.last(), Some(Part::Index(_))) =>
+        {
+            Some("put each place in brackets of its own: `[[0, 0, 1], [1, 0, 1]]`".to_owned())
+        }
         Node::Number(value) if expected.starts_with("a place in metres") => {
             Some(format!("write all three: `[0, 0, {value}]`"))
         }
@@ -196,7 +269,18 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
             Some(format!("write all three: `[0, 0, {value}]`"))
         }
         Node::Number(value) if expected.starts_with("a time signature") => Some(format!("write `{value}/4`")),
-        Node::Number(value) => in_a_map(expected, *value),
+        Node::Number(value) if expected.starts_with("a whole number") => times(place, *value),
+        Node::Number(value) => in_a_list(expected, *value).or_else(|| in_a_map(expected, *value)),
+        Node::Bool(true) if expected == "`strict`" => Some("write `strict`".to_owned()),
+        Node::Bool(false) if expected == "`strict`" => Some("leave the key out".to_owned()),
+        Node::Bool(_) | Node::Null if wants_number(expected) && is_value(place) => {
+            Some("write the number that the device takes, such as `0` or `1`".to_owned())
+        }
+        Node::List(items) if wants_number(expected) => Some(one_number(place, items)),
+        Node::List(items) if expected.starts_with("a time signature") => match &items[..] {
+            [Node::Number(beats), Node::Number(unit)] => Some(format!("write `{beats}/{unit}`")),
+            _ => None,
+        },
         Node::List(_) if expected.starts_with("a map from robot id") => {
             Some("write a map: `{left: {init: arm.yaml, address: sim}}`".to_owned())
         }
@@ -264,8 +348,95 @@ fn truth(text: &str, place: &Place) -> Option<String> {
 }
 
 /// A hint for a cue that is meant to repeat endlessly.
-const ENDLESS: &str =
-    "a cue ends: give a number, `{for: 60s}` or `{until: 60s}`, or let an act follow itself by `next`";
+const ENDLESS: &str = "a cue ends: give a number or `{for: 60s}`; to repeat an act until the operator says go, give the \
+                       next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
+
+/// A hint for a number that has to be above 0.
+pub(crate) fn not_positive(expected: &str, value: f64) -> Option<String> {
+    match (expected.starts_with("a frequency"), value < 0.0) {
+        (true, true) => Some(format!("write `{}`; `phase: 180` turns the wave over", -value)),
+        (true, false) => Some(
+            "write cycles per second, as in `frequency: 0.5`; a value that stays is a keyframe".to_owned(),
+        ),
+        (false, true) => Some(format!("write `{}`", -value)),
+        (false, false) => None,
+    }
+}
+
+/// A hint for a list where one time belongs.
+pub(crate) fn one_time(place: &Place, node: &Node) -> Option<String> {
+    let Node::List(items) = node else { return None };
+    let time = |item: &Node| match item {
+        Node::Text(text) => Some(shortened(text)),
+        _ => None,
+    };
+    let is_of_cue = !place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"));
+    match &items[..] {
+        [from, to] if is_of_cue => {
+            Some(format!("write one time, or a range: `{}..{}`", time(from)?, time(to)?))
+        }
+        [first, ..] => Some(format!("write one time, as in `{}`", time(first)?)),
+        [] => None,
+    }
+}
+
+/// A hint for a time that depends on the key: without end, or negative.
+pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
+    let keys: Vec<&str> = place
+        .path
+        .iter()
+        .rev()
+        .filter_map(|part| match part {
+            Part::Key(key, _) => Some(key.as_str()),
+            Part::Index(_) => None,
+        })
+        .collect();
+    if is_endless(text) || text == "never" {
+        return match keys.as_slice() {
+            [_, "repeat", ..] => Some(ENDLESS.to_owned()),
+            ["stop_condition", ..] | ["running", ..] => {
+                Some("`stop_condition: {running: none}` lets robots play on without the server".to_owned())
+            }
+            _ => None,
+        };
+    }
+    let positive = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some())?;
+    match *keys.first()? {
+        "period" => Some(format!("write `{positive}`; `phase: 180` turns the wave over")),
+        "every" => {
+            Some("leave `every` out: then each turn begins when the one before it has ended".to_owned())
+        }
+        "canon" => {
+            Some(format!("write `{{step: {positive}, direction: backward}}` to begin with the last robot"))
+        }
+        "step" => Some(format!("write `{positive}`, and `direction: backward` to begin with the last robot")),
+        _ => None,
+    }
+}
+
+/// A hint for an instant, a date or a time of day, where a length of time belongs.
+pub(crate) fn instant(text: &str) -> String {
+    let is_day = text.len() == 10 && text.as_bytes().get(4) == Some(&b'-');
+    let at = match () {
+        () if parse_time(text).is_some() => text.to_owned(),
+        () if is_day => format!("{text}T20:00:00Z"),
+        () => "20:00".to_owned(),
+    };
+    format!("`downbeat run --at {at}` starts the show at an instant, and `wait: {{time: \"{at}\"}}` an act")
+}
+
+/// A hint for a number of times that is none: below 1, infinite, or with a fraction.
+pub(crate) fn times(place: &Place, value: f64) -> Option<String> {
+    match value {
+        _ if !is_repeat(place) => None,
+        0.0 => Some(format!("leave `repeat` out to play it once; {ENDLESS}")),
+        value if value < 0.0 || value == f64::INFINITY => Some(ENDLESS.to_owned()),
+        value if value.fract() != 0.0 => {
+            Some("a movement is repeated as a whole: `{for: 10s}` plays it as often as it fits".to_owned())
+        }
+        _ => None,
+    }
+}
 
 /// Whether this is the value of `repeat`.
 fn is_repeat(place: &Place) -> bool {
@@ -281,7 +452,8 @@ fn metres(text: &str) -> Option<f64> {
 }
 
 fn is_endless(text: &str) -> bool {
-    ["forever", "infinite", "infinitely", "endless", "always", "loop"].contains(&text.to_lowercase().as_str())
+    ["forever", "infinite", "infinitely", "infinity", "inf", "endless", "always", "loop"]
+        .contains(&text.to_lowercase().as_str())
 }
 
 /// The words of a list without brackets: `left, right`, `left and right`, `left right`.
@@ -295,7 +467,14 @@ pub(crate) fn words(text: &str) -> Vec<String> {
 /// A hint for a text that has several of the known names, or one within marks that YAML keeps.
 pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| is_same(known, name));
-    let words = words(text);
+    let words = match text.split_once('-') {
+        Some((first, second))
+            if is_known(first) && is_known(second) && !first.ends_with(|c: char| c.is_ascii_digit()) =>
+        {
+            vec![first.to_owned(), second.to_owned()]
+        }
+        _ => words(text),
+    };
     if words.len() > 1 && words.iter().all(|word| is_known(word)) {
         return Some(format!("write a list: `[{}]`", words.join(", ")));
     }
@@ -351,6 +530,65 @@ fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     Some(format!("write `[{x}, {y}, {z}]`"))
 }
 
+/// Words for values, of which a device has numbers only.
+const STATES: [&str; 12] =
+    ["on", "off", "yes", "no", "min", "max", "home", "default", "open", "closed", "high", "low"];
+
+/// Whether this is the value of a keyframe.
+fn is_value(place: &Place) -> bool {
+    matches!(place.path.last(), Some(Part::Key(key, _)) if key == "to")
+        && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
+}
+
+/// A list where one number belongs: `radius: [1, 2]`.
+fn one_number(place: &Place, items: &[Node]) -> String {
+    let key = place.path.iter().rev().find_map(|part| match part {
+        Part::Key(key, _) => Some(key.as_str()),
+        Part::Index(_) => None,
+    });
+    let first = items.iter().find_map(|item| match item {
+        Node::Number(value) => Some(*value),
+        _ => None,
+    });
+    let (key, first) = (key.unwrap_or("to"), first.unwrap_or(2.0));
+    match key {
+        "to" => format!("write one number, `to: {first}`: only a `custom_N` takes several at once"),
+        _ => format!("write one number, as in `{}: {first}`", shortened(key)),
+    }
+}
+
+/// A number where a list, or a map of several keys, belongs: `points: 3`, `wave: 20`.
+fn in_a_list(expected: &str, value: f64) -> Option<String> {
+    let begins = |begin: &str| expected.starts_with(begin);
+    if begins("a list of places") || begins("a list of points such as [") {
+        return Some("write three numbers for each, as in `[[0, 0, 1], [1, 0, 1]]`".to_owned());
+    }
+    if begins("a list of points such as {at") {
+        return Some(format!(
+            "write at which time it gets there: `[{{at: 0s, to: 0}}, {{at: 1s, to: {value}}}]`"
+        ));
+    }
+    if begins("a list of numbers") {
+        return Some(format!("write `[{value}]`"));
+    }
+    if begins("a list of pieces") || begins("a polynomial: a map") {
+        return Some(format!("write how long each piece lasts: `{{for: 2s, coefficients: [{value}]}}`"));
+    }
+    if begins("a wave: a map") {
+        return Some(format!("write `{{amplitude: {value}, period: 2s, for: 8s}}`"));
+    }
+    if begins("a tempo: a map") {
+        return Some(format!(
+            "write `tempo: {value}`, or `[{{at: bar 1, bpm: {value}}}]` for one that changes"
+        ));
+    }
+    if begins("the least and the largest reading") {
+        return Some(format!("write both: `[{}, {}]`", value.min(0.0), value.max(0.0)));
+    }
+    begins("a map from sensor to the times")
+        .then(|| format!("write when each is read: `{{SENSOR: {value}s}}`"))
+}
+
 /// A number where a map with one usual key belongs: `limits: {elbow: 90}`, `circle: 4`.
 fn in_a_map(expected: &str, value: f64) -> Option<String> {
     let (what, keys) = expected.split_once(": a map with `")?;
@@ -400,22 +638,72 @@ pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str>
     (2..=LISTED_MAX).contains(&listed.len()).then(|| format!("write a list: `[{}]`", listed.join(", ")))
 }
 
+/// A hint for the cue above, or the number of a cue.
+pub(crate) fn earlier_cue(text: &str) -> Option<String> {
+    let is_number = text.parse::<u32>().is_ok();
+    let is_above = ["previous", "prev", "last", "before", "above"].contains(&text);
+    (is_number || is_above)
+        .then(|| "give that cue a name, `cue: rise`, and write it: `after: rise`".to_owned())
+}
+
+/// A hint for a range of robots that the fleet does not have, `r1-r3`, `1..3` or `arms[0]`.
+pub(crate) fn as_a_range(text: &str) -> Option<String> {
+    let ends_in_digit = |part: &str| part.ends_with(|c: char| c.is_ascii_digit());
+    let is_range = text.contains("..")
+        || (text.contains('[') && text.ends_with(']'))
+        || text.split_once('-').is_some_and(|(from, to)| ends_in_digit(from) && ends_in_digit(to));
+    is_range.then(|| "ranges of robots are not read: list them, or name a group of the fleet file".to_owned())
+}
+
 /// The largest number of robots that a hint lists.
 const LISTED_MAX: usize = 20;
+
+/// Whether one number or several are expected.
+fn names_number(expected: &str) -> bool {
+    ["number", "device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
+        .iter()
+        .any(|word| expected.contains(word))
+}
+
+/// Whether a single number is expected.
+fn wants_number(expected: &str) -> bool {
+    names_number(expected)
+        && !expected.contains('[')
+        && !["a list", "a map", "texts"].iter().any(|word| expected.contains(word))
+}
+
+/// `1,000` and `1,000.5`.
+fn of_thousands(text: &str) -> Option<String> {
+    let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
+    let mut groups = whole.trim_start_matches('-').split(',');
+    let is_digits = |part: &str| part.bytes().all(|byte| byte.is_ascii_digit());
+    let first = groups.next().filter(|first| (1..=3).contains(&first.len()) && is_digits(first))?;
+    let others: Vec<&str> = groups.collect();
+    let is_grouped = !others.is_empty() && others.iter().all(|group| group.len() == 3 && is_digits(group));
+    let is_certain = others.len() > 1 || !fraction.is_empty();
+    let plain = text.replace(',', "");
+    match (is_grouped && first != "0", is_certain) {
+        (true, true) => Some(format!("write it without commas: `{plain}`")),
+        (true, false) => Some(format!(
+            "write it without the comma, `{plain}`, or with a decimal point, `{}`",
+            text.replace(',', ".")
+        )),
+        (false, _) => None,
+    }
+}
 
 /// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
 fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<String> {
     let wants = |word: &str| expected.contains(word);
-    let is_number = wants("number")
-        || ["device's unit", "metres", "degrees", "hertz", "beats per minute", "factor"]
-            .iter()
-            .any(|word| wants(word));
-    if !is_number {
+    if !names_number(expected) {
         return None;
     }
     let parsed = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
     if parsed(text.trim()).is_some() {
         return Some(format!("write it without quotation marks: `{}`", text.trim()));
+    }
+    if let Some(hint) = of_thousands(text.trim()) {
+        return Some(hint);
     }
     let with_point = text.trim().replacen(',', ".", 1);
     if parsed(&with_point).is_some() {

@@ -262,6 +262,12 @@ fn dead_end(findings: &mut Reader, acts: &[Act], circle: &[NodeIndex]) {
         }
     };
     let place = last.next.as_ref().map_or_else(|| last.place.clone(), |next| Place::clone(&next.place));
-    let hint = Some(format!("write `next: end` for `{name}`"));
+    let end = format!("write `next: end` for `{name}`");
+    let hint = Some(match circle {
+        [_] => format!(
+            "{end}; it repeats until the operator says go if the act after it has `wait: {{for: operator, timeout: 1s, otherwise: {name}}}`"
+        ),
+        _ => end,
+    });
     findings.add(Code::DeadEnd, place, message, "acts that come to an end", hint);
 }

@@ -201,6 +201,7 @@ impl<'a> Cast<'a> {
         all.or_else(|| slips::several_names(name, known()))
             .or_else(listed)
             .or_else(|| findings.did_you_mean(name, known()))
+            .or_else(|| slips::as_a_range(name))
     }
 
     fn known(&self) -> &[String] {

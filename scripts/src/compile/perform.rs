@@ -487,7 +487,10 @@ impl<'c, 'a> Performer<'c, 'a> {
                         .to_owned(),
                 ),
             ),
-            (false, _) => (format!("a device that takes scripts of {named}"), None),
+            (false, _) => (
+                format!("a device that takes scripts of {named}"),
+                several.then(|| "write one number in each keyframe, as in `to: 45`".to_owned()),
+            ),
         };
         self.findings.add(Code::ControlType, track.place.clone(), message, expected, hint);
         None

@@ -274,7 +274,8 @@ impl<'a> Timetable<'a> {
                         .or_else(|| relation(text, known()))
                         .or_else(|| slips::several_names(text, known()))
                         .or_else(|| within_file(text, known()))
-                        .or_else(|| findings.did_you_mean(text, known())),
+                        .or_else(|| findings.did_you_mean(text, known()))
+                        .or_else(|| slips::earlier_cue(text)),
                 };
                 let message = format!("no cue `{}`", shortened(text));
                 let expected = one_of(known());

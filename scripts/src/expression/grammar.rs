@@ -152,7 +152,8 @@ const COMPARISONS: [(&str, Two); 6] = [
     (">", Two::Greater),
 ];
 /// How others write what has another form here.
-const ELSEWHERE: [(&str, &str); 8] = [
+const ELSEWHERE: [(&str, &str); 9] = [
+    ("+", "a value without a sign is positive: leave out the `+`"),
     ("&&", "write `and`"),
     ("||", "write `or`"),
     ("**", "there are no powers: write `$a * $a`"),

@@ -308,6 +308,7 @@ impl Reader {
             Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
             Quantity::Amount(amount) => {
                 let hint = match amount.unit {
+                    Unit::PLAIN if duration::of_two_numbers(text).is_some() => duration::of_two_numbers(text),
                     Unit::PLAIN => Some("multiply by a time: `$index * 500ms`".to_owned()),
                     Unit::PERCENT => Some("a percentage is a part of something, as in `50% * 8s`".to_owned()),
                     _ => duration::hint(text),

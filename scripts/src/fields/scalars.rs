@@ -149,7 +149,8 @@ impl Reader {
         if value > 0.0 {
             return Some(value);
         }
-        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        let hint = slips::not_positive(expected, value);
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, hint);
         None
     }
 
@@ -161,7 +162,8 @@ impl Reader {
         if value.fract() == 0.0 && value >= f64::from(least) && value <= f64::from(most) {
             return Some(value as u32);
         }
-        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        let hint = slips::times(&at.place(), value);
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, hint);
         None
     }
 
@@ -200,7 +202,9 @@ impl Reader {
                 "found nothing where a time belongs".to_owned(),
                 Some("write a time, such as `0s`".to_owned()),
             ),
-            other => (format!("found {} where a time belongs", other.kind()), None),
+            other => {
+                (format!("found {} where a time belongs", other.kind()), slips::one_time(&at.place(), other))
+            }
         };
         self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
         None
@@ -229,6 +233,18 @@ impl Reader {
         if let Some(span) = duration::parse_duration(text) {
             return Some(span.into());
         }
+        if let Some(what) = duration::instant(text) {
+            let message = format!("`{}` is a {what}", shortened(text));
+            let hint = Some(slips::instant(text));
+            self.add(
+                Code::BadDuration,
+                at.place(),
+                message,
+                "a time since the start of the act or cue, such as 2s",
+                hint,
+            );
+            return None;
+        }
         match self.music.span(text) {
             Some(Ok(length)) => return self.no_longer(at, text, length),
             Some(Err(why)) => {
@@ -244,7 +260,7 @@ impl Reader {
                     false if self.scope.get(text).is_some() => {
                         Some(format!("the variable is written `${text}`"))
                     }
-                    false => duration::hint(text),
+                    false => slips::time(&at.place(), text).or_else(|| duration::hint(text)),
                 };
                 self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
             }

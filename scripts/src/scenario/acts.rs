@@ -370,7 +370,11 @@ fn wait_hint(text: &str) -> Option<String> {
     if parse_time(text).is_some() {
         return Some(format!("write `wait: {{time: \"{text}\"}}`"));
     }
-    let operator = ["go", "manual", "key", "button", "cue", "user"].contains(&text.to_lowercase().as_str());
+    let operator = [
+        "go", "manual", "key", "button", "cue", "user", "click", "keypress", "press", "space", "enter",
+        "trigger", "hotkey", "input",
+    ]
+    .contains(&text.to_lowercase().as_str());
     operator.then(|| "write `operator`: the act begins when someone types `downbeat go`".to_owned())
 }
 
@@ -445,6 +449,9 @@ pub(crate) fn sensor_range(
         (None, None, Some(at)) => {
             let bounds = reader.list(&at, "the least and the largest reading, as [0.2, 0.5]");
             let [least, largest] = bounds.as_slice() else {
+                if !matches!(at.node, Node::List(_)) {
+                    return None;
+                }
                 let expected = "the least and the largest reading, as [0.2, 0.5]";
                 reader.add(
                     Code::WrongType,

@@ -522,7 +522,11 @@ fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<u8> {
     });
     if parsed.is_none() {
         let message = format!("`{}` is not a time signature", shortened(&text));
-        reader.add(Code::UnknownWord, at.place(), message, expected, None);
+        let two = text.split_once(['-', ':']).or_else(|| text.split_once(" by "));
+        let two = two.map(|(beats, unit)| (beats.trim(), unit.trim()));
+        let hint = two.filter(|(beats, unit)| [beats, unit].iter().all(|part| part.parse::<u8>().is_ok()));
+        let hint = hint.map(|(beats, unit)| format!("write `{beats}/{unit}`"));
+        reader.add(Code::UnknownWord, at.place(), message, expected, hint);
     }
     parsed
 }

@@ -1,5 +1,7 @@
 //! What a cue's movement is made of: a move with its parameters, tracks, and what is done with them.
 
+use urrcp::Span;
+
 use super::across::is_spread;
 use super::cue::name_list;
 use super::library::Library;
@@ -9,6 +11,7 @@ use super::track::read_tracks;
 use super::when::instant;
 use super::{Change, Changed, Motion, Movement, Name, Repetition, Track};
 use crate::budget::longest;
+use crate::duration::written;
 use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
@@ -379,7 +382,9 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
         _ => {
             let expected = "a number of times, {times: 3, every: 4s}, {until: 20s} or {for: 8s}";
             let message = "found none or several of times, until and for";
-            reader.add(Code::WrongType, at.place(), message, expected, None);
+            let hint = (times.is_none() && until.is_none())
+                .then(|| "say how often: `times: 3`, or for how long: `for: 20s`".to_owned());
+            reader.add(Code::WrongType, at.place(), message, expected, hint);
             return None;
         }
     };
@@ -391,8 +396,14 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
         return Some(Turns { times, cycle });
     }
     let (time, once) = (time.rounded(), once.rounded());
-    let message = format!("{time} is not enough for a movement of {once}, or far too much");
-    reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", None);
+    let (message, hint) = match time < once {
+        true => {
+            let hint = format!("give it `{}` or more, or leave `repeat` out", written(once));
+            (format!("{time} is not enough for a movement of {once}"), Some(hint))
+        }
+        false => (format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times"), None),
+    };
+    reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", hint);
     None
 }
 
@@ -404,7 +415,10 @@ fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
     }
     let (cycle, once) = (cycle.rounded(), once.rounded());
     let message = format!("a movement of {once} would begin again after {cycle}");
-    let hint = Some("make the movement shorter, or let its turns begin less often".to_owned());
+    let hint = Some(match cycle == Span::ZERO {
+        true => "leave `every` out: then each turn begins when the one before it has ended".to_owned(),
+        false => "make the movement shorter, or let its turns begin less often".to_owned(),
+    });
     reader.add(Code::BadMotion, at.place(), message, format!("at least {once}"), hint);
     None
 }

@@ -88,7 +88,9 @@ fn bound<'t>(
         None => {
             let value = text.trim().trim_start_matches(['<', '>', '=', ' ']);
             let hint = value.starts_with(|c: char| c.is_ascii_digit());
-            let hint = hint.then(|| format!("write `{} {}`", word_of(fitting[0]), shortened(value)));
+            // `below` and `above` are the first of their pairs.
+            let word = word_of(fitting[usize::from(text.contains('='))]);
+            let hint = hint.then(|| format!("write `{word} {}`", shortened(value)));
             (format!("`{}` does not say on which side of it the figure has to be", shortened(text)), hint)
         }
     };

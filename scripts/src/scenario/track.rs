@@ -12,7 +12,7 @@ use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 use crate::rows::{self, Rows, Width};
-use crate::slips::{OtherForm, as_keyframes};
+use crate::slips::{self, OtherForm, as_keyframes};
 
 const TRACK_KEYS: [&str; 11] = [
     "control",
@@ -165,7 +165,8 @@ fn control_type(reader: &mut Reader, at: &At<'_>) -> Option<ControlType> {
     let parsed = text.parse().ok().filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor));
     if parsed.is_none() {
         let message = format!("`{}` is not a control type for keyframes", node::shortened(&text));
-        reader.add(Code::UnknownWord, at.place(), message, expected, None);
+        let hint = slips::word(&text, ["position", "speed", "acceleration"].into_iter());
+        reader.add(Code::UnknownWord, at.place(), message, expected, hint);
     }
     parsed
 }
@@ -366,7 +367,7 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
         let length = length.and_then(|at| positive_time(reader, &at));
         let coefficients: Option<Vec<f64>> = coefficients.and_then(|at| {
             let list = reader.list(&at, "a list of numbers, the constant first");
-            if list.is_empty() || list.len() > 64 {
+            if matches!(at.node, Node::List(_)) && !(1..=64).contains(&list.len()) {
                 let message = format!("found {} coefficients", list.len());
                 reader.add(Code::BadMotion, at.place(), message, "1 to 64 coefficients", None);
                 return None;
@@ -419,7 +420,15 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     if length.rounded_down() > Span::ZERO {
         return Some(length);
     }
-    reader.add(Code::BadMotion, at.place(), "a movement of no length", "a time above 0", None);
+    let place = at.place();
+    let hint = Some(match place.path.last() {
+        Some(Part::Key(key, _)) if key == "period" => {
+            "say how long a cycle lasts, as in `period: 2s`; a value that stays is a keyframe".to_owned()
+        }
+        Some(Part::Key(key, _)) => format!("say how long it lasts, as in `{}: 8s`", node::shortened(key)),
+        _ => "say how long it lasts, as in `8s`".to_owned(),
+    });
+    reader.add(Code::BadMotion, place, "a movement of no length", "a time above 0", hint);
     None
 }
 

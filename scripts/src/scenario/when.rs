@@ -2,6 +2,7 @@
 
 use urrcp::Span;
 
+use super::acts::parse_time;
 use super::canon::Late;
 use crate::duration::{self, parse_duration, written};
 use crate::exact::{Beginning, Exact};
@@ -10,6 +11,7 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::{Node, shortened};
 use crate::render::counted;
+use crate::slips;
 
 /// A bound on the time between two anchors: min <= to - from <= max.
 #[derive(Clone, Debug, PartialEq)]
@@ -238,12 +240,48 @@ fn signed(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
 
 /// `500ms` as a least gap, `0s..1s` as bounds.
 pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap> {
+    if bare_range(reader, at, text) {
+        return None;
+    }
     match text.split_once("..") {
         None => Some((reader.time(at, text)?, None)),
         Some((least, largest)) => {
             let (least, largest) = (reader.time(at, least)?, reader.time(at, largest)?);
             in_order(reader, at, (least, least), (largest, largest))
         }
+    }
+}
+
+/// Reports a range without units. Returns whether it is one.
+fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
+    let Some(hint) = duration::bare_range(text) else { return false };
+    let message = format!("the range `{}` cannot be read", shortened(text));
+    reader.add(
+        Code::BadDuration,
+        at.place(),
+        message,
+        "two times with their units, such as 2s..4s",
+        Some(hint),
+    );
+    true
+}
+
+/// A hint for what a cue cannot begin at: a time of day, or a word for which an act waits.
+fn begin_of_act(text: &str) -> Option<String> {
+    if ["operator", "go", "manual", "click", "trigger"].contains(&text) {
+        return Some(
+            "an act waits, a cue does not: write `wait: operator` next to the `cues` of an act".to_owned(),
+        );
+    }
+    let parts: Vec<&str> = text.split(':').collect();
+    let [a, b] = parts.as_slice() else { return None };
+    let (first, second) = (a.parse::<u8>().ok()?, b.parse::<u8>().ok().filter(|second| *second < 60)?);
+    let times = format!("a cue counts from the start of its act: write `00:{first:02}:{second:02}`");
+    match parse_time(text) {
+        Some(_) => {
+            Some(format!("{times}, or `{first:02}:{second:02}:00` for hours; {}", slips::instant(text)))
+        }
+        None => Some(times),
     }
 }
 
@@ -270,6 +308,9 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> 
     }) else {
         return reader.exact(at).map(|time| (time, Some(time)));
     };
+    if bare_range(reader, at, &text) {
+        return None;
+    }
     match text.split_once("..") {
         Some((least, largest)) => {
             let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
@@ -305,16 +346,22 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
         None if text.starts_with("bar") => {
             let message = format!("the position `{}` cannot be read", shortened(text));
             let expected = "a position such as `bar 3 beat 2`";
-            let hint = Some("bars and beats are whole numbers, counted from 1".to_owned());
+            let hint = duration::position(text).filter(|_| !text.contains(" 0"));
+            let hint = hint.or_else(|| Some("bars and beats are whole numbers, counted from 1".to_owned()));
             reader.add(Code::BadDuration, at.place(), message, expected, hint);
             None
         }
         None => {
             // From the act's start, whenever the cue itself begins.
             let start = std::mem::replace(&mut reader.music.start, reader.origin);
-            let time = match duration::parse_duration(text) {
-                Some(span) => Some(span.into()),
-                None => reader.exact_time(at, text),
+            let time = match (duration::parse_duration(text), begin_of_act(text)) {
+                (Some(span), _) => Some(span.into()),
+                (None, Some(hint)) => {
+                    let message = format!("the time `{}` cannot be read", shortened(text));
+                    reader.add(Code::BadDuration, at.place(), message, duration::EXPECTED, Some(hint));
+                    None
+                }
+                (None, None) => reader.exact_time(at, text),
             };
             reader.music.start = start;
             time
