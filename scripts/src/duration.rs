@@ -268,7 +268,9 @@ fn almost_of_clock(text: &str) -> Option<String> {
     let numbers: Vec<u32> = text.split(':').map(|part| part.parse().ok()).collect::<Option<_>>()?;
     match numbers.as_slice() {
         [a, b] if *b < 60 => {
-            Some(format!("write hours, minutes and seconds, `00:{a:02}:{b:02}` or `{a:02}:{b:02}:00`"))
+            let (hours, minutes) = (a / 60, a % 60);
+            let as_minutes = format!("{hours:02}:{minutes:02}:{b:02}");
+            Some(format!("write hours, minutes and seconds, `{as_minutes}` or `{a:02}:{b:02}:00`"))
         }
         [h, m, s] => parse_duration(&format!("{h}h{m}m{s}s"))
             .map(|_| format!("write two digits below 60 each, or `{h}h{m}m{s}s`")),
@@ -355,6 +357,7 @@ mod tests {
     fn a_time_in_another_form_is_shown_in_this_one() {
         for (text, right) in [
             ("1:30", "write hours, minutes and seconds, `00:01:30` or `01:30:00`"),
+            ("75:20", "write hours, minutes and seconds, `01:15:20` or `75:20:00`"),
             ("0:1:90", "write two digits below 60 each, or `0h1m90s`"),
             ("00:01:30,5", "write a decimal point: `00:01:30.5`"),
             ("1 second", "write `1s`"),

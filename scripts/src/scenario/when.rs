@@ -276,7 +276,9 @@ fn begin_of_act(text: &str) -> Option<String> {
     let parts: Vec<&str> = text.split(':').collect();
     let [a, b] = parts.as_slice() else { return None };
     let (first, second) = (a.parse::<u8>().ok()?, b.parse::<u8>().ok().filter(|second| *second < 60)?);
-    let times = format!("a cue counts from the start of its act: write `00:{first:02}:{second:02}`");
+    let (hours, minutes) = (first / 60, first % 60);
+    let times =
+        format!("a cue counts from the start of its act: write `{hours:02}:{minutes:02}:{second:02}`");
     match parse_time(text) {
         Some(_) => {
             Some(format!("{times}, or `{first:02}:{second:02}:00` for hours; {}", slips::instant(text)))
