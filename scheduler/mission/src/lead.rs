@@ -90,7 +90,7 @@ mod tests {
 
     fn needed(round_trip: Span, bytes: usize) -> LeadTime {
         let lease = LeadTime::lease_needed(round_trip);
-        let (early, late, record) = (Span::ZERO, Span::ZERO, Span::ZERO);
+        let (early, late, record, lateness) = (Span::ZERO, Span::ZERO, Span::ZERO, Span::ZERO);
         let measured = Measured {
             robots: 6,
             scripts: 6,
@@ -100,6 +100,7 @@ mod tests {
             early,
             late,
             record,
+            lateness,
         };
         LeadTime::needed(round_trip, 6, bytes, &Pace::of(&measured, lease), lease)
     }

@@ -30,6 +30,7 @@ mod greet;
 mod identity;
 mod kept;
 mod latency;
+mod lateness;
 mod lead;
 mod leases;
 mod ledger;
@@ -149,6 +150,8 @@ pub struct Mission {
     start_was_fixed: bool,
     /// The delay of this machine that acts allow for, as for a slower link: at least twice the delay of the last withdrawn act.
     hold_up: Span,
+    /// How late this machine calls the mission.
+    lateness: lateness::Lateness,
     next_round: Option<Timestamp<Server>>,
     /// Rounds that this machine was too late for.
     rounds_held_up: u64,
@@ -242,6 +245,7 @@ impl Mission {
             again: None,
             start_was_fixed: false,
             hold_up: Span::ZERO,
+            lateness: lateness::Lateness::new(now),
             next_round: None,
             rounds_held_up: 0,
             next_silence: None,
@@ -294,6 +298,7 @@ impl Mission {
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
+        self.lateness.called(now);
         self.measure_disk(now);
         self.notice_hold_up(now);
         match event {
@@ -322,6 +327,7 @@ impl Mission {
     /// when [`Mission::next_wakeup`] has come.
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
+        self.lateness.called(now);
         self.ask_names_again(now);
         self.other_processes_rest(now);
         match self.phase {
@@ -341,6 +347,7 @@ impl Mission {
             }
             Phase::Ended => {}
         }
+        self.lateness.asks(now, self.next_wakeup());
         std::mem::take(&mut self.actions)
     }
 
@@ -350,7 +357,7 @@ impl Mission {
         let due = match self.phase {
             Phase::Greeting { deadline } => {
                 let sample = self.sampling.map(|(_, next)| next);
-                Some(sample.map_or(deadline, |next| next.min(deadline)))
+                Some(sample.map_or(deadline, |next| next.min(deadline)).min(self.lateness.probe()))
             }
             Phase::Performing => {
                 let acts = self.acts.iter().filter_map(Act::wakeup);

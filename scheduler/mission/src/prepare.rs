@@ -269,11 +269,23 @@ impl Mission {
         }
     }
 
-    /// Allows for a slow machine, or for half of its delay and so on as far as a lease that the scenario prescribes makes room.
+    /// Allows for the lateness of this machine if what the scenario or the operator prescribes leaves room for it.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
+        let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
+        need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
+    }
+
+    /// Allows for a slow machine, or for half of its delay and so on as far as a lease that the scenario prescribes makes room.
+    fn need_with_lateness(
+        &self,
+        lateness: Span,
+        now: Timestamp<Server>,
+        act: &Act,
+        skew: Option<&SkewBudget>,
+    ) -> Result<Need, Outcome> {
         let mut hold_up = self.hold_up;
         loop {
-            match self.need_with(hold_up, now, act, skew) {
+            match self.need_with((hold_up, lateness), now, act, skew) {
                 Err(Outcome::LeaseTooShort { .. }) if hold_up > Span::ZERO => {
                     hold_up = if hold_up > HOLD_UP_LEAST { hold_up / 2 } else { Span::ZERO };
                 }
@@ -284,7 +296,7 @@ impl Mission {
 
     fn need_with(
         &self,
-        hold_up: Span,
+        (hold_up, lateness): (Span, Span),
         now: Timestamp<Server>,
         act: &Act,
         skew: Option<&SkewBudget>,
@@ -294,8 +306,8 @@ impl Mission {
         let prescribed = plan.stop_condition.pending.map(Millis::span);
         let slow = slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip);
         let round_trip = lead::counted(slow + hold_up);
-        let measured = self.measured(act, round_trip, prescribed, skew);
-        let least = LeadTime::lease_needed(round_trip).max(measured.lease_least());
+        let measured = Measured { lateness, ..self.measured(act, round_trip, prescribed, skew) };
+        let least = (LeadTime::lease_needed(round_trip) + measured.lateness * 2).max(measured.lease_least());
         if let Some(lease) = prescribed.filter(|lease| *lease < least) {
             return Err(Outcome::LeaseTooShort { lease, needed: least });
         }
@@ -303,7 +315,7 @@ impl Mission {
         let with = |lease: Span| {
             let pace = Pace::of(&measured, lease);
             let needed = LeadTime::needed(round_trip, requests, bytes, &pace, lease);
-            (LeadTime { prepare: needed.prepare + measured.record, ..needed }, pace)
+            (LeadTime { prepare: needed.prepare + measured.record + lateness * 2, ..needed }, pace)
         };
         let lease = prescribed.unwrap_or(least);
         let (needed, _) = with(lease);
@@ -344,6 +356,7 @@ impl Mission {
             early,
             late,
             record: self.recording_time(),
+            lateness: Span::ZERO,
         }
     }
 

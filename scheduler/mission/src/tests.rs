@@ -702,6 +702,9 @@ fn a_mission_needs_a_participant_for_every_robot_of_its_acts() {
 fn a_greeting_wakes_up_for_its_next_sample_and_at_its_deadline_at_the_latest() {
     let mut mission = begins_at_once(Everything);
     let deadline = at(0) + mission.options.patience;
+    mission.lateness = lateness::Lateness::new(at(3));
+    assert_eq!(mission.next_wakeup(), Some(at(3)), "it measures how late it is called");
+    mission.lateness = lateness::Lateness::new(deadline + ms(1));
     assert_eq!(mission.next_wakeup(), Some(deadline));
     for (next, wakes) in [(at(20), at(20)), (deadline + ms(1), deadline)] {
         mission.sampling = Some((at(4_000), next));

@@ -102,6 +102,7 @@ impl Act {
             early: tolerance.min(CLOCK_UNKNOWN),
             late: tolerance.min(CLOCK_UNKNOWN),
             record: Span::ZERO,
+            lateness: Span::ZERO,
         };
         let lead = LeadTime { prepare, lease: promise.lease, margin: Span::ZERO };
         let pace = Pace::of(&measured, promise.lease);

@@ -69,6 +69,8 @@ pub(crate) struct Measured {
     pub(crate) late: Span,
     /// How long the journal takes to put a record on the disk.
     pub(crate) record: Span,
+    /// How late this machine wakes the scheduler, and so the robots that it runs.
+    pub(crate) lateness: Span,
 }
 
 impl Measured {
@@ -84,9 +86,11 @@ impl Measured {
     }
 
     /// The shortest pending lease of the last rounds. It spans the time in which robots start, what a message may still be
-    /// under way, and leaves the answers of several rounds time to come in.
+    /// under way, and leaves the answers of several rounds time to come in. On a busy machine it also spans the delays of this process
+    /// and of a robot.
     pub(crate) fn lease_least(&self) -> Span {
-        self.early + self.late + self.round_trip + FINAL_LEASE_MIN.max(self.round_trip * 4) + self.round() * 2
+        let answers = FINAL_LEASE_MIN.max(self.round_trip * 4).max(self.lateness * 3);
+        self.early + self.late + self.round_trip + answers + self.round() * 2
     }
 }
 
@@ -104,6 +108,7 @@ pub(crate) struct Pace {
     /// Between two of the last rounds.
     pub(crate) period: Span,
     record: Span,
+    lateness: Span,
 }
 
 impl Pace {
@@ -127,6 +132,7 @@ impl Pace {
             lease_least,
             period: period.max(round),
             record: measured.record,
+            lateness: measured.lateness,
         }
     }
 
@@ -260,7 +266,7 @@ impl Timing {
     /// time that anything was sent.
     pub(crate) fn commit_by(&self, last_round: Timestamp<Server>) -> Timestamp<Server> {
         let leases_end = self.brink().min(last_round + self.lease_at(last_round));
-        leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2)
+        leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2).max(self.pace.lateness)
     }
 
     /// When those that still play must be spoken to again at the latest, if nothing was sent since `last_round`.
@@ -355,9 +361,18 @@ mod tests {
 
     fn timing(leases: Leases, round_trip: Span) -> Timing {
         let (early, late) = (Span::from_millis(1), Span::from_millis(2));
-        let record = Span::from_millis(20);
-        let measured =
-            Measured { robots: 6, scripts: 6, questions: 1, leases, round_trip, early, late, record };
+        let (record, lateness) = (Span::from_millis(20), Span::ZERO);
+        let measured = Measured {
+            robots: 6,
+            scripts: 6,
+            questions: 1,
+            leases,
+            round_trip,
+            early,
+            late,
+            record,
+            lateness,
+        };
         let lease = LeadTime::lease_needed(round_trip);
         let pace = Pace::of(&measured, lease);
         let lead = LeadTime::needed(round_trip, 6, 6_000, &pace, lease);
@@ -444,7 +459,8 @@ mod tests {
     fn measured(robots: usize, scripts: usize, questions: usize) -> Measured {
         let (early, late, record) = (Span::from_millis(1), Span::from_millis(2), Span::from_millis(20));
         let (leases, round_trip) = (Leases::Shortened, Span::from_millis(8));
-        Measured { robots, scripts, questions, leases, round_trip, early, late, record }
+        let lateness = Span::ZERO;
+        Measured { robots, scripts, questions, leases, round_trip, early, late, record, lateness }
     }
 
     #[test]
@@ -455,6 +471,8 @@ mod tests {
         assert_eq!(measured(1_000, 500, 1).lease_least(), Span::from_millis(1 + 2 + 8 + 32 + 2 * 26));
         let near = Measured { round_trip: Span::from_millis(1), ..measured(0, 0, 1) };
         assert_eq!(near.lease_least(), Span::from_millis(1 + 2 + 1 + 30));
+        let busy = Measured { lateness: Span::from_millis(20), ..near };
+        assert_eq!(busy.lease_least(), Span::from_millis(1 + 2 + 1 + 60));
     }
 
     #[test]

@@ -38,9 +38,19 @@ fn opened(mut act: Act, robots: &[RobotState]) -> Act {
 
 fn timing(now: urrcp::Timestamp<urrcp::Server>) -> Timing {
     let (lease, leases) = (ms(240), Leases::Shortened);
-    let (early, late, record) = (ms(1), ms(1), ms(20));
+    let (early, late, record, lateness) = (ms(1), ms(1), ms(20), ms(0));
     let pace = Pace::of(
-        &Measured { robots: 1, scripts: 1, questions: 1, leases, round_trip: ms(1), early, late, record },
+        &Measured {
+            robots: 1,
+            scripts: 1,
+            questions: 1,
+            leases,
+            round_trip: ms(1),
+            early,
+            late,
+            record,
+            lateness,
+        },
         lease,
     );
     let lead = LeadTime::needed(ms(1), 1, 1_000, &pace, lease);

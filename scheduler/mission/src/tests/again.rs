@@ -390,3 +390,28 @@ fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
 fn ran_out() -> urrcp::ControlError {
     urrcp::ControlError::new(urrcp::ErrorCode::LinkLost, "the pending lease ended")
 }
+
+#[test]
+fn on_a_machine_that_calls_the_mission_late_leases_are_longer_by_that() {
+    let leases = |late: i64, prescribed: Option<Span>| {
+        let mut choreography = choreography(&[&[("a", 0, 400)]]);
+        choreography.acts[0].plan.stop_condition.pending = prescribed.map(urrcp::Millis::from_span);
+        let participants =
+            vec![Participant::new(RobotId::new("r0").unwrap(), robot("r0", Everything, 2).block)];
+        let mut mission =
+            Mission::new(Arc::new(choreography), participants, MissionOptions::default(), at(0)).unwrap();
+        let _asks = mission.advance(at(0));
+        let due = mission.next_wakeup().unwrap();
+        let _late = mission.advance(due + ms(late));
+        let mut played = Played::linked(mission, &[0]);
+        played.now = due + ms(late);
+        played.run_until(played.now + ms(100));
+        let timing = played.mission.acts[0].timing().expect("it is sent");
+        (timing.lead.lease, timing.final_lease())
+    };
+    let (usual, least) = leases(0, None);
+    let (longer, last) = leases(50, None);
+    assert_eq!((longer - usual, last - least), (ms(100), ms(120)), "{usual}, {least}");
+    let prescribed = Some(ms(300));
+    assert_eq!(leases(50, prescribed), leases(0, prescribed), "the scenario has the word");
+}

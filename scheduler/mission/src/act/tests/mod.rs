@@ -419,6 +419,7 @@ fn timing(act: &Act, now: Timestamp<Server>, leases: Leases, late: Span) -> Timi
         early,
         late,
         record: RECORDING,
+        lateness: Span::ZERO,
     };
     let pace = Pace::of(&measured, LEASE);
     let needed = LeadTime::needed(ROUND_TRIP, scripts, 1_000, &pace, LEASE);

@@ -1,0 +1,98 @@
+//! How late this machine wakes the mission: the time from the instant for which the mission asked to the one at which it was called.
+//! A host whose cores are all busy wakes the robots that it runs as late as the scheduler.
+
+use urrcp::{Server, Span, Timestamp};
+
+/// While robots are greeted, the mission asks to be called this often, so that it knows its lateness before the first act.
+const PROBED_EVERY: Span = Span::from_millis(10);
+/// The largest lateness counts for this time at least, and for twice this time at most.
+const COUNTS_FOR: Span = Span::from_millis(5_000);
+/// A shorter lateness is usual, and the shortest leases allow for it.
+const LATENESS_MIN: Span = Span::from_millis(5);
+/// A longer lateness is a standstill and not the usual delay of a busy machine: an act that it spoils is prepared again.
+const LATENESS_MAX: Span = Span::from_millis(100);
+
+/// The largest lateness of the last calls.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lateness {
+    /// When the mission asked to be called. `None` once it was.
+    due: Option<Timestamp<Server>>,
+    /// When the next call is due whose only purpose is to show the lateness.
+    probe: Timestamp<Server>,
+    since: Timestamp<Server>,
+    /// The largest one since `since`, and the largest one of the time before.
+    largest: [Span; 2],
+}
+
+impl Lateness {
+    pub(super) const fn new(now: Timestamp<Server>) -> Self {
+        Self { due: None, probe: now, since: now, largest: [Span::ZERO; 2] }
+    }
+
+    /// The mission asks to be called at this instant.
+    pub(super) fn asks(&mut self, now: Timestamp<Server>, due: Option<Timestamp<Server>>) {
+        self.due = due.filter(|due| *due > now);
+    }
+
+    /// The mission is called.
+    pub(super) fn called(&mut self, now: Timestamp<Server>) {
+        if now >= self.since + COUNTS_FOR {
+            let before = if now < self.since + COUNTS_FOR * 2 { self.largest[0] } else { Span::ZERO };
+            (self.since, self.largest) = (now, [Span::ZERO, before]);
+        }
+        if let Some(due) = self.due.take_if(|due| now >= *due) {
+            let late = Some(now - due).filter(|late| *late >= LATENESS_MIN).unwrap_or_default();
+            self.largest[0] = self.largest[0].max(late.min(LATENESS_MAX));
+        }
+        if now >= self.probe {
+            self.probe = now + PROBED_EVERY;
+        }
+    }
+
+    pub(super) const fn probe(&self) -> Timestamp<Server> {
+        self.probe
+    }
+
+    pub(super) fn largest(&self) -> Span {
+        self.largest[0].max(self.largest[1])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::{at, ms};
+
+    /// Asks to be called at the first instant, and is called at the second one.
+    fn is_called(lateness: &mut Lateness, due: i64, now: i64) {
+        lateness.asks(at(due - 1), Some(at(due)));
+        lateness.called(at(now));
+    }
+
+    #[test]
+    fn the_largest_lateness_counts_for_five_to_ten_seconds() {
+        let mut lateness = Lateness::new(at(0));
+        is_called(&mut lateness, 10, 34);
+        is_called(&mut lateness, 50, 52);
+        assert_eq!(lateness.largest(), ms(24));
+        is_called(&mut lateness, 6_000, 6_008);
+        assert_eq!(lateness.largest(), ms(24));
+        is_called(&mut lateness, 11_500, 11_501);
+        assert_eq!(lateness.largest(), ms(8));
+        is_called(&mut lateness, 40_000, 40_004);
+        assert_eq!(lateness.largest(), ms(0));
+    }
+
+    #[test]
+    fn a_call_ahead_of_time_shows_nothing_and_a_standstill_counts_as_the_longest_delay() {
+        let mut lateness = Lateness::new(at(0));
+        lateness.asks(at(0), Some(at(20)));
+        lateness.called(at(5));
+        assert_eq!(lateness.largest(), ms(0));
+        lateness.called(at(2_020));
+        assert_eq!(lateness.largest(), LATENESS_MAX);
+        lateness.asks(at(2_030), Some(at(2_030)));
+        lateness.called(at(2_031));
+        assert_eq!(lateness.largest(), LATENESS_MAX, "it was due at once");
+    }
+}
