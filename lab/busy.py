@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Do robots start together while other programs keep every core busy? Plays missions of four robots without faults, each robot in a
-process of its own, next to busy loops:
+"""Do robots start together while other programs keep every core busy? Plays missions of four robots without faults, each robot in its
+own process, while busy loops run:
 
   lab/busy.py
   lab/busy.py --missions 500 --at-once 4 --loops 4
 
-Prints a table. Exits 1 if one mission started mixed by the logs of its robots, or if fewer than 99 % of them played. A mission that
-prepared its act again and then played it counts as played.
+Prints a table. Exits 1 if a mission started on only some of its robots according to their logs, or if fewer than 99 % of the missions
+played. A mission that prepared its act again and then played it counts as played.
 """
 
 import json
@@ -30,7 +30,7 @@ BUSY_LOOP = "while True: pass"
 
 
 class Played:
-    """A mission with its own processes: how it ended, whether it prepared its act again, and which robots began it."""
+    """A mission with its own processes: how it ended, whether it prepared its act again, and whether all, some or no robots began it."""
 
     def __init__(self, downbeat):
         with tempfile.TemporaryDirectory(prefix="busy-") as folder:
@@ -74,9 +74,9 @@ class Played:
 
 def main():
     parser = program.arguments(__doc__)
-    parser.add_argument("--missions", type=int, default=100, help="missions (default: 100)")
+    parser.add_argument("--missions", type=int, default=100, help="number of missions (default: 100)")
     parser.add_argument("--at-once", type=int, default=1, help="missions that play at the same time (default: 1)")
-    parser.add_argument("--loops", type=int, default=4, help="busy loops (default: 4)")
+    parser.add_argument("--loops", type=int, default=4, help="number of busy loops (default: 4)")
     asked = parser.parse_args()
     downbeat = program.find_downbeat(asked.downbeat)
     with Processes() as loops, ThreadPoolExecutor(asked.at_once) as pool:

@@ -26,7 +26,7 @@
 //! | [`run`], [`link`], [`server_clock`], [`stop_lane`] | a mission in real time |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`journal`], [`recording`] | what is kept on the disk |
-//! | [`report`], [`show`] | what became of it; the same as text or a picture |
+//! | [`report`], [`show`] | the outcome of a mission; the same as text or a picture |
 //! | [`certificate`] | a plan that was played against faults |
 //! | [`requirements`] | whether figures are as a scenario requires |
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |

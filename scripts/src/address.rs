@@ -245,7 +245,7 @@ impl Address {
     }
 }
 
-/// A hint for a serial port, or the name of a robot in another middleware.
+/// A hint for a serial port, or the address of a robot in another middleware.
 fn of_another_bus(text: &str) -> Option<String> {
     let is_serial = text.starts_with("/dev/")
         || text.strip_prefix("COM").is_some_and(|number| number.parse::<u8>().is_ok());

@@ -49,7 +49,7 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
-/// What an instant is that stands where a length of time belongs: `2026-12-01`, `8pm`.
+/// The kind of an instant that is written where a length of time belongs: `2026-12-01`, `8pm`.
 pub(crate) fn instant(text: &str) -> Option<&'static str> {
     let is_number = |part: &str, most: usize| {
         (1..=most).contains(&part.len()) && part.bytes().all(|byte| byte.is_ascii_digit())
@@ -68,7 +68,7 @@ pub(crate) fn instant(text: &str) -> Option<&'static str> {
     hours.split(':').all(|part| is_number(part, 2)).then_some("time of day")
 }
 
-/// A range without units, or with one of a bar alone: `1..3`, `bar 4..8`.
+/// A hint for a range that lacks a unit at one end or at both: `1..3`, `1..3s`, `bar 4..8`.
 pub(crate) fn bare_range(text: &str) -> Option<String> {
     let (from, to) = text.split_once("..")?;
     let (from, to) = (from.trim(), to.trim());
@@ -88,14 +88,14 @@ pub(crate) fn bare_range(text: &str) -> Option<String> {
     }
 }
 
-/// `4-8`: a range, or a bar and a beat.
+/// A hint for `4-8`, which may mean a range, or a bar and a beat.
 pub(crate) fn of_two_numbers(text: &str) -> Option<String> {
     let (from, to) = text.split_once('-')?;
     let [from, to] = [from.trim().parse::<u32>().ok()?, to.trim().parse::<u32>().ok()?];
     Some(format!("a range is written `{from}s..{to}s`, and a position in the music `bar {from} beat {to}`"))
 }
 
-/// How a position in the music is written: `bar 4.2`, `bars 4-8`, `4 beat 2`.
+/// A hint for a position in the music in another form: `bar 4.2`, `bars 4-8`, `4 beat 2`.
 pub(crate) fn position(text: &str) -> Option<String> {
     let mut words = text.split(|c: char| !c.is_ascii_alphabetic()).filter(|word| !word.is_empty());
     if !words.all(|word| matches!(word, "bar" | "bars" | "beat" | "beats")) || !text.contains('b') {

@@ -180,7 +180,7 @@ pub struct Finding {
     pub hint: Option<String>,
     /// The offending line.
     pub source_line: String,
-    /// Other places that have to do with it, in the order of the argument; then those of the same mistake.
+    /// Places that explain it, in the order of the argument; then other places of the same mistake.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub related: Vec<Related>,
 }
@@ -198,13 +198,13 @@ pub struct Related {
     pub message: String,
     /// The line.
     pub source_line: String,
-    /// Whether the same mistake is here. The message of the finding names the line already.
+    /// Whether this place repeats the mistake. The message of the finding already names its line.
     #[serde(skip)]
     pub is_repeat: bool,
 }
 
 impl Finding {
-    /// The places that explain it, without those of the same mistake.
+    /// The places that explain it, without other places of the same mistake.
     pub(crate) fn chain(&self) -> impl Iterator<Item = &Related> {
         self.related.iter().filter(|place| !place.is_repeat)
     }

@@ -56,7 +56,7 @@ impl Units {
     }
 }
 
-/// Parts of the names of easings that have no near one here.
+/// Parts of the names of easings that have no equivalent here.
 const OTHER_EASINGS: [&str; 9] =
     ["cubicbezier", "bounce", "elastic", "spring", "overshoot", "expo", "circ", "quad", "quart"];
 
@@ -354,7 +354,7 @@ const ENDLESS: &str = "a cue ends: give a number or `{for: 60s}`; to repeat an a
 /// A hint for a number that has to be above 0.
 pub(crate) fn not_positive(expected: &str, value: f64) -> Option<String> {
     match (expected.starts_with("a frequency"), value < 0.0) {
-        (true, true) => Some(format!("write `{}`; `phase: 180` turns the wave over", -value)),
+        (true, true) => Some(format!("write `{}`; `phase: 180` inverts the wave", -value)),
         (true, false) => Some(
             "write cycles per second, as in `frequency: 0.5`; a value that stays is a keyframe".to_owned(),
         ),
@@ -380,7 +380,7 @@ pub(crate) fn one_time(place: &Place, node: &Node) -> Option<String> {
     }
 }
 
-/// A hint for a time that depends on the key: without end, or negative.
+/// A hint for an endless or a negative time, which depends on the key.
 pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
     let keys: Vec<&str> = place
         .path
@@ -402,7 +402,7 @@ pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
     }
     let positive = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some())?;
     match *keys.first()? {
-        "period" => Some(format!("write `{positive}`; `phase: 180` turns the wave over")),
+        "period" => Some(format!("write `{positive}`; `phase: 180` inverts the wave")),
         "every" => {
             Some("leave `every` out: then each turn begins when the one before it has ended".to_owned())
         }
@@ -425,7 +425,7 @@ pub(crate) fn instant(text: &str) -> String {
     format!("`downbeat run --at {at}` starts the show at an instant, and `wait: {{time: \"{at}\"}}` an act")
 }
 
-/// A hint for a number of times that is none: below 1, infinite, or with a fraction.
+/// A hint for an invalid number of repetitions: below 1, infinite, or with a fraction.
 pub(crate) fn times(place: &Place, value: f64) -> Option<String> {
     match value {
         _ if !is_repeat(place) => None,
@@ -530,7 +530,7 @@ fn coordinates(entries: &[(String, Node)]) -> Option<String> {
     Some(format!("write `[{x}, {y}, {z}]`"))
 }
 
-/// Words for values, of which a device has numbers only.
+/// Words for the values of a device, which are always numbers.
 const STATES: [&str; 12] =
     ["on", "off", "yes", "no", "min", "max", "home", "default", "open", "closed", "high", "low"];
 
@@ -540,7 +540,7 @@ fn is_value(place: &Place) -> bool {
         && place.path.iter().any(|part| matches!(part, Part::Key(key, _) if key == "tracks"))
 }
 
-/// A list where one number belongs: `radius: [1, 2]`.
+/// A hint for a list where one number belongs: `radius: [1, 2]`.
 fn one_number(place: &Place, items: &[Node]) -> String {
     let key = place.path.iter().rev().find_map(|part| match part {
         Part::Key(key, _) => Some(key.as_str()),
@@ -557,7 +557,7 @@ fn one_number(place: &Place, items: &[Node]) -> String {
     }
 }
 
-/// A number where a list, or a map of several keys, belongs: `points: 3`, `wave: 20`.
+/// A hint for a number where a list, or a map of several keys, belongs: `points: 3`, `wave: 20`.
 fn in_a_list(expected: &str, value: f64) -> Option<String> {
     let begins = |begin: &str| expected.starts_with(begin);
     if begins("a list of places") || begins("a list of points such as [") {
@@ -638,7 +638,7 @@ pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str>
     (2..=LISTED_MAX).contains(&listed.len()).then(|| format!("write a list: `[{}]`", listed.join(", ")))
 }
 
-/// A hint for the cue above, or the number of a cue.
+/// A hint for a reference to the cue above, or to a cue by its number.
 pub(crate) fn earlier_cue(text: &str) -> Option<String> {
     let is_number = text.parse::<u32>().is_ok();
     let is_above = ["previous", "prev", "last", "before", "above"].contains(&text);
@@ -652,7 +652,9 @@ pub(crate) fn as_a_range(text: &str) -> Option<String> {
     let is_range = text.contains("..")
         || (text.contains('[') && text.ends_with(']'))
         || text.split_once('-').is_some_and(|(from, to)| ends_in_digit(from) && ends_in_digit(to));
-    is_range.then(|| "ranges of robots are not read: list them, or name a group of the fleet file".to_owned())
+    is_range.then(|| {
+        "ranges of robots are not supported: list the robots, or name a group of the fleet file".to_owned()
+    })
 }
 
 /// The largest number of robots that a hint lists.
@@ -672,7 +674,7 @@ fn wants_number(expected: &str) -> bool {
         && !["a list", "a map", "texts"].iter().any(|word| expected.contains(word))
 }
 
-/// `1,000` and `1,000.5`.
+/// A hint for a number with commas between thousands: `1,000` and `1,000.5`.
 fn of_thousands(text: &str) -> Option<String> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let mut groups = whole.trim_start_matches('-').split(',');

@@ -70,7 +70,8 @@ impl ClockSample {
     }
 }
 
-/// Many robots write milliseconds or microseconds. On a fast link that is longer than the way.
+/// The unit in which two timestamps of a robot count. Many robots write milliseconds or microseconds. On a fast link, this is
+/// longer than the travel time.
 #[must_use]
 pub fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
     let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
@@ -451,10 +452,10 @@ impl History {
     }
 }
 
-/// How the server's clock stands to NTP during a mission.
+/// The server's clock relative to NTP during a mission.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct NtpState {
-    /// NTP time minus the server's clock, which was set to NTP time when it was anchored: what has come between since.
+    /// NTP time minus the server's clock. The clock was set to NTP time when it was anchored, so this is the change since then.
     #[serde(rename = "offset_change_ms")]
     pub offset_change: Span,
     /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
@@ -465,7 +466,7 @@ pub struct NtpState {
     pub drift: Option<Drift>,
     /// How often NTP time contradicted itself: the NTP server was set, or lies.
     pub steps: u32,
-    /// Since when the NTP server has not answered, if it has not for several questions.
+    /// Since when the NTP server has not answered, if it has left several questions unanswered.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lost_since: Option<Timestamp<Server>>,
 }

@@ -160,7 +160,7 @@ pub enum FailureKind {
         "device `{device}` is at {reading}, {}",
         match act {
             None => format!("its first keyframe expects {expected}: move it there with `run --approach 5s`, or put the first keyframe later"),
-            Some(act) => format!("its first keyframe in the act `{act}` expects {expected}: move it there in an act before, or put that keyframe later"),
+            Some(act) => format!("its first keyframe in the act `{act}` expects {expected}: move it there in an earlier act, or put that keyframe later"),
         }
     )]
     Position {
@@ -170,7 +170,7 @@ pub enum FailureKind {
         reading: f64,
         /// Where it should.
         expected: f64,
-        /// The act for which the mission found this, if no approach before the mission could have moved the device there.
+        /// The act before which the mission found this; `None` if an approach before the mission could have moved the device there.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         act: Option<String>,
     },

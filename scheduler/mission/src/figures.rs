@@ -6,7 +6,7 @@ use super::robot_state::{Link, RobotState, Standing, Totals};
 use super::{Mission, Phase};
 use crate::clock::ClockReading;
 
-/// Where a mission stands.
+/// The phase of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PhaseName {
     /// Robots are asked and checked.
@@ -26,13 +26,13 @@ pub struct RobotFigures {
     pub is_linked: bool,
     /// Whether it takes part in the mission.
     pub takes_part: bool,
-    /// Its clock against that of the server.
+    /// The estimate of its clock, relative to the server's clock.
     pub clock: Option<ClockReading>,
     /// The round trip that its link keeps to nearly always.
     pub round_trip: Span,
     /// The counts of its scripts and steps.
     pub totals: Totals,
-    /// A stop was sent to it, and it has not confirmed that it is at rest.
+    /// Whether a stop was sent to it and it has not confirmed that it is at rest.
     pub awaits_stop: bool,
 }
 
@@ -56,7 +56,7 @@ impl Mission {
         }
     }
 
-    /// How many acts are waiting, on their way to a start, and playing.
+    /// The numbers of acts that wait, that approach their start, and that play.
     #[must_use]
     pub fn act_stages(&self) -> [u64; 3] {
         let mut stages = [0; 3];
@@ -83,7 +83,7 @@ impl Mission {
         }
     }
 
-    /// Rounds of questions that came so late that this machine must have been held up.
+    /// The number of rounds of questions that came so late that this machine must have stalled.
     #[must_use]
     pub const fn rounds_held_up(&self) -> u64 {
         self.rounds_held_up

@@ -36,7 +36,7 @@ pub struct Kept {
     pub stopped: Vec<RobotId>,
     /// The outcome as in the report; `None` if the mission was cut off.
     pub outcome: Option<Value>,
-    /// The rest from the first line that is not whole, if any.
+    /// The part from the first line that is not whole; `None` if all lines are whole.
     pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
@@ -44,7 +44,7 @@ pub struct Kept {
     shifts: BTreeMap<RobotId, Span>,
     /// The offsets of scripts that were not sent with the offset of their promise.
     translated: HashMap<RequestId, Span>,
-    /// Bytes of its whole lines at the beginning.
+    /// Length of the whole lines at the beginning, in bytes.
     whole: usize,
 }
 
@@ -102,7 +102,7 @@ pub struct Torn {
     pub line: usize,
     /// Bytes from there to the end.
     pub bytes: usize,
-    /// Whole lines behind it: the file was damaged, not only cut off.
+    /// Whole lines after it. If there are any, the file was damaged, not only cut off.
     pub whole_after: usize,
 }
 
@@ -163,7 +163,7 @@ pub enum Fate {
 }
 
 impl Kept {
-    /// Reads the state from the bytes of a journal. Lines that are no records, such as the first one, are ignored.
+    /// Reads the state from the bytes of a journal. Lines that are not records, such as the first one, are ignored.
     #[must_use]
     pub fn of_bytes(bytes: &[u8]) -> Self {
         let (believed, rest) = bytes.split_at(whole_length(bytes));
@@ -185,7 +185,7 @@ impl Kept {
         kept
     }
 
-    /// Bytes of its whole lines at the beginning.
+    /// Length of the whole lines at the beginning, in bytes.
     #[must_use]
     pub const fn whole(&self) -> usize {
         self.whole

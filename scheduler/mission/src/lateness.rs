@@ -1,26 +1,26 @@
-//! How late this machine wakes the mission: the time from the instant for which the mission asked to the one at which it was called.
-//! A host whose cores are all busy wakes the robots that it runs as late as the scheduler.
+//! How late this machine calls the mission: the time from the instant at which the mission asked to be called to the actual call. A
+//! host whose cores are all busy calls the robots that run on it as late as the scheduler.
 
 use urrcp::{Server, Span, Timestamp};
 
-/// While robots are greeted, the mission asks to be called this often, so that it knows its lateness before the first act.
+/// The interval at which the mission asks to be called during the greeting, so that it knows the lateness before the first act.
 const PROBED_EVERY: Span = Span::from_millis(10);
-/// The largest lateness counts for this time at least, and for twice this time at most.
+/// The largest lateness counts for at least this time, and for at most twice this time.
 const COUNTS_FOR: Span = Span::from_millis(5_000);
-/// A shorter lateness is usual, and the shortest leases allow for it.
+/// Shorter delays are usual, and the shortest leases already allow for them.
 const LATENESS_MIN: Span = Span::from_millis(5);
-/// A longer lateness is a standstill and not the usual delay of a busy machine: an act that it spoils is prepared again.
+/// A longer delay is a stall, not the usual delay of a busy machine. An act that fails because of a stall is prepared again.
 const LATENESS_MAX: Span = Span::from_millis(100);
 
-/// The largest lateness of the last calls.
+/// The largest lateness of recent calls.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lateness {
-    /// When the mission asked to be called. `None` once it was.
+    /// When the mission asked to be called; `None` once it has been called.
     due: Option<Timestamp<Server>>,
-    /// When the next call is due whose only purpose is to show the lateness.
+    /// When the next call is due that only measures the lateness.
     probe: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// The largest one since `since`, and the largest one of the time before.
+    /// The largest lateness since `since`, and the largest one of the period before.
     largest: [Span; 2],
 }
 
@@ -29,12 +29,12 @@ impl Lateness {
         Self { due: None, probe: now, since: now, largest: [Span::ZERO; 2] }
     }
 
-    /// The mission asks to be called at this instant.
+    /// Notes that the mission asks to be called at `due`.
     pub(super) fn asks(&mut self, now: Timestamp<Server>, due: Option<Timestamp<Server>>) {
         self.due = due.filter(|due| *due > now);
     }
 
-    /// The mission is called.
+    /// Notes that the mission is called.
     pub(super) fn called(&mut self, now: Timestamp<Server>) {
         if now >= self.since + COUNTS_FOR {
             let before = if now < self.since + COUNTS_FOR * 2 { self.largest[0] } else { Span::ZERO };
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
     use crate::bench::{at, ms};
 
-    /// Asks to be called at the first instant, and is called at the second one.
+    /// Asks to be called at `due`, and is called at `now`.
     fn is_called(lateness: &mut Lateness, due: i64, now: i64) {
         lateness.asks(at(due - 1), Some(at(due)));
         lateness.called(at(now));

@@ -370,7 +370,7 @@ impl Mission {
         due.into_iter().chain(self.next_name).chain(elsewhere).min()
     }
 
-    /// What it is due for, for a trace.
+    /// The pending timers, for a trace.
     #[must_use]
     pub fn due(&self) -> String {
         let acts: Vec<_> = self.acts.iter().map(|act| (act.number(), act.wakeup())).collect();
@@ -422,7 +422,7 @@ impl Mission {
         self.options.acts_max.filter(|_| self.bounded)
     }
 
-    /// As many acts at most, unless the operator chose a number.
+    /// Limits the number of acts, unless the operator chose a limit.
     pub fn bound_acts(&mut self, acts: u32) {
         self.options.acts_max.get_or_insert(acts);
     }
@@ -441,8 +441,8 @@ impl Mission {
         self.robots.iter().map(|robot| &robot.id)
     }
 
-    /// For each robot: the devices that another process has moved and that have not been sent a stop. If a mission does nothing but
-    /// stop, it asks first which robot it has reached.
+    /// For each robot: the devices that another process has moved and that have not been sent a stop. A mission that only stops
+    /// robots first asks which robot it has reached.
     pub fn moved_by_another(&self) -> impl Iterator<Item = BTreeSet<DeviceId>> {
         let devices = |robot: &RobotState| {
             if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }

@@ -16,7 +16,7 @@ pub fn line_of(at: Timestamp<Server>, record: &Record) -> io::Result<Vec<u8>> {
     dated_line(at, record)
 }
 
-/// The line of something with its time.
+/// The line of a record of any type, with its time.
 ///
 /// # Errors
 /// It cannot be written as JSON.
@@ -30,7 +30,7 @@ pub fn dated_line(at: Timestamp<Server>, record: &impl Serialize) -> io::Result<
     line(&Dated { at, record })
 }
 
-/// The checksum, then JSON.
+/// A line: the checksum, then the JSON.
 ///
 /// # Errors
 /// It cannot be written as JSON.
@@ -42,18 +42,18 @@ pub fn line(json: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Bytes of the whole lines at the beginning.
+/// Length of the whole lines at the beginning, in bytes.
 pub fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
     lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
 }
 
-/// What a whole line says.
+/// The JSON value of a whole line; `None` if the line is not whole.
 pub fn whole(line: &[u8]) -> Option<Value> {
     serde_json::from_slice(sound(line)?).ok()
 }
 
-/// The JSON of a line that is as it was written.
+/// The JSON of a line; `None` if its checksum does not match.
 pub fn sound(line: &[u8]) -> Option<&[u8]> {
     let line = line.strip_suffix(b"\n")?;
     let (sum, json) = line.split_at_checked(9)?;

@@ -117,7 +117,7 @@ pub struct FixedStart {
 }
 
 impl MissionOptions {
-    /// The session as robots know it. Do not show it.
+    /// The session as robots know it, with its key. It must not be shown.
     #[must_use]
     pub fn session_on_the_wire(&self) -> Option<SessionId> {
         self.session.as_ref().map(|session| session.on_the_wire().clone())

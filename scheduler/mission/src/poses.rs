@@ -163,15 +163,15 @@ impl Mission {
         due
     }
 
-    /// Members that were asked and would have to jump at their first step. If a robot does not answer, it counts only if no check of
-    /// its devices holds for this act.
+    /// Members that were asked and would have to jump at their first step. A robot that does not answer is included only if no
+    /// check of its devices applies to this act.
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
             let reading = *self.robots[robot].commanded.get(&script.device)?;
             let expected = self.expected_in(act, robot, script)?;
             let device = script.device.clone();
-            // An approach moves devices ahead of the first act, to the positions from which they first move by `next`.
+            // An approach moves devices before the first act, to the positions from which they first move by `next`.
             let is_first = act.number() == act.attempts();
             let approached = is_first && self.is_first_use(act, robot, &device);
             let act = (!approached).then(|| act.name());
@@ -185,7 +185,7 @@ impl Mission {
         jumping.chain(unplaced.iter().filter_map(|robot| self.hides_its_pose(act, *robot))).collect()
     }
 
-    /// The failure of a robot that has not stated the positions of devices that nothing else places: one of them may well jump.
+    /// The failure of a robot that has not stated the positions of devices that no check covers: one of them may well jump.
     fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
         let hides = state.positions_owed > 0
@@ -201,9 +201,9 @@ impl Mission {
         members.filter(|robot| self.unplaced_of(act, *robot).next().is_some()).collect()
     }
 
-    /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift, and
-    /// devices that may have to jump and that the mission has not moved yet, if no check of their positions holds for this act. With
-    /// `handshake: skip`, only devices adrift are asked for.
+    /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift,
+    /// and devices that may have to jump and that the mission has not moved yet, if no check of their positions applies to this
+    /// act. With `handshake: skip`, the mission asks only for devices adrift.
     fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;

@@ -222,8 +222,8 @@ impl Mission {
         self.fail_all(now, unknown.into_iter().map(silent).collect());
     }
 
-    /// Members whose clock was measured on an earlier link only, and when each has to have answered on its new link. A robot that does
-    /// not name itself in that time is treated like one without a link.
+    /// Members whose clock was measured only on an earlier link, and the instant by which each has to answer on its new link. A
+    /// robot that does not identify itself by then is treated like one without a link.
     fn unmeasured_on_new_links(&self, now: Timestamp<Server>, act: &Act) -> Vec<(usize, Timestamp<Server>)> {
         let unmeasured = |robot: usize| {
             let state = &self.robots[robot];
@@ -269,13 +269,13 @@ impl Mission {
         }
     }
 
-    /// Allows for the lateness of this machine if what the scenario or the operator prescribes leaves room for it.
+    /// Allows for the lateness of this machine if the times that the scenario or the operator prescribes leave room for it.
     fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
         let need = |lateness| self.need_with_lateness(lateness, now, act, skew);
         need(self.lateness.largest()).or_else(|_| need(Span::ZERO))
     }
 
-    /// Allows for a slow machine, or for half of its delay and so on as far as a lease that the scenario prescribes makes room.
+    /// Allows for the delay of a slow machine, halved until it fits into a lease that the scenario prescribes.
     fn need_with_lateness(
         &self,
         lateness: Span,
@@ -436,7 +436,7 @@ impl Mission {
     }
 }
 
-/// How long a robot that has just come back, or that is asked for positions, may take to answer.
+/// The time within which a robot has to answer a question for its positions, or any question after it has reconnected.
 pub(super) fn answers_within(robot: &RobotState) -> Span {
     lead::counted(robot.round_trip()) * 3 + ANSWERED_WITHIN
 }

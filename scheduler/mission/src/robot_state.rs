@@ -126,17 +126,17 @@ pub struct Totals {
     pub steps_done: u64,
     /// Steps planned.
     pub steps_planned: u64,
-    /// Steps that came late.
+    /// Steps executed late.
     pub late_steps: u64,
-    /// The lateness of the latest of them.
+    /// The largest lateness of a step.
     pub late_max: Option<Span>,
-    /// The start error of largest size.
+    /// The start error with the largest absolute value.
     pub start_error: Option<Span>,
     /// Scripts that were sent and whose fate is unknown.
     pub unaccounted: usize,
     /// Requests sent again.
     pub retries: u32,
-    /// How often the link was made again.
+    /// How often the link was re-established.
     pub reconnects: u32,
 }
 
@@ -437,8 +437,8 @@ impl RobotState {
         self.positions_asked = None;
     }
 
-    /// When its link was made, if its clock was measured on an earlier link and it has not answered on this one yet: it may be another
-    /// process by now, with another clock.
+    /// When its link was made, if its clock was measured on an earlier link and it has not answered on this one yet. It may be a
+    /// new process with another clock.
     pub(crate) fn unmeasured_since(&self) -> Option<Timestamp<Server>> {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
         let answered = self.questions.answered();

@@ -86,7 +86,7 @@ impl Session {
         &self.name
     }
 
-    /// What robots are told. Not to be shown.
+    /// The session as robots receive it, with its key. It must not be shown.
     #[must_use]
     pub const fn on_the_wire(&self) -> &SessionId {
         &self.on_the_wire
@@ -105,7 +105,7 @@ impl fmt::Debug for Session {
     }
 }
 
-/// What of a session on the wire people may see: without its key, if it has one.
+/// The part of a session that may be shown: the session without its key, if it has one.
 #[must_use]
 pub fn name_of(on_the_wire: &SessionId) -> &str {
     let text = on_the_wire.as_str();
@@ -115,7 +115,7 @@ pub fn name_of(on_the_wire: &SessionId) -> &str {
     }
 }
 
-/// A message as it may be kept where people read it: without the key of its session.
+/// The message without the key of its session, as it may be stored where people read it.
 #[must_use]
 pub fn without_key(mut message: Message) -> Message {
     let session = match &mut message {
@@ -133,7 +133,8 @@ pub fn without_key(mut message: Message) -> Message {
     message
 }
 
-/// A message of a robot as it may be shown: a robot that names the session to which it belongs names the key as well.
+/// The message of a robot without keys, as it may be shown: a robot that names the session to which it belongs names its key as
+/// well.
 #[must_use]
 pub fn told_without_keys(mut message: Message) -> Message {
     match &mut message {

@@ -195,7 +195,7 @@ impl SkewBudget {
         (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
     }
 
-    /// What is in it besides the clocks, to stand behind the whole; empty without latencies that vary.
+    /// The parts of the budget, as text to follow the total; empty if no latency varies.
     #[must_use]
     pub fn parts(&self) -> String {
         match self.predicted == self.clocks {

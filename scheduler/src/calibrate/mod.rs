@@ -1,5 +1,5 @@
 //! Measuring how long devices take from a command to visible motion: each is moved by a small amount to and fro, as its fleet file
-//! permits, while its sensor is read; [`downbeat_onset`] says when it began to move.
+//! permits, while its sensor is read; [`downbeat_onset`] estimates when it began to move.
 //!
 //! ```text
 //!   fleet ─▶ plan: what may be moved, how far, how fast

@@ -44,7 +44,7 @@ impl Fate {
     }
 }
 
-/// What became of an act, by its report as JSON, for people.
+/// The fate of an act as text, from its report as JSON.
 #[must_use]
 pub fn fate_text(report: &Value) -> &'static str {
     match Fate::of(Some(report)) {

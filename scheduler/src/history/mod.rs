@@ -143,11 +143,11 @@ pub enum NoHistory {
 }
 
 impl History {
-    /// What is known of how it went: the name, the outcome and the reports of the acts that have ended, as in a report.
+    /// The known part of the report: the name, the outcome and the reports of the acts that have ended.
     #[must_use]
     pub fn report(&self) -> Value {
         let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
-        // Attempts that were withdrawn and repeated are no acts of a report.
+        // Attempts that were withdrawn and repeated are not acts of a report.
         let ended = ended.filter(|(_, record)| record["again"] != true);
         let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
         let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);

@@ -210,7 +210,7 @@ impl<D: Disk> Journal<D> {
         }
     }
 
-    /// What it said when it was opened; `None` for a new one.
+    /// Its contents when it was opened; `None` for a new journal.
     pub const fn contents(&self) -> Option<&Contents> {
         self.contents.as_ref()
     }

@@ -2,7 +2,7 @@
 
 use downbeat_scripts::{SensorRange, Wait};
 
-/// What an act waits for, for people; nothing if it follows the act before it at once.
+/// The condition for which an act waits, as text; empty if it follows the act before it at once.
 pub(crate) fn waits(wait: &Wait) -> String {
     match wait {
         Wait::Operator => "the operator".to_owned(),

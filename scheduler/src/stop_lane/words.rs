@@ -18,20 +18,20 @@ const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Operator {
-    /// Let the act begin that waits for it.
+    /// Begin the act that waits for the operator.
     Go {
-        /// Which act is meant; `None`: whichever waits.
+        /// The act that is meant; `None` for any act that waits.
         act: Option<String>,
-        /// Who says so, where that is another than who began the mission.
+        /// Who says so, if it is not the operator who began the mission.
         by: Option<String>,
-        /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
+        /// Receives the act that begins, or the reason why none does; receives nothing if the mission ends before.
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
     Stop {
         /// How they come to rest.
         rest: Rest,
-        /// Who says so, where that is another than who began the mission.
+        /// Who says so, if it is not the operator who began the mission.
         by: Option<String>,
     },
     /// Leave at once.

@@ -121,15 +121,15 @@ fn header(bytes: &[u8]) -> Result<(Timing, usize, usize), String> {
     Ok((timing, tracks, length))
 }
 
-/// What a file begins with instead, which tells a text from another binary format.
+/// The message about a file that does not begin with `MThd`. It shows the first bytes if they are text.
 fn not_midi(bytes: &[u8]) -> String {
     let begin = &bytes[..bytes.len().min(4)];
     match begin {
         [] => "the file is empty".to_owned(),
         _ if begin.iter().all(|byte| byte.is_ascii_graphic() || byte.is_ascii_whitespace()) => {
-            format!("this is not a MIDI file: at byte 0 is `{}`, expected `MThd`", begin.escape_ascii())
+            format!("this is not a MIDI file: found `{}` at byte 0, expected `MThd`", begin.escape_ascii())
         }
-        _ => "this is not a MIDI file: at byte 0 is something else than `MThd`".to_owned(),
+        _ => "this is not a MIDI file: it does not begin with `MThd`".to_owned(),
     }
 }
 

@@ -259,7 +259,7 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         "u32" | "u64" | "usize" => "a whole number",
         "f64" => "a number",
         "a boolean" => "true or false",
-        // Of the keys of a device, only `interpolation` is a word.
+        // `interpolation` is the only key of a device with named values.
         "a Value::Tagged enum" if whose.level == Level::Device => "`hold` or `linear`",
         "a Value::Tagged enum" => "a word",
         _ => expected,

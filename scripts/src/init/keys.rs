@@ -89,7 +89,7 @@ impl Level {
     }
 }
 
-/// Other words for the keys of a map: the map, the words, and the key. What holds for position holds for scripts.
+/// Other words for the keys of a map: the map, the words, and the key. Those for a motion also apply to scripts and sensors.
 const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Block, &["joints", "motors", "axes", "actuators", "servos", "channels"], "devices"),
     (Level::Block, &["api", "protocol", "protocol_version"], "api_version"),
@@ -116,7 +116,7 @@ const WORDS: [(Level, &[&str], &str); 19] = [
     (Level::Sensor, &["delay", "latency"], "max_delay"),
 ];
 
-/// Words for a limit of the speed, which a device declares as a control type.
+/// Words for a speed limit, which a device declares as a control type.
 const SPEEDS: [&str; 9] = [
     "velocity",
     "speed",
@@ -131,7 +131,7 @@ const SPEEDS: [&str; 9] = [
 const RANGES: [&str; 4] = ["range", "bounds", "limits", "interval"];
 const ENDS: [&str; 6] = ["min", "max", "min_value", "max_value", "lower", "upper"];
 
-/// What to do instead of a key that no single key replaces.
+/// Advice for a key that no single other key replaces.
 pub(super) fn advice(level: Level, key: &str, value: &Value) -> Option<String> {
     let is_motion = matches!(level, Level::Motion | Level::Script | Level::Sensor);
     if is_motion && RANGES.contains(&key) {

@@ -10,8 +10,8 @@ const LISTED_MAX: usize = 5;
 /// The hint for a decimal comma, in numbers and times of any kind.
 const DECIMAL_POINT: &str = "write a decimal point";
 
-/// Joins findings about the same mistake into the first of them, which says where the others are, for editors in its related places.
-/// Each finding comes with the uses that led to it, for the end of its message.
+/// Joins findings about the same mistake into the first one. Its message names the lines of the others, and its related places list
+/// them for editors. Each finding comes with the uses that led to it, for the end of its message.
 pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
     let mut first: HashMap<Mistake, usize> = HashMap::new();
     let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());

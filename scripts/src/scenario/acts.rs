@@ -269,7 +269,7 @@ fn act(
     })
 }
 
-/// The map without the keys of a cue, which are one fault, if one of `moves` is among them.
+/// Reports the keys of a cue in one finding, and returns the map without them. `None` if none of `moves` is among them.
 pub(super) fn without_cue(
     reader: &mut Reader,
     at: &At<'_>,
@@ -297,7 +297,7 @@ pub(super) fn without_cue(
     Some(Node::Map(own.into_iter().cloned().collect()))
 }
 
-/// A single value as it is written.
+/// A single value as in the file; `...` for a list or a map.
 fn briefly(node: &Node) -> String {
     match node {
         Node::Text(text) => shortened(text),

@@ -78,7 +78,7 @@ fn bound<'t>(
     let wrong = match cut(text) {
         Some((word, rest)) if fitting.contains(&word) => return Some((word, rest)),
         Some((word, rest)) => {
-            // `below` and `above` are the first of their pairs.
+            // `below` and `above` come first in their pairs.
             let other = word_of(fitting[usize::from(matches!(word, Word::AtMost | Word::AtLeast))]);
             (
                 format!("`{}` does not fit here", word_of(word)),
@@ -88,7 +88,7 @@ fn bound<'t>(
         None => {
             let value = text.trim().trim_start_matches(['<', '>', '=', ' ']);
             let hint = value.starts_with(|c: char| c.is_ascii_digit());
-            // `below` and `above` are the first of their pairs.
+            // `below` and `above` come first in their pairs.
             let word = word_of(fitting[usize::from(text.contains('='))]);
             let hint = hint.then(|| format!("write `{word} {}`", shortened(value)));
             (format!("`{}` does not say on which side of it the figure has to be", shortened(text)), hint)

@@ -252,7 +252,7 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
     }
 }
 
-/// Reports a range without units. Returns whether it is one.
+/// Reports a range without units. Returns whether `text` is such a range.
 fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     let Some(hint) = duration::bare_range(text) else { return false };
     let message = format!("the range `{}` cannot be read", shortened(text));
@@ -266,7 +266,7 @@ fn bare_range(reader: &mut Reader, at: &At<'_>, text: &str) -> bool {
     true
 }
 
-/// A hint for what a cue cannot begin at: a time of day, or a word for which an act waits.
+/// A hint for a start that only an act can have: a time of day, or a word for the operator.
 fn begin_of_act(text: &str) -> Option<String> {
     if ["operator", "go", "manual", "click", "trigger"].contains(&text) {
         return Some(

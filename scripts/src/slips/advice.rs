@@ -1,6 +1,7 @@
 //! Advice for keys of other programs that no other key replaces: QLab, MoveIt, Skybrush, Blender and others.
 
-/// The map that contains the keys by mistake, the keys, and what to do instead; `{key}` and `{given}` stand for what is written.
+/// The map that contains the keys by mistake, the keys, and what to do instead; `{key}` and `{given}` stand for the key and its
+/// value.
 pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
     (
         "a cue",
@@ -251,7 +252,7 @@ pub(super) const ADVICE: [(&str, &[&str], &str); 66] = [
         &["min", "max", "range", "min_value", "max_value"],
         "write the range of values, `min_value` and `max_value`, in the description of the robot",
     ),
-    ("limits", &["jerk"], "leave it out: limits are of the `speed` and the `acceleration`"),
+    ("limits", &["jerk"], "leave it out: only the `speed` and the `acceleration` have limits"),
     (
         "`simulate`",
         &["latency"],

@@ -127,7 +127,7 @@ pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Optio
     }
 }
 
-/// The place of the device `key`, which is written as a key of a map that moves devices.
+/// Where to write the device `key`, if `what` is a map that moves devices.
 fn of_devices(what: &str, key: &str) -> Option<String> {
     match what {
         "a cue" | "an override" | "an entry of `play`" => Some("below `tracks:`".to_owned()),
@@ -136,7 +136,7 @@ fn of_devices(what: &str, key: &str) -> Option<String> {
     }
 }
 
-/// What to do instead of a key that no other key replaces.
+/// Advice for a key that no other key replaces.
 fn advice(what: &str, key: &str, given: &str) -> Option<String> {
     let found = ADVICE.iter().find(|(place, keys, _)| is_named(what, place) && keys.contains(&key));
     found.map(|(.., advice)| advice.replace("{key}", key).replace("{given}", given))

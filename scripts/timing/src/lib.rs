@@ -18,7 +18,7 @@ pub use network::{ConstraintId, Event, Network, Schedule};
 pub use order::{Effort, Found, Ordering, Task, order};
 pub use solved::Solved;
 
-/// The example of the README is compiled with the tests.
+/// Compiles the example of the README with the tests.
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;

@@ -141,8 +141,8 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "If another act is the first one that moves a device, as after a wait that timed out or after a \
-         failure, the mission asks for the position of that device just before this act.",
+        "If another act is the first one that moves a device, for example after a wait that timed out or after \
+         a failure, the mission asks for the position of that device just before this act.",
         &[Simulation('m', "22-a-device-that-has-not-moved-jumps")],
     ),
     (
@@ -166,7 +166,7 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "A robot that says who it is, but does not answer within three round trips and 200 ms, has failed, \
+        "A robot that identifies itself but does not answer within three round trips and 200 ms has failed, \
          unless it still plays another act.",
         &[Test(
             "scheduler/mission/src/tests/greeting.rs::an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link",

@@ -69,7 +69,7 @@ pub(crate) struct Measured {
     pub(crate) late: Span,
     /// How long the journal takes to put a record on the disk.
     pub(crate) record: Span,
-    /// How late this machine wakes the scheduler, and so the robots that it runs.
+    /// How late this machine calls the scheduler, and therefore also the robots that run on it.
     pub(crate) lateness: Span,
 }
 
@@ -85,9 +85,9 @@ impl Measured {
         ROUND_EACH * count(self.robots) + ROUND_EACH_SCRIPT * count(self.scripts)
     }
 
-    /// The shortest pending lease of the last rounds. It spans the time in which robots start, what a message may still be
-    /// under way, and leaves the answers of several rounds time to come in. On a busy machine it also spans the delays of this process
-    /// and of a robot.
+    /// The shortest pending lease of the last rounds. It covers the time in which robots start and the time for which a message may
+    /// still be under way, and leaves time for the answers of several rounds. On a busy machine, it also covers the delays of this
+    /// process and of a robot.
     pub(crate) fn lease_least(&self) -> Span {
         let answers = FINAL_LEASE_MIN.max(self.round_trip * 4).max(self.lateness * 3);
         self.early + self.late + self.round_trip + answers + self.round() * 2

@@ -116,7 +116,7 @@ fn every_list_of_words_in_the_schema_of_reports_is_compared_with_a_type() {
     }
     let mut found = Vec::new();
     lists("", &schema(), &mut found);
-    // The command line compares what `downbeat stop` says of robots within a process.
+    // A test of the command line compares the words that `downbeat stop` reports for robots within a process.
     let inside = ("/properties/inside/items/properties/what".to_owned(), [].as_slice());
     let compared = [listed_in_schema(), vec![inside]].concat();
     for pointer in found {

@@ -1,4 +1,4 @@
-//! The report of a mission. Its text is written by the module `show` of `downbeat`.
+//! The report of a mission. The module `show` of `downbeat` writes its text.
 
 #[cfg(test)]
 mod kinds;
@@ -140,12 +140,12 @@ pub struct RobotReport {
     pub stop: StopState,
 }
 
-/// What became of a recording.
+/// The result of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Recorded {
     /// The file.
     pub path: PathBuf,
-    /// Why it is not whole; `None`: it is.
+    /// Why it is incomplete; `None` if it is complete.
     pub failure: Option<String>,
 }
 

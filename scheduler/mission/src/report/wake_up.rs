@@ -27,7 +27,8 @@ pub struct HostWakeUp {
 }
 
 impl HostWakeUp {
-    /// Adds a warning if this host drives robots that have to start within `tolerance`, and may be too late for it.
+    /// Adds a warning if this host may be too late for `tolerance`, within which its robots have to start; `None` if it drives
+    /// none.
     #[must_use]
     pub fn judged_by(mut self, tolerance: Option<Span>) -> Self {
         let too_late = |tolerance: &Span| self.p99 > *tolerance / SHARE;

@@ -413,5 +413,5 @@ fn on_a_machine_that_calls_the_mission_late_leases_are_longer_by_that() {
     let (longer, last) = leases(50, None);
     assert_eq!((longer - usual, last - least), (ms(100), ms(120)), "{usual}, {least}");
     let prescribed = Some(ms(300));
-    assert_eq!(leases(50, prescribed), leases(0, prescribed), "the scenario has the word");
+    assert_eq!(leases(50, prescribed), leases(0, prescribed), "the scenario decides");
 }

@@ -750,8 +750,8 @@ fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_d
     }
 }
 
-/// The devices of `r0` move linearly. The first act moves `a`, and the others move `b` as well: the second one follows by `next`, and
-/// the third one if the go does not come in time.
+/// The devices of `r0` move linearly. The first act moves `a`, and the other two move `b` as well. The second act follows by
+/// `next`, and the act `on_timeout` follows if no go comes in time.
 fn leads_to(on_timeout: usize) -> Played {
     let mut show = choreography(&[&[("a", 0, 10_000)]]);
     let mut another = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
@@ -769,13 +769,14 @@ fn leads_to(on_timeout: usize) -> Played {
     played
 }
 
-/// Whether `b` was found elsewhere, and has not moved. The advice is one that helps before an act that is not the first one.
+/// Whether the mission found `b` elsewhere and has not moved it. Checks that the advice helps before an act that is not the first
+/// one.
 fn refuses_b(played: &Played) -> bool {
     let robot = &played.mission.robots[0];
     let is_b =
         |kind: &FailureKind| matches!(kind, FailureKind::Position { device, .. } if device.as_str() == "b");
     let Some(failure) = robot.failures.iter().find(|failure| is_b(&failure.kind)) else { return false };
-    let told = "device `b` is at 0, its first keyframe in the act `another` expects 45: move it there in an act before, or put that keyframe later";
+    let told = "device `b` is at 0, its first keyframe in the act `another` expects 45: move it there in an earlier act, or put that keyframe later";
     assert_eq!(failure.kind.to_string(), told);
     !robot.touched.contains("b")
 }

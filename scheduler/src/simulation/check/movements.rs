@@ -17,8 +17,8 @@ const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
 }
 
-/// Whether a device that has not moved yet jumps if its first value is this one. Includes only devices that move linearly, are not behind
-/// an edge, and have a position that the robot states.
+/// Whether a device that has not moved yet jumps if `first` is its first value. `false` for devices that do not move
+/// linearly, that are behind an edge, or whose position the robot does not state.
 pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, first: f64) -> bool {
     let is_linear =
         |device: &Device| device.interpolation == Interpolation::Linear && device.default_value.is_some();
@@ -26,7 +26,7 @@ pub(super) fn jumps_from_the_beginning(drawn: &DrawnRobot, device: &DeviceId, fi
     is_known && (first - BEGINS_AT).abs() > JUMP
 }
 
-/// Checks that no device of a robot that states its positions jumps with its first movement, whichever act that is.
+/// Checks that no device of a robot that states its positions jumps with its first movement, in whichever act.
 fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let drawn = &facts.drawn().robots[robot];
@@ -79,8 +79,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// Whether the way home had nothing to move here: a stop left the device at its default position, and before the act in which the
-/// device jumps was promised, the mission sent all robots home.
+/// Whether the way home had nothing to move here: a stop left the device at its default position, and the mission sent all robots
+/// home before it promised the act in which the device jumps.
 fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> bool {
     let device = facts.drawn().robots[robot].block.device(jump.stop.device.as_str());
     let is_there = device.is_some_and(|device| {
@@ -92,17 +92,17 @@ fn begins_at_home(facts: &Facts<'_>, robot: usize, jump: &JumpAfterStop<'_>) -> 
     is_there && were_sent_home(facts, robot, Timestamp::from_nanos(jump.stop.true_ns), jump.entry)
 }
 
-/// Whether an earlier act had a part for the device of this entry and was withdrawn before the device moved, and the mission sent all
-/// robots home after that.
+/// Whether an earlier act with a part for the device of this entry was withdrawn before the device moved, and the mission sent all
+/// robots home afterwards.
 fn was_sent_home(facts: &Facts<'_>, robot: usize, entry: &LogEntry) -> bool {
     let of_device = |script: &SentScript<'_>| script.promised.device == entry.device;
     let first = facts.acts.iter().find(|act| act.of(robot).any(of_device));
     first.is_some_and(|act| were_sent_home(facts, robot, act.at, entry))
 }
 
-/// Whether the mission sent all robots home between this instant and the promise of the act to which an entry belongs. The act begins
-/// as the scenario says, as it does after a way home that moves the device. An approach would have moved it to the first position of
-/// the act.
+/// Whether the mission sent all robots home between `since` and the promise of the act to which `entry` belongs. Such an act begins
+/// as the scenario says, just as after a way home that moves the device. An approach would have moved the device to the first
+/// position of the act.
 fn were_sent_home(facts: &Facts<'_>, robot: usize, since: Timestamp<Server>, entry: &LogEntry) -> bool {
     let id = entry.request_id.as_deref();
     let is_it = |script: &SentScript<'_>| id == Some(script.promised.request_id.as_str());

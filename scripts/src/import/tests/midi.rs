@@ -27,8 +27,8 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
 fn files_that_are_no_songs_are_refused() {
     let bytes = fixture_of("beat.mid");
     refused(ImportFormat::Midi, b"", &["DB0001", "the file is empty"]);
-    refused(ImportFormat::Midi, b"scenario: x", &["DB0001", "at byte 0 is `scen`, expected `MThd`"]);
-    refused(ImportFormat::Midi, b"\xff\xd8\xff\xe0", &["DB0001", "at byte 0 is something else"]);
+    refused(ImportFormat::Midi, b"scenario: x", &["DB0001", "found `scen` at byte 0, expected `MThd`"]);
+    refused(ImportFormat::Midi, b"\xff\xd8\xff\xe0", &["DB0001", "it does not begin with `MThd`"]);
     refused(ImportFormat::Midi, b"MThd\0\0", &["DB0001", "cut off at byte 6", "copy or export"]);
     refused(ImportFormat::Midi, b"RIFF0000", &["DB0001"]);
     refused(ImportFormat::Midi, &vec![0; 5_000_000], &["DB0068", "5000000 bytes"]);
