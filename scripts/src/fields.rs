@@ -14,10 +14,11 @@ use crate::finding::{
     Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
 };
 use crate::music::{Music, Unmusical};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::scenario::{Group, Nesting, Unset};
 use crate::scope::Scope;
 use crate::shared_fault::{Affected, SharedFault};
+use crate::shown::shortened;
 use crate::slips::{self, Units};
 use crate::syntax;
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
@@ -399,7 +400,8 @@ impl Reader {
                         _ if syntax::without_space(key, &known).is_some() => {
                             syntax::without_space(key, &known)
                         }
-                        _ => syntax::without_colon(key, node, &known)
+                        _ => syntax::without_colon(key, &known)
+                            .filter(|_| *node == Node::Null)
                             .or_else(|| slips::key(self, what, key, node))
                             .or_else(|| self.did_you_mean(key, known))
                             .or_else(|| slips::word_of(key, known))

@@ -17,6 +17,7 @@ use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::project::{Project, folder_of};
+use crate::shown::shortened;
 use crate::slips::{self, Units};
 use crate::source::Source;
 use crate::space::{Body, Space};
@@ -377,10 +378,8 @@ impl FleetReader<'_> {
     /// Two robots whose names look alike.
     fn same_name(&mut self, name: &str, robots: &At<'_>) {
         let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
-        let message = format!(
-            "two robots are called `{}`, with letters that are encoded differently",
-            node::shortened(name)
-        );
+        let message =
+            format!("two robots are called `{}`, with letters that are encoded differently", shortened(name));
         let hint = Some("name one of them differently, or remove it".to_owned());
         self.findings.add(Code::DuplicateKey, place, message, "names that differ to the eye", hint);
     }
@@ -483,7 +482,7 @@ impl FleetReader<'_> {
         for (device, at) in self.findings.entries(at, "device to its largest speed and acceleration") {
             if device_named(init, device).is_none() {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
-                let message = format!("the robot has no device `{}`", node::shortened(device));
+                let message = format!("the robot has no device `{}`", shortened(device));
                 let expected = crate::finding::one_of(known());
                 let hint = self.findings.did_you_mean(device, known());
                 self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
@@ -505,7 +504,7 @@ impl FleetReader<'_> {
         let address = text.parse().ok();
         if address.is_none() {
             let (fault, hint) = address_fault(&text);
-            let message = format!("`{}` {fault}", node::shortened(&text));
+            let message = format!("`{}` {fault}", shortened(&text));
             self.findings.add(Code::UnknownWord, at.place(), message, ADDRESS, hint);
         }
         address
@@ -640,7 +639,7 @@ fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str],
         false => slips::several_names(name, known.iter().copied())
             .or_else(|| findings.did_you_mean(name, known.iter().copied())),
     };
-    let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
+    let message = format!("no robot or group `{}` in the fleet", shortened(name));
     let expected = crate::finding::one_of(known.iter().copied());
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
 }
@@ -654,7 +653,7 @@ pub(crate) fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
         findings.add(
             Code::UnknownWord,
             at.place(),
-            format!("`{}` is not a drift", node::shortened(&text)),
+            format!("`{}` is not a drift", shortened(&text)),
             expected,
             None,
         );

@@ -8,11 +8,9 @@ use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAcces
 use crate::aliases;
 use crate::finding::{Code, Finding};
 use crate::rows::{self, Items};
-use crate::source::Source;
+use crate::shown::shortened;
+use crate::source::{BYTE_ORDER_MARK, Source};
 use crate::syntax::syntax_finding;
-
-/// What some editors begin a file with.
-pub(crate) const BYTE_ORDER_MARK: char = '\u{feff}';
 
 /// Any YAML value.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,13 +36,6 @@ impl Node {
             Self::Map(_) => "a map".into(),
             Self::Tagged(tag) => format!("a value with the tag `{}`", shortened(tag)),
         }
-    }
-}
-
-pub(crate) fn shortened(text: &str) -> String {
-    match text.char_indices().nth(60) {
-        Some((at, _)) => format!("{}...", &text[..at]),
-        None => text.to_owned(),
     }
 }
 

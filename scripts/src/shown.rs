@@ -29,6 +29,14 @@ pub fn shown(text: &str) -> Cow<'_, str> {
     within(text, COLUMNS_MAX)
 }
 
+/// At most the first 60 characters, for a message.
+pub(crate) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(60) {
+        Some((at, _)) => format!("{}...", &text[..at]),
+        None => text.to_owned(),
+    }
+}
+
 /// As [`shown`], in at most this many columns; a text that is cut ends in `…`.
 #[must_use]
 pub fn within(text: &str, columns: usize) -> Cow<'_, str> {

@@ -15,9 +15,10 @@ use crate::composed::{composed, is_same};
 use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::{Part, Place, did_you_mean_this};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::scenario::parse_time;
 use crate::scope::Scope;
+use crate::shown::shortened;
 
 /// The devices of a fleet by name, each with its unit if all robots that have it agree.
 #[derive(Debug, Default)]

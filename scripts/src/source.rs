@@ -15,7 +15,9 @@ pub(crate) const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
 /// Names of a folder that are compared with one that is not there.
 const SIMILAR_MAX: usize = 1_000;
 
-const BYTE_ORDER_MARK: &[u8] = &[0xef, 0xbb, 0xbf];
+/// The character with which some editors begin a file.
+pub(crate) const BYTE_ORDER_MARK: char = '\u{feff}';
+const BYTE_ORDER_MARK_BYTES: &[u8] = &[0xef, 0xbb, 0xbf];
 
 /// The text of a file with the name by which the user knows it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,8 +43,8 @@ impl Source {
     /// A finding when they are not UTF-8 text.
     pub(crate) fn of_bytes(name: &str, mut bytes: Vec<u8>) -> Result<Self, Finding> {
         // Some editors begin a file with a mark of its byte order, which says nothing here.
-        if bytes.starts_with(BYTE_ORDER_MARK) {
-            bytes.drain(..BYTE_ORDER_MARK.len());
+        if bytes.starts_with(BYTE_ORDER_MARK_BYTES) {
+            bytes.drain(..BYTE_ORDER_MARK_BYTES.len());
         }
         let text = String::from_utf8(bytes).map_err(|error| {
             let valid = error.utf8_error().valid_up_to();

@@ -1,9 +1,9 @@
 //! Where a text stops being YAML, in words for people who do not know the grammar of YAML.
 
 use crate::finding::{Code, Finding};
-use crate::node::{BYTE_ORDER_MARK, Node, shortened};
 use crate::render::{line_of, line_starts};
-use crate::source::Source;
+use crate::shown::shortened;
+use crate::source::{BYTE_ORDER_MARK, Source};
 
 pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     let whole = error.to_string();
@@ -99,9 +99,9 @@ pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
     known.contains(&name.trim()).then(|| spaced(name, rest))
 }
 
-/// A hint for `to 30`, where the colon is missing.
-pub(crate) fn without_colon(key: &str, value: &Node, known: &[&str]) -> Option<String> {
-    let (name, rest) = key.split_once(' ').filter(|_| *value == Node::Null)?;
+/// A hint for the key `to 30` without a value, where the colon is missing.
+pub(crate) fn without_colon(key: &str, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(' ')?;
     known
         .contains(&name)
         .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))

@@ -4,8 +4,8 @@ use saphyr_parser::Event;
 
 use crate::events::Events;
 use crate::finding::{Code, Finding};
-use crate::node::shortened;
 use crate::render::line_of;
+use crate::shown::shortened;
 use crate::source::Source;
 
 /// Most tags of one file that are listed.

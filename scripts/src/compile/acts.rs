@@ -13,9 +13,9 @@ use super::perform::unknown_sensor;
 use crate::budget::{Budget, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, did_you_mean_this, names};
-use crate::node::shortened;
 use crate::plan::{FailurePolicy, Wait, Way};
 use crate::scenario::{Act, Name, SensorRange};
+use crate::shown::shortened;
 
 /// What leads to an act and from it.
 pub(super) struct Ways {

@@ -11,11 +11,11 @@ use crate::composed::{composed, is_same};
 use crate::fields::Reader;
 use crate::finding::{Code, one_of, robots_named};
 use crate::fleet::{Fleet, FleetRobot, RateLimits, devices_of};
-use crate::node::shortened;
 use crate::plan::{Act, Way};
 use crate::render::counted;
 use crate::scenario::{Canon, Cue, Movement, Name, Unset};
 use crate::shared_fault::SharedFault;
+use crate::shown::shortened;
 use crate::slips;
 
 const LISTED_TWICE: &str = "remove the second one; a group stands for all of its robots";

@@ -4,8 +4,8 @@ use crate::fields::Reader;
 use crate::finding::{Code, Place};
 use crate::fleet::Fleet;
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
-use crate::node::shortened;
 use crate::scenario::Scenario;
+use crate::shown::shortened;
 
 /// Formations that have places of their own; others depend on how many robots take part.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {

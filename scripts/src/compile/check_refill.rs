@@ -6,12 +6,12 @@ use super::cast::Cast;
 use crate::composed::is_same;
 use crate::fields::Reader;
 use crate::finding::{Code, Place};
-use crate::node::shortened;
 use crate::plan::Choreography;
 use crate::refill::{Refill, RefillKind, refills};
 use crate::render::counted;
 use crate::scenario::Scenario;
 use crate::shared_fault::SharedFault;
+use crate::shown::shortened;
 
 /// Sending a script while its act plays takes less on ordinary links: a round trip, and a resend where one is lost.
 const SENDING: Span = Span::from_millis(100);

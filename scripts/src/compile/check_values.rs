@@ -9,8 +9,8 @@ use crate::fields::Reader;
 use crate::finding::{Code, Part, Place};
 use crate::fleet::limits_of;
 use crate::motion::{Curve, Knot, Shape};
-use crate::node::shortened;
 use crate::scenario::{Change, Changed, Track, Vectors};
+use crate::shown::shortened;
 
 /// How many places of one way between two knots are looked at.
 const SAMPLES: u32 = 128;

@@ -20,10 +20,10 @@ use crate::fields::Reader;
 use crate::finding::{Code, Place, names, one_of};
 use crate::fleet::{RateLimits, settable_limits};
 use crate::motion::{Actuator, Curve, Fits, Played, Stretch};
-use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 use crate::shared_fault::SharedFault;
+use crate::shown::shortened;
 
 /// Up to this many steps the exact number of a movement is reported, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;

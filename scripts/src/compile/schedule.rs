@@ -12,9 +12,9 @@ use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::{Code, Place, names, one_defined, one_of, within_file};
 use crate::motion::Stretch;
-use crate::node::shortened;
 use crate::plan::{PlannedCue, Repetition};
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
+use crate::shown::shortened;
 use crate::slips;
 
 /// When a cue takes place.

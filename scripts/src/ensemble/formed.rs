@@ -5,8 +5,8 @@ use std::cmp::Ordering;
 use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
-use crate::node::shortened;
 use crate::scenario::{Form, Spare, Target, Thin};
+use crate::shown::shortened;
 use crate::transit::{self, Refused, Way};
 
 /// The way of each robot into a formation.

@@ -67,7 +67,7 @@ fn times(joints: &[&Track<'_>]) -> Vec<f64> {
 fn text(robot: &Robot<'_>, joints: &[&Track<'_>], times: &[f64]) -> String {
     let names: Vec<String> = joints.iter().map(|joint| scalar(joint.device).into_owned()).collect();
     let mut text = String::new();
-    let name = crate::node::shortened(robot.name).replace(char::is_control, " ");
+    let name = crate::shown::shortened(robot.name).replace(char::is_control, " ");
     // Writing to a string does not fail.
     let _infallible = writeln!(
         text,

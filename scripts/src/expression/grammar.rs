@@ -23,7 +23,7 @@ use super::{Amount, Fault};
 use crate::duration::{self, parse_duration};
 use crate::exact::decimal;
 use crate::finding::did_you_mean;
-use crate::node::shortened;
+use crate::shown::shortened;
 
 /// Longest text, in characters.
 const LENGTH_MAX: usize = 2_000;

@@ -9,7 +9,8 @@ use crate::duration::{self, parse_duration};
 use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, Within, names};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 use crate::slips;
 
 /// Longest expression that a variable may become when others are put into it.

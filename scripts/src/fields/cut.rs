@@ -3,7 +3,8 @@
 use super::{At, Reader};
 use crate::expression;
 use crate::finding::Code;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 impl Reader {
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.

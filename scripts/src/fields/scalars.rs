@@ -11,8 +11,9 @@ use crate::duration;
 use crate::exact::{Exact, Laps};
 use crate::expression;
 use crate::finding::{Code, Place, names, one_of};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::scenario::is_spread;
+use crate::shown::shortened;
 use crate::slips;
 
 impl Reader {

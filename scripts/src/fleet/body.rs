@@ -11,7 +11,8 @@ use super::urdf::{UrdfKeys, Urdfs};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::keys::keys;
-use crate::node::{self, Node};
+use crate::node::Node;
+use crate::shown::shortened;
 use crate::space::{Body, Coordinate, Drive, Joint, Shape, Space, Volume};
 
 const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
@@ -255,7 +256,7 @@ fn device<'a>(
     let found = device_named(init, name).filter(moves);
     if found.is_none() {
         let known = || init.devices.iter().filter(moves).map(|device| device.id.as_str());
-        let message = format!("the robot has no device `{}` that moves", node::shortened(name));
+        let message = format!("the robot has no device `{}` that moves", shortened(name));
         let metres = name.trim_end_matches('m').trim();
         let fixed = metres.parse::<f64>().ok().filter(|metres| metres.is_finite());
         let fixed =
@@ -271,7 +272,7 @@ fn scale_of(findings: &mut Reader, at: &At<'_>, device: &Device, units: &[(&str,
     let known = units.iter().find(|(known, _)| *known == unit);
     if known.is_none() {
         let names = one_of(units.iter().map(|(unit, _)| *unit));
-        let message = format!("the device `{}` has the unit `{}`", device.id, node::shortened(unit));
+        let message = format!("the device `{}` has the unit `{}`", device.id, shortened(unit));
         let hint = format!("write how much one unit is, as in `{{device: {}, scale: 0.001}}`", device.id);
         findings.add(Code::UnknownWord, at.place(), message, names, Some(hint));
     }

@@ -9,7 +9,7 @@ use super::moves::is_positioned;
 use super::sensors::{sensor, sensor_at};
 use crate::fields::{At, Reader};
 use crate::finding::{self, Code};
-use crate::node::shortened;
+use crate::shown::shortened;
 
 const CALIBRATE_KEYS: [&str; 6] = ["sensor", "from", "by", "taken", "sensor_delay", "visible"];
 /// A movement is visible from this share of it on, if nothing else is said.

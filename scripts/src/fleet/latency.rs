@@ -16,6 +16,7 @@ use crate::finding::{Code, Finding, Place};
 use crate::import::scalar;
 use crate::locate::locate;
 use crate::node::{self, Node};
+use crate::shown::shortened;
 use crate::source::Source;
 
 /// The longest latency, and the largest spread of one.
@@ -226,7 +227,7 @@ fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> B
         let known = || init.devices.iter().filter(takes_commands).map(|device| device.id.as_str());
         let device = device_named(init, name).filter(takes_commands);
         if device.is_none() {
-            let shown = node::shortened(name);
+            let shown = shortened(name);
             let message = match device_named(init, name) {
                 Some(_) => format!("the device `{shown}` takes no commands"),
                 None => format!("the robot has no device `{shown}`"),

@@ -9,8 +9,9 @@ use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::node::{self, Node};
+use crate::node::Node;
 use crate::scenario::{SensorRange, acts};
+use crate::shown::shortened;
 
 const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 const CLOCK_WORDS: [(&str, ClockMode); 2] = [("ntp", ClockMode::Ntp), ("measured", ClockMode::Measured)];
@@ -149,7 +150,7 @@ fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
         _ => None,
     };
     if range.is_none() {
-        let message = format!("`{}` is not a range of readings", node::shortened(&text));
+        let message = format!("`{}` is not a range of readings", shortened(&text));
         let hint = text.trim().split_at_checked(1).and_then(|(sign, bound)| {
             let word = if sign == ">" { "above" } else { "below" };
             let bound = bound.trim_start_matches('=').trim();

@@ -5,7 +5,7 @@ use urrcp::{Device, DeviceId, InitializationBlock};
 use super::declared::device_named;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, did_you_mean, one_of};
-use crate::node::shortened;
+use crate::shown::shortened;
 
 /// A sensor of the robot, or a finding where the name stands.
 pub(crate) fn sensor(

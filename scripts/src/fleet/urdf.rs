@@ -12,8 +12,9 @@ use super::joints::JOINTS_MAX;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, names, one_of};
 use crate::import::urdf_tree::{Motion, NoChain, Tree, TreeJoint, tree};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::project::Project;
+use crate::shown::shortened;
 use crate::space::{Coordinate, Joint, JointKind};
 
 /// Descriptions read so far, by path: many robots share one.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::finding::{Code, did_you_mean, names, one_of};
-use crate::node::shortened;
+use crate::shown::shortened;
 
 use super::input::stem;
 use super::natural::natural_order;

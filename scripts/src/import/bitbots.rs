@@ -193,7 +193,7 @@ fn read_goals(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<(Str
     let entries = findings.entries(at, "joint to degrees");
     let mut goals = Vec::with_capacity(entries.len());
     for (joint, at) in &entries {
-        let value = tree::number(at, &format!("`{}` of {what}", crate::node::shortened(joint)), findings);
+        let value = tree::number(at, &format!("`{}` of {what}", crate::shown::shortened(joint)), findings);
         goals.extend(value.map(|value| ((*joint).to_owned(), value)));
     }
     if entries.is_empty() && matches!(at.node, Node::Map(_)) {

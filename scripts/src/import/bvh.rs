@@ -1,8 +1,8 @@
 //! Biovision's motion capture files, `.bvh`: a skeleton of joints with channels, then a line of values a frame.
 
 use crate::finding::Code;
-use crate::node::shortened;
 use crate::render::counted;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::input::Input;

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 
 use crate::finding::{Code, did_you_mean, names};
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::sink::Sink;

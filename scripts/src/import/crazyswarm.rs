@@ -3,7 +3,7 @@
 use urrcp::Span;
 
 use crate::finding::Code;
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::dialect::Dialect;

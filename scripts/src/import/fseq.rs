@@ -5,7 +5,7 @@ use std::io::Read;
 use urrcp::Span;
 
 use crate::finding::Code;
-use crate::node::shortened;
+use crate::shown::shortened;
 
 use super::input::Input;
 use super::sink::Sink;

@@ -242,7 +242,7 @@ impl Topic {
                 return Err(format!(
                     "a message of `{}`: `{}` is at {value}",
                     self.name,
-                    crate::node::shortened(&name)
+                    crate::shown::shortened(&name)
                 ));
             }
             let joint = match self.by_name.get(&name) {

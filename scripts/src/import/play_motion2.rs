@@ -61,7 +61,7 @@ fn read_motions(root: &At<'_>, findings: &mut Reader) -> Option<Vec<(String, Vec
 }
 
 fn read_motion(name: &str, at: &At<'_>, findings: &mut Reader) -> Option<Vec<DeviceMotion>> {
-    let what = format!("the motion `{}`", crate::node::shortened(name));
+    let what = format!("the motion `{}`", crate::shown::shortened(name));
     let joints = tree::required(at, "joints", &what, findings)
         .and_then(|at| tree::unique_names(&at, "joint", findings));
     let positions_at = tree::required(at, "positions", &what, findings);

@@ -9,7 +9,8 @@ use urrcp::Span;
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, names};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::archive::Archive;

@@ -3,8 +3,8 @@
 use std::borrow::Cow;
 
 use crate::finding::Code;
-use crate::node::shortened;
 use crate::render::counted;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::dialect::{self, Decimal, Dialect};

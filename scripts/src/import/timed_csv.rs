@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use urrcp::Span;
 
 use crate::finding::Code;
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::columns::Header;

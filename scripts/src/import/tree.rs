@@ -3,7 +3,8 @@
 
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::node::{self, Node, shortened};
+use crate::node::{self, Node};
+use crate::shown::shortened;
 use crate::source::Source;
 use crate::tags::foreign_tags;
 

@@ -6,7 +6,7 @@ use roxmltree::{Document, Node, ParsingOptions};
 use urrcp::{DeviceId, RobotId};
 
 use crate::finding::{Code, Finding};
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::fleet_part::FilePart;

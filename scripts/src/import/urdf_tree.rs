@@ -5,7 +5,7 @@ use std::collections::{BTreeSet, HashMap};
 use roxmltree::Node;
 
 use crate::finding::{Code, Finding};
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 use crate::space::JointKind;
 

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use urrcp::Span;
 
 use crate::finding::Code;
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 use super::dialect::Dialect;

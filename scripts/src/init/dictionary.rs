@@ -10,7 +10,8 @@ use urrcp::{ControlType, Device, InitializationBlock, Label, RobotId, RobotType}
 use super::Supplement;
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Steps of one script by default: the edge plays them itself, and holds them all in little memory.
 const STEPS: u32 = 1_000;

@@ -10,8 +10,8 @@ use crate::composed::composed;
 use crate::fields::Reader;
 use crate::finding::{Code, Finding, Part, Place, did_you_mean_this};
 use crate::locate::locate;
-use crate::node::shortened;
 use crate::render::counted;
+use crate::shown::shortened;
 use crate::source::Source;
 
 /// The faults of the block itself, of its devices and of their control types; none where it is no map.

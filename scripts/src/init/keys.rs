@@ -5,7 +5,7 @@ use serde_yaml::{Mapping, Value};
 use crate::fields::Reader;
 use crate::finding::{Code, Finding, Part, Place, did_you_mean, did_you_mean_this, one_of};
 use crate::locate::locate;
-use crate::node::shortened;
+use crate::shown::shortened;
 use crate::source::Source;
 
 /// A map in an initialization block.

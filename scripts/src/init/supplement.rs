@@ -5,7 +5,7 @@ use urrcp::{ControlType, Interpolation};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, did_you_mean, one_of};
 use crate::keys::keys;
-use crate::node::shortened;
+use crate::shown::shortened;
 
 keys! {
     /// What is said of one device.

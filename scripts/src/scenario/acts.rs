@@ -12,7 +12,8 @@ use super::{Act, Name, OffGrid, Order, sequence};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 const ACT_KEYS: [&str; 10] =
     ["act", "cues", "wait", "next", "on_failure", "on_doubt", "zones", "order", "tempo", "signature"];

@@ -8,8 +8,9 @@ use crate::finding::{Code, one_of};
 use crate::import::dialect::Dialect;
 use crate::import::table::{self, Row};
 use crate::motion::{Between, Curve, Knot, Shape};
-use crate::node::{BYTE_ORDER_MARK, Node, shortened};
-use crate::source::Source;
+use crate::node::Node;
+use crate::shown::shortened;
+use crate::source::{BYTE_ORDER_MARK, Source};
 
 const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];

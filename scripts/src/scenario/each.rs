@@ -14,7 +14,7 @@ use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::fleet::Fleet;
-use crate::node::shortened;
+use crate::shown::shortened;
 
 /// The robots that names stand for, before they are checked.
 pub(super) struct Roster<'a> {

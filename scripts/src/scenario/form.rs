@@ -9,7 +9,8 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::formation::Point;
 use crate::keys::keys;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 use crate::transit::Least;
 
 /// Most turns: more would take more steps than any device holds.

@@ -14,7 +14,8 @@ use crate::formation::{
     svg, text,
 };
 use crate::keys::keys;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Longest length and furthest coordinate, in metres: far more than robots could play in, and nothing overflows.
 const METRES_MAX: f64 = 1e6;

@@ -6,7 +6,8 @@ use super::library::{Copy, Documents, INCLUDE_KEYS, INCLUDES_MAX, Library, Share
 use super::nesting::{Used, arguments, with_defaults};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, Use};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 const ENTRY_KEYS: [&str; 3] = ["file", "as", "parameters"];
 const EXPECTED: &str = "the path of a file, {file, as, parameters}, or a list of these";

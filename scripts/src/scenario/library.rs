@@ -23,8 +23,9 @@ use crate::fleet::Fleet;
 use crate::identify::not_to_include;
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
-use crate::node::{self, Node, shortened};
+use crate::node::{self, Node};
 use crate::scope::Variable;
+use crate::shown::shortened;
 use crate::source::Source;
 use crate::tags::foreign_tags;
 

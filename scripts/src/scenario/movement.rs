@@ -16,7 +16,8 @@ use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Most times that a movement is repeated.
 const REPEATS_MAX: u32 = 10_000_000;

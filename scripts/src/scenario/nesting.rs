@@ -13,7 +13,8 @@ use crate::exact::Beginning;
 use crate::expression;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Which moves and sequences are being read, one within another.
 #[derive(Debug)]

@@ -9,7 +9,8 @@ use crate::finding::{Code, Place};
 use crate::formation::{Placing, Point, SAME, metres_between};
 use crate::keys::keys;
 use crate::motion::Path;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Most points of a path.
 const POINTS_MAX: usize = 1_000;

@@ -9,7 +9,8 @@ use crate::exact::{Beginning, Exact};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Curve, Stretch};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 const PLAY_KEYS: [&str; 11] = [
     "move",

@@ -3,8 +3,9 @@
 use crate::duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::plan::{AllOrNone, Ceiling, Floor, Requirements, Share};
+use crate::shown::shortened;
 
 pub(crate) const REQUIRE_KEYS: [&str; 7] =
     ["spread_p50", "spread_p99", "spread_max", "starts", "finishes", "closest", "all_or_none"];

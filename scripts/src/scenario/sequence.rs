@@ -14,7 +14,8 @@ use super::{Bounds, Cue, nothing};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// What a cue that plays a sequence may say.
 const CALL_KEYS: [&str; 9] =

@@ -10,8 +10,9 @@ use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
-use crate::node::{self, Node};
+use crate::node::Node;
 use crate::rows::{self, Rows, Width};
+use crate::shown::shortened;
 use crate::slips::{self, OtherForm, as_keyframes};
 
 const TRACK_KEYS: [&str; 11] = [
@@ -85,7 +86,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         changed: None,
     };
     if is_of_devices(reader, at) {
-        let message = format!("`{}` has devices of its own", node::shortened(device));
+        let message = format!("`{}` has devices of its own", shortened(device));
         let hint = Some("name the robots under `robots`, and only their devices below `tracks`".to_owned());
         reader.add(Code::WrongType, at.key_place(), message, "a device with its movement", hint);
         return None;
@@ -164,7 +165,7 @@ fn control_type(reader: &mut Reader, at: &At<'_>) -> Option<ControlType> {
     let text = reader.text(at, expected)?;
     let parsed = text.parse().ok().filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor));
     if parsed.is_none() {
-        let message = format!("`{}` is not a control type for keyframes", node::shortened(&text));
+        let message = format!("`{}` is not a control type for keyframes", shortened(&text));
         let hint = slips::word(&text, ["position", "speed", "acceleration"].into_iter());
         reader.add(Code::UnknownWord, at.place(), message, expected, hint);
     }
@@ -425,7 +426,7 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
         Some(Part::Key(key, _)) if key == "period" => {
             "say how long a cycle lasts, as in `period: 2s`; a value that stays is a keyframe".to_owned()
         }
-        Some(Part::Key(key, _)) => format!("say how long it lasts, as in `{}: 8s`", node::shortened(key)),
+        Some(Part::Key(key, _)) => format!("say how long it lasts, as in `{}: 8s`", shortened(key)),
         _ => "say how long it lasts, as in `8s`".to_owned(),
     });
     reader.add(Code::BadMotion, place, "a movement of no length", "a time above 0", hint);

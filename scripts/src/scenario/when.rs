@@ -9,8 +9,9 @@ use crate::exact::{Beginning, Exact};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::render::counted;
+use crate::shown::shortened;
 use crate::slips;
 
 /// A bound on the time between two anchors: min <= to - from <= max.

@@ -2,7 +2,8 @@
 
 use crate::at::At;
 use crate::duration::parse_duration;
-use crate::node::{Node, shortened};
+use crate::node::Node;
+use crate::shown::shortened;
 
 /// Times and values that a beginner writes in a form other than a list of keyframes.
 pub(crate) struct OtherForm {

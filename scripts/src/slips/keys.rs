@@ -4,8 +4,9 @@ use super::advice::ADVICE;
 use crate::duration::parse_duration;
 use crate::fields::Reader;
 use crate::finding::did_you_mean_this;
-use crate::node::{Node, shortened};
+use crate::node::Node;
 use crate::scenario::CUE_KEYS;
+use crate::shown::shortened;
 
 /// Other words for the keys of a map: the map, the words, and the key.
 const KEYS: [(&str, &[&str], &str); 76] = [

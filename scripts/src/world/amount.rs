@@ -4,7 +4,8 @@ use urrcp::Span;
 
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::node::{self, Node};
+use crate::node::Node;
+use crate::shown::shortened;
 
 const BETWEEN_KEYS: [&str; 2] = ["from", "to"];
 
@@ -70,7 +71,7 @@ pub(super) fn probability(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     let (found, value) = match at.node {
         Node::Text(text) => {
             let percent = text.strip_suffix('%').and_then(|number| number.trim().parse::<f64>().ok());
-            (format!("`{}`", node::shortened(text)), percent.map(|percent| percent / 100.0))
+            (format!("`{}`", shortened(text)), percent.map(|percent| percent / 100.0))
         }
         _ => {
             let number = findings.number(at, expected)?;

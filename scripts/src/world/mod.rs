@@ -17,6 +17,7 @@ use crate::fleet::Fleet;
 use crate::identify::{self, Document};
 use crate::locate::locate;
 use crate::node::{self, Node};
+use crate::shown::shortened;
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
@@ -136,7 +137,7 @@ impl WorldReader<'_> {
         let known: Vec<&str> =
             robots.chain(self.fleet.groups.keys().map(String::as_str)).chain([ALL]).collect();
         let hint = self.findings.did_you_mean(name, known.iter().copied());
-        let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
+        let message = format!("no robot or group `{}` in the fleet", shortened(name));
         let expected = crate::finding::one_of(known);
         let place = if key { at.key_place() } else { at.place() };
         self.findings.add(Code::UnknownRobot, place, message, expected, hint);
@@ -147,7 +148,7 @@ impl WorldReader<'_> {
         for (name, at) in self.findings.entries(at, "ROBOT/SENSOR to what it reads") {
             let reading = outside::read_reading(&mut self.findings, &at);
             let Some((robot, sensor)) = name.split_once('/') else {
-                let message = format!("`{}` is not a robot and its sensor", node::shortened(name));
+                let message = format!("`{}` is not a robot and its sensor", shortened(name));
                 let expected = "ROBOT/SENSOR, as in rover-1/range";
                 self.findings.add(Code::WrongType, at.key_place(), message, expected, None);
                 continue;
@@ -189,7 +190,7 @@ impl WorldReader<'_> {
             let name = self.findings.name(&at, "the name of an act")?;
             if !self.acts.contains(&name.as_str()) {
                 let hint = self.findings.did_you_mean(&name, self.acts.iter().copied());
-                let message = format!("no act `{}`", node::shortened(&name));
+                let message = format!("no act `{}`", shortened(&name));
                 let expected = match self.acts {
                     [] => "no `act`: the scenario has none".to_owned(),
                     acts => crate::finding::one_of(acts.iter().copied()),

@@ -9,8 +9,8 @@ use crate::duration::written;
 use crate::ensemble::{self, Asked, Axis, Dancer, Fault, Moved};
 use crate::fleet::limits_of;
 use crate::formation::{Formation, Point};
-use crate::node::shortened;
 use crate::scenario::{Action, Cue, Form, Sweep, Target, Together, WrittenFormation};
+use crate::shown::shortened;
 use crate::transit::Required;
 
 /// The robots of all trials together: a trial takes time with their square at least.

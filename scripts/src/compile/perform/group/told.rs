@@ -6,9 +6,9 @@ use crate::compile::conflict::told;
 use crate::duration;
 use crate::ensemble::{Fault, GROUP_MAX, POINTS_MAX};
 use crate::finding::{Code, Place, Severity, one_of};
-use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{Action, Course, Cue, Form, Sweep, Target, Together};
+use crate::shown::shortened;
 use crate::transit::{Blocked, Required};
 use urrcp::Span;
 
