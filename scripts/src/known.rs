@@ -3,7 +3,7 @@
 
 use std::cell::RefCell;
 
-use crate::fields::At;
+use crate::at::At;
 use crate::finding::Place;
 
 /// One list, and what it is a list of.

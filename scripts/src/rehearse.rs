@@ -4,8 +4,7 @@ use urrcp::{ControlType, Device, Interpolation, Millis, RobotId, Script, Span, S
 
 use crate::compile::compensate;
 use crate::fleet::{Fleet, FleetRobot};
-use crate::plan::{Act, Choreography, DeviceScript, Way};
-use crate::scenario::Wait;
+use crate::plan::{Act, Choreography, DeviceScript, Wait, Way};
 use crate::space::DUST;
 
 /// Faults that are listed of a choreography at another speed.
