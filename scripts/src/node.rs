@@ -6,6 +6,7 @@ use std::fmt;
 use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
 
 use crate::aliases;
+use crate::composed::compose_text;
 use crate::finding::{Code, Finding};
 use crate::rows::{self, Items};
 use crate::shown::shortened;
@@ -35,6 +36,21 @@ impl Node {
             Self::List(_) => "a list".into(),
             Self::Map(_) => "a map".into(),
             Self::Tagged(tag) => format!("a value with the tag `{}`", shortened(tag)),
+        }
+    }
+
+    /// Composes all keys and texts of the tree, but for long runs of keyframes, in which there is no name.
+    pub(crate) fn compose(&mut self) {
+        match self {
+            Self::Text(text) => compose_text(text),
+            Self::List(items) => items.nodes_mut().iter_mut().for_each(Self::compose),
+            Self::Map(entries) => {
+                for (key, value) in entries {
+                    compose_text(key);
+                    value.compose();
+                }
+            }
+            Self::Null | Self::Bool(_) | Self::Number(_) | Self::Tagged(_) => {}
         }
     }
 }

@@ -13,7 +13,6 @@ use super::formations::{self, WrittenFormation};
 use super::includes::{self, Included};
 use super::nesting::Used;
 use super::paths::{self, WrittenPath};
-use crate::composed::compose;
 use crate::ensemble::Ground;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
@@ -75,7 +74,7 @@ pub(crate) struct Documents<'a> {
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let parse = |source: &Source| {
         let mut node = node::parse(source)?;
-        compose(&mut node);
+        node.compose();
         Ok(node)
     };
     let root = parse(source).map_err(|finding| vec![finding])?;
