@@ -1,11 +1,8 @@
-//! What a file is that was taken for something else: the fleet for the scenario, a recording for text.
-
-use std::path::Path;
+//! What a document is that was taken for another one, such as the fleet for the scenario.
 
 use crate::finding::{Code, Finding, did_you_mean};
-use crate::import::ImportFormat;
+use crate::formats::importing;
 use crate::node::Node;
-use crate::scenario::SCENARIO_KEYS;
 use crate::source::Source;
 
 /// The documents that people write.
@@ -70,25 +67,38 @@ impl Document {
 /// The one finding for a document that is not what was wanted, rather than one for each of its keys. Documents that are nearly
 /// right are read on.
 pub(crate) fn mistaken(source: &Source, document: &Node, wanted: Document) -> Option<Finding> {
-    let (message, hint) = match document {
-        Node::Map(entries) => match Document::of(entries) {
-            Some(found) if found == wanted => return None,
-            Some(found) => (
-                format!("this is {}, not {}", found.name(), wanted.name()),
-                found.instead_of(wanted).to_owned(),
-            ),
-            None if wanted != Document::Scenario || entries.iter().any(|(key, _)| belongs(key)) => {
-                return None;
-            }
-            None => (format!("this is not {}", wanted.name()), begin(wanted)),
-        },
+    match document {
+        Node::Map(entries) => {
+            let found = Document::of(entries).filter(|found| *found != wanted)?;
+            let message = format!("this is {}, not {}", found.name(), wanted.name());
+            Some(not_wanted(source, wanted, message, found.instead_of(wanted).to_owned()))
+        }
         Node::Text(_) => {
             let hint = importing(&source.name).unwrap_or_else(|| begin(wanted));
-            (format!("this text is not {}", wanted.name()), hint)
+            Some(not_wanted(source, wanted, format!("this text is not {}", wanted.name()), hint))
         }
-        _ => return None,
-    };
-    Some(Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint)))
+        _ => None,
+    }
+}
+
+/// The same where a scenario was wanted, of which these are the keys: a map with none of them, not even misspelt, is not one.
+pub(crate) fn mistaken_for_scenario(
+    source: &Source,
+    document: &Node,
+    keys: &[&'static str],
+) -> Option<Finding> {
+    let wanted = Document::Scenario;
+    let belongs = |key: &str| keys.contains(&key) || did_you_mean(key, keys.iter().copied()).is_some();
+    mistaken(source, document, wanted).or_else(|| {
+        let Node::Map(entries) = document else { return None };
+        let is_foreign = Document::of(entries).is_none() && !entries.iter().any(|(key, _)| belongs(key));
+        let message = || format!("this is not {}", wanted.name());
+        is_foreign.then(|| not_wanted(source, wanted, message(), begin(wanted)))
+    })
+}
+
+fn not_wanted(source: &Source, wanted: Document, message: String, hint: String) -> Finding {
+    Finding::about_file(Code::WrongType, &source.name, message, wanted.expected(), Some(hint))
 }
 
 /// Why a file cannot be included, and a hint, if it is a document of its own.
@@ -106,11 +116,6 @@ pub(crate) fn not_to_include(document: &Node) -> Option<(String, &'static str)> 
     Some((format!("this file is {}", found.name()), hint))
 }
 
-/// Whether a key is one of a scenario, perhaps misspelt.
-fn belongs(key: &str) -> bool {
-    SCENARIO_KEYS.contains(&key) || did_you_mean(key, SCENARIO_KEYS).is_some()
-}
-
 /// How to get a document of this kind.
 pub(crate) fn begin(wanted: Document) -> String {
     let (what, name) = match wanted {
@@ -120,47 +125,4 @@ pub(crate) fn begin(wanted: Document) -> String {
         Document::World => return "`world: NAME` begins a world file; docs/world.md has its keys".to_owned(),
     };
     format!("`downbeat init first-show` writes {what} to begin with: `first-show/{name}`")
-}
-
-/// Where files of other tools belong, by the ends of their names.
-const IMPORTED: [(&str, ImportFormat); 8] = [
-    ("csv", ImportFormat::Csv),
-    ("mid", ImportFormat::Midi),
-    ("midi", ImportFormat::Midi),
-    ("bvh", ImportFormat::Bvh),
-    ("fseq", ImportFormat::Fseq),
-    ("mcap", ImportFormat::Mcap),
-    ("motion", ImportFormat::Webots),
-    ("skyc", ImportFormat::Skybrush),
-];
-
-/// The format of another tool's file by the end of its name.
-pub(crate) fn format_of(name: &str) -> Option<ImportFormat> {
-    let end = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
-    IMPORTED.iter().find(|(known, _)| *known == end).map(|(_, format)| *format)
-}
-
-/// The command that makes a scenario of another tool's file.
-pub(crate) fn importing(name: &str) -> Option<String> {
-    let format = format_of(name)?;
-    Some(format!(
-        "`downbeat import {} {name}` makes a scenario of it; see `downbeat import --help`",
-        format.word()
-    ))
-}
-
-/// What a file is that is not text, by its first bytes.
-pub(crate) fn binary(bytes: &[u8]) -> Option<&'static str> {
-    const KNOWN: [(&[u8], &str); 9] = [
-        (b"MThd", "a MIDI file"),
-        (b"\x89MCAP", "a recording (MCAP)"),
-        (b"PSEQ", "a light sequence (FSEQ)"),
-        (b"PK\x03\x04", "a ZIP archive"),
-        (b"\x89PNG", "a picture"),
-        (b"\xff\xd8\xff", "a picture"),
-        (b"%PDF", "a PDF document"),
-        (b"\x7fELF", "a program"),
-        (b"\x1f\x8b", "a compressed file"),
-    ];
-    KNOWN.iter().find(|(start, _)| bytes.starts_with(start)).map(|(_, what)| *what)
 }

@@ -34,6 +34,7 @@ mod finding;
 pub mod fit;
 mod fleet;
 mod formation;
+mod formats;
 mod home;
 mod identify;
 pub mod import;

@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
 use crate::finding::{Code, Finding, did_you_mean};
-use crate::identify;
+use crate::formats;
 use crate::open::open;
 use crate::refusal::{Attempt, Refusal};
 
@@ -59,9 +59,9 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
     let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
     let save = || format!("save the file with the encoding UTF-8{in_excel}");
     let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
-    let (message, hint) = match identify::binary(bytes) {
+    let (message, hint) = match formats::binary(bytes) {
         Some(what) => {
-            let hint = identify::importing(name).unwrap_or_else(|| "name a text file".to_owned());
+            let hint = formats::importing(name).unwrap_or_else(|| "name a text file".to_owned());
             (format!("this is {what}, not a text file"), hint)
         }
         None if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") => {
@@ -69,7 +69,7 @@ fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
         }
         None if bytes.contains(&0) => {
             // A CSV would be text.
-            let import = identify::importing(name).filter(|_| !name.ends_with(".csv"));
+            let import = formats::importing(name).filter(|_| !name.ends_with(".csv"));
             ("this is not a text file".to_owned(), import.unwrap_or_else(|| "name a text file".to_owned()))
         }
         None => (format!("line {line} has a character that is not encoded in UTF-8"), save()),

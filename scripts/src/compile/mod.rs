@@ -36,10 +36,10 @@ use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
-use crate::identify::{self, Document};
+use crate::identify::mistaken_for_scenario;
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan, Way};
-use crate::scenario::{self, Documents, Scenario};
+use crate::scenario::{self, Documents, SCENARIO_KEYS, Scenario};
 use crate::source::Source;
 
 use cast::Cast;
@@ -64,9 +64,8 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Ok(documents) => documents,
         Err(findings) => return Compiled { choreography: None, findings },
     };
-    if let Some(mistaken) =
-        documents.nodes.first().and_then(|root| identify::mistaken(source, root, Document::Scenario))
-    {
+    let root = documents.nodes.first();
+    if let Some(mistaken) = root.and_then(|root| mistaken_for_scenario(source, root, &SCENARIO_KEYS)) {
         return Compiled { choreography: None, findings: vec![mistaken] };
     }
     let mut reader = Reader::default();

@@ -45,11 +45,12 @@ use std::path::PathBuf;
 use urrcp::{InitializationBlock, Span};
 
 use crate::finding::{Code, Finding};
-use crate::identify;
+use crate::formats::format_of;
 use crate::source::{Source, read_bytes};
 use input::Input;
 use sink::Sink;
 
+pub use crate::formats::ImportFormat;
 pub use dialect::Decimal;
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
@@ -61,90 +62,6 @@ pub use yaml::{Scenes, scenario_text, steps_written};
 
 /// Most keyframes of one import: two million, far beyond what any device takes.
 const KEYFRAMES_MAX: usize = 2_000_000;
-
-/// Which tool's files they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum ImportFormat {
-    /// Crazyswarm: one CSV of polynomial pieces a robot, or a folder of numbered scenes a robot.
-    Crazyswarm,
-    /// `id,x[m],y[m],z[m],t[s]`.
-    Waypoints,
-    /// The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML or JSON.
-    JointTrajectory,
-    /// The motions of PAL Robotics' `play_motion2`, YAML.
-    PlayMotion2,
-    /// Keyframe animations of the RoboCup team Bit-Bots, JSON.
-    Bitbots,
-    /// Compiled drone shows of Skybrush, `.skyc`.
-    Skybrush,
-    /// Motions of Webots, `.motion`.
-    Webots,
-    /// Motion capture, `.bvh`.
-    Bvh,
-    /// Standard MIDI files.
-    Midi,
-    /// Light sequences of xLights and Falcon Player, `.fseq`.
-    Fseq,
-    /// Recordings of ROS with joint states, `.mcap`.
-    Mcap,
-    /// Any CSV with a column of times.
-    Csv,
-}
-
-impl ImportFormat {
-    /// All of them with the names that people type.
-    pub const WORDS: [(&'static str, Self); 12] = [
-        ("crazyswarm", Self::Crazyswarm),
-        ("waypoints", Self::Waypoints),
-        ("joint-trajectory", Self::JointTrajectory),
-        ("play-motion2", Self::PlayMotion2),
-        ("bitbots", Self::Bitbots),
-        ("skybrush", Self::Skybrush),
-        ("webots", Self::Webots),
-        ("bvh", Self::Bvh),
-        ("midi", Self::Midi),
-        ("fseq", Self::Fseq),
-        ("mcap", Self::Mcap),
-        ("csv", Self::Csv),
-    ];
-
-    /// As it is typed.
-    #[must_use]
-    pub fn word(self) -> &'static str {
-        Self::WORDS.iter().find(|(_, format)| *format == self).map_or("", |(word, _)| word)
-    }
-
-    /// Whether its files are of one robot each.
-    fn is_single(self) -> bool {
-        use ImportFormat::{Bitbots, Bvh, JointTrajectory, Midi, PlayMotion2, Webots};
-        matches!(self, JointTrajectory | PlayMotion2 | Bitbots | Webots | Bvh | Midi)
-    }
-
-    /// Whether the user says what moves what.
-    #[must_use]
-    pub fn is_mapped(self) -> bool {
-        matches!(self, Self::Csv | Self::Fseq)
-    }
-
-    fn has_curves(self) -> bool {
-        matches!(self, Self::Crazyswarm | Self::JointTrajectory | Self::Skybrush)
-    }
-
-    /// What kind of robot plays such files, where the user says nothing else.
-    fn kind(self) -> &'static str {
-        match self {
-            Self::Crazyswarm | Self::Waypoints => "crazyflie",
-            Self::JointTrajectory | Self::Webots | Self::Mcap | Self::Csv => "robot",
-            Self::Bvh => "skeleton",
-            Self::Midi => "midi",
-            Self::Fseq => "lamps",
-            Self::Skybrush => "drone",
-            Self::PlayMotion2 => "tiago",
-            Self::Bitbots => "humanoid",
-        }
-    }
-}
 
 /// What the user wishes.
 #[derive(Clone, Debug, Default)]
@@ -490,7 +407,7 @@ pub fn import_bytes(
 
 /// What to do about a file that is not of this format.
 fn other_format(format: ImportFormat, file: &str) -> String {
-    match identify::format_of(file).filter(|other| *other != format) {
+    match format_of(file).filter(|other| *other != format) {
         Some(other) => {
             format!("the name of the file suggests another format: `downbeat import {} {file}`", other.word())
         }
@@ -509,7 +426,7 @@ fn finish(
     let Sink { mut findings, notes, .. } = sink;
     for finding in &mut findings {
         if finding.hint.is_none()
-            && identify::format_of(&finding.file) != Some(format)
+            && format_of(&finding.file) != Some(format)
             && matches!(finding.code, Code::Unreadable | Code::Syntax | Code::ImportTable)
         {
             finding.hint = Some(other_format(format, &finding.file));

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::spread::Triangle;
 use super::{Point, Unfit};
-use crate::identify;
+use crate::formats;
 
 /// Most points or triangles of a file.
 const ITEMS_MAX: usize = 1_000_000;
@@ -42,7 +42,7 @@ pub(crate) fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
         let message = "the name does not say what the file is".to_owned();
         return Err(Unfit { message, expected: "a file that ends with .ply, .stl or .csv" });
     };
-    if let Some(what) = identify::binary(bytes) {
+    if let Some(what) = formats::binary(bytes) {
         let message = format!("this is {what}, not what its name says");
         return Err(Unfit { message, expected: format.expected() });
     }
