@@ -11,13 +11,13 @@ use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOT
 use crate::exact::{Beginning, Exact};
 use crate::expression::Robots;
 use crate::finding::{
-    Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
+    Affected, Code, Finding, Part, Pending, Place, Severity, SharedFault, did_you_mean_this, names, nearest,
+    one_of,
 };
 use crate::music::{Music, Unmusical};
 use crate::node::Node;
 use crate::scenario::{Group, Nesting, Unset};
 use crate::scope::Scope;
-use crate::shared_fault::{Affected, SharedFault};
 use crate::shown::shortened;
 use crate::slips::{self, Units};
 use crate::syntax;

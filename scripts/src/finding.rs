@@ -1,10 +1,13 @@
 //! What a user did wrong: a code, a place, what was found and expected, how to fix it.
 
+mod shared_fault;
+
 use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::shared_fault::Affected;
+pub(crate) use shared_fault::{Affected, SharedFault};
+
 use crate::shown::shortened;
 
 /// How bad it is.

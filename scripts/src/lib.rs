@@ -61,7 +61,6 @@ mod sarif;
 mod scenario;
 mod schema;
 mod scope;
-mod shared_fault;
 #[doc(hidden)]
 pub mod shown;
 mod slips;

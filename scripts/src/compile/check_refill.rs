@@ -5,12 +5,11 @@ use urrcp::{DeviceId, RobotId, Span};
 use super::cast::Cast;
 use crate::composed::is_same;
 use crate::fields::Reader;
-use crate::finding::{Code, Place};
+use crate::finding::{Code, Place, SharedFault};
 use crate::plan::Choreography;
 use crate::refill::{Refill, RefillKind, refills};
 use crate::render::counted;
 use crate::scenario::Scenario;
-use crate::shared_fault::SharedFault;
 use crate::shown::shortened;
 
 /// Sending a script while its act plays takes less on ordinary links: a round trip, and a resend where one is lost.

@@ -11,12 +11,11 @@ use super::conflict::told;
 use super::courses::{Poses, Scripts, Standing};
 use crate::ensemble;
 use crate::fields::Reader;
-use crate::finding::{Code, Place, robots_named};
+use crate::finding::{Code, Place, SharedFault, robots_named};
 use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::requirements::Requirements;
 use crate::scenario::{Act, Action};
-use crate::shared_fault::SharedFault;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
     depth, first_contact, furthest_out,

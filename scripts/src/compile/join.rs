@@ -12,12 +12,11 @@ use super::perform::capacity;
 use super::segment::{Excess, Segment, Steps};
 use crate::budget::Budget;
 use crate::fields::Reader;
-use crate::finding::Code;
+use crate::finding::{Code, SharedFault};
 use crate::fleet::ClockMode;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
-use crate::shared_fault::SharedFault;
 use crate::space::Coordinate;
 
 /// An act's scripts, how they came about, and where they leave the devices.

@@ -9,12 +9,11 @@ use super::cast::Cast;
 use super::segment::{Segment, Steps};
 use crate::duration::seconds;
 use crate::fields::Reader;
-use crate::finding::Code;
+use crate::finding::{Code, SharedFault};
 use crate::fleet::limits_of;
 use crate::motion::Value;
 use crate::plan::Way;
 use crate::scenario::{Act, Items};
-use crate::shared_fault::SharedFault;
 
 /// The position of a device when a cue begins.
 pub(super) struct Position {

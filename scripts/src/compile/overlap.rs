@@ -5,8 +5,7 @@ use urrcp::{Device, RobotId, Span};
 use super::conflict::told;
 use super::segment::Segment;
 use crate::duration::written;
-use crate::finding::{Code, Place};
-use crate::shared_fault::SharedFault;
+use crate::finding::{Code, Place, SharedFault};
 
 /// The fault of a movement that begins before an earlier one has ended, or at the same instant with another value.
 pub(super) fn of_segments(

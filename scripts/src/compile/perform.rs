@@ -17,12 +17,11 @@ use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::composed::is_same;
 use crate::fields::Reader;
-use crate::finding::{Code, Place, names, one_of};
+use crate::finding::{Code, Place, SharedFault, names, one_of};
 use crate::fleet::{RateLimits, settable_limits};
 use crate::motion::{Actuator, Curve, Fits, Played, Stretch};
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
-use crate::shared_fault::SharedFault;
 use crate::shown::shortened;
 
 /// Up to this many steps the exact number of a movement is reported, whatever its device takes.

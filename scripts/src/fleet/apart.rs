@@ -7,8 +7,7 @@ use super::FleetRobot;
 use crate::address::Address;
 use crate::composed::{composed, is_same};
 use crate::fields::{At, Reader};
-use crate::finding::{Code, robots_named};
-use crate::shared_fault::SharedFault;
+use crate::finding::{Code, SharedFault, robots_named};
 
 /// With more, greeting them takes markedly longer than with the same number in several places (docs/zenoh.md).
 const ROBOTS_AT_A_PLACE_MAX: usize = 1_000;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use urrcp::RobotId;
 
-use crate::finding::{Code, Place, robots_named};
+use super::{Code, Place, robots_named};
 
 /// A fault of some robots, or of a device of theirs. Faults of one code and one cause are one finding, which describes the largest of
 /// them.
