@@ -56,7 +56,6 @@ mod refusal;
 mod rehearse;
 mod render;
 mod requirements;
-mod rows;
 mod sarif;
 mod scenario;
 mod schema;

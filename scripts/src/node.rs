@@ -1,14 +1,17 @@
 //! A YAML document as a tree that keeps what a user may have done wrong: duplicate keys, wrong kinds, foreign tags.
 //! Read by serde_yaml, whose limit on nesting bounds it; `rows` spares it long runs of keyframes, `aliases` bounds aliases.
 
+mod rows;
+
 use std::fmt;
 
 use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
 
+pub(crate) use rows::{Items, Rows, Width};
+
 use crate::aliases;
 use crate::composed::compose_text;
 use crate::finding::{Code, Finding};
-use crate::rows::{self, Items};
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 use crate::syntax::syntax_finding;

@@ -10,8 +10,7 @@ use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
-use crate::node::Node;
-use crate::rows::{self, Rows, Width};
+use crate::node::{self, Node, Rows, Width};
 use crate::shown::shortened;
 use crate::slips::{self, OtherForm, as_keyframes};
 
@@ -184,7 +183,7 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
         }
         return Written::of(Curve::default());
     };
-    if let rows::Items::Rows(rows) = items {
+    if let node::Items::Rows(rows) = items {
         return of_rows(reader, at, rows);
     }
     if items.is_empty() {
