@@ -5,10 +5,10 @@ use std::collections::HashMap;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
+use crate::compile::poses::{self, DeviceWay, Positions, settable, unused_name};
 use crate::finding::Finding;
 use crate::fleet::Fleet;
 use crate::plan::{Act, Choreography, Wait, Way};
-use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
 
 /// How devices are moved to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -4,11 +4,11 @@ use std::collections::HashMap;
 
 use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
+use crate::compile::poses::{self, DeviceWay, Positions, settable, unused_name};
 use crate::finding::Finding;
 use crate::fleet::Fleet;
 use crate::motion::Easing;
 use crate::plan::{Act, Choreography, FailurePolicy, OnFailure};
-use crate::poses::{self, DeviceWay, Positions, settable, unused_name};
 
 const NAME: &str = "home";
 /// The shortest duration of the act.

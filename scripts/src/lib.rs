@@ -49,7 +49,6 @@ mod music;
 mod node;
 mod open;
 mod plan;
-mod poses;
 mod project;
 mod refill;
 mod refusal;
@@ -72,6 +71,7 @@ mod world;
 
 pub use address::{Address, NoAddress, Protection};
 pub use approach::Approach;
+pub use compile::poses::Positions;
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
@@ -96,7 +96,6 @@ pub use plan::{
     OnFailure, Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share,
     Wait, Way, is_rate,
 };
-pub use poses::Positions;
 pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};

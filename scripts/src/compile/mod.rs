@@ -23,6 +23,7 @@ mod jumps;
 mod outline;
 mod overlap;
 mod perform;
+pub(crate) mod poses;
 mod schedule;
 mod segment;
 mod vectors;

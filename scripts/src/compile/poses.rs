@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 use urrcp::{ControlType, Device, DeviceId, RobotId, Span};
 
-use crate::compile::compile;
+use super::compile;
 use crate::duration::written;
 use crate::files::NoFiles;
 use crate::finding::{Code, Finding, Severity};
