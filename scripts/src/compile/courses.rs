@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use urrcp::{ControlType, DeviceId, RobotId};
+use urrcp::{ControlType, DeviceId, Millis, RobotId, Script};
 
 use super::check_space::Stage;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
@@ -66,11 +66,12 @@ impl<'a> Scripts<'a> {
         self.of_robot.contains_key(robot)
     }
 
-    /// The scripts of a device, and how far its steps are off at most from the movement as written.
-    fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<&'a DeviceScript>, f64) {
+    /// The scripts of a device with their starts, and how far its steps are off at most from the movement as written.
+    fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<(Millis, &'a Script)>, f64) {
         let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
         let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
-        (scripts.filter(|script| script.device == *device).collect(), error)
+        let scripts = scripts.filter(|script| script.device == *device);
+        (scripts.map(|script| (script.start, &script.script)).collect(), error)
     }
 }
 

@@ -1,10 +1,9 @@
 //! The path of a body through an act: a polyline in x, y, z, yaw and the values of its joints over time.
 
-use urrcp::{ControlType, Interpolation};
+use urrcp::{ControlType, Interpolation, Millis, Script};
 
 use super::Coordinate;
 use super::place::Place;
-use crate::plan::DeviceScript;
 
 /// A value at a time, in seconds from the act's start. Two at one time are a jump.
 type Point = (f64, f64);
@@ -20,7 +19,8 @@ pub(crate) struct Axis {
 
 /// What one device does in an act.
 pub(crate) struct Played<'a> {
-    pub(crate) scripts: &'a [&'a DeviceScript],
+    /// Each with its start, from the act's start.
+    pub(crate) scripts: &'a [(Millis, &'a Script)],
     /// What its values are: all of its steps have to be of this type.
     pub(crate) control_type: ControlType,
     pub(crate) interpolation: Interpolation,
@@ -57,13 +57,13 @@ impl Axis {
         };
         let mut points: Vec<Point> = played.begin.map(|begin| (0.0, begin)).into_iter().collect();
         let linear = played.interpolation == Interpolation::Linear;
-        for script in played.scripts {
+        for (start, script) in played.scripts {
             // Cues that overlap are told elsewhere: here, time only goes on.
             let not_before = points.last().map_or(0.0, |(at, _)| *at);
-            let start = (script.start.get() / 1_000.0).max(not_before);
+            let start = (start.get() / 1_000.0).max(not_before);
             // It stays where it is until the script starts.
             points.extend(points.last().map(|(_, last)| (start, *last)));
-            for step in script.script.steps() {
+            for step in script.steps() {
                 if step.setpoint.control_type != played.control_type {
                     return None;
                 }

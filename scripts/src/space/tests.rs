@@ -1,7 +1,7 @@
 //! Distances against closed forms, and against a slow reading of the same movements that looks at many moments.
 
 use proptest::prelude::*;
-use urrcp::{Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
+use urrcp::{Interpolation, Millis, Script, Setpoint, Step};
 
 use super::closest::{Approach, Mover, closest, depth, first_contact};
 use super::path::{Axis, Path, Played, peaks};
@@ -9,29 +9,23 @@ use super::place::Place;
 use super::solid::Solid;
 use super::volume::furthest_out;
 use super::{Body, Coordinate, Shape, Volume};
-use crate::plan::DeviceScript;
 
 mod arms;
 mod drives;
 
 const POINT: Shape = Shape::Ball { radius: 0.0 };
 
-fn script(start_ms: f64, steps: &[(f64, f64)]) -> DeviceScript {
+fn script(start_ms: f64, steps: &[(f64, f64)]) -> (Millis, Script) {
     let millis = |ms| Millis::new(ms).unwrap();
     let step =
         |&(ms, value): &(f64, f64)| Step::new(millis(ms), Setpoint::new(urrcp::ControlType::Position, value));
-    DeviceScript {
-        device: "d".parse().unwrap(),
-        start: millis(start_ms),
-        stop_condition: StopCondition::default(),
-        script: Script::new(steps.iter().map(step).collect()).unwrap(),
-        rest: Span::ZERO,
-    }
+    (millis(start_ms), Script::new(steps.iter().map(step).collect()).unwrap())
 }
 
-fn axis_of(scripts: &[&DeviceScript], interpolation: Interpolation, begin: Option<f64>) -> Option<Axis> {
+fn axis_of(scripts: &[&(Millis, Script)], interpolation: Interpolation, begin: Option<f64>) -> Option<Axis> {
+    let scripts: Vec<_> = scripts.iter().map(|(start, script)| (*start, script)).collect();
     let coordinate = Coordinate::Device { device: "d".parse().unwrap(), scale: 1.0, offset: 0.0 };
-    Axis::of(&coordinate, &Played { scripts, interpolation, begin, ..Played::default() })
+    Axis::of(&coordinate, &Played { scripts: &scripts, interpolation, begin, ..Played::default() })
 }
 
 /// Linear from value to value, at seconds.
@@ -186,7 +180,8 @@ fn speeds_count_in_all_directions_together_and_errors_of_steps_do_not() {
     // x: 3 m/s less within a second; y: 4 m/s more within 0.75 s, then as much less.
     assert!((acceleration.rate - 3.0_f64.hypot(4.0 / 0.75)).abs() < 1e-9, "{acceleration:?}");
     let coordinate = Coordinate::Device { device: "d".parse().unwrap(), scale: 0.1, offset: 7.0 };
-    let scripts = [&script(0.0, &[(0.0, 0.0), (1_000.0, 30.0)])];
+    let (start, script) = script(0.0, &[(0.0, 0.0), (1_000.0, 30.0)]);
+    let scripts = [(start, &script)];
     let doubtful =
         Played { scripts: &scripts, interpolation: Interpolation::Linear, error: 5.0, ..Played::default() };
     let axes = [Axis::of(&coordinate, &doubtful).unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)];
