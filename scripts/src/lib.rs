@@ -59,6 +59,7 @@ mod sarif;
 mod scenario;
 mod schema;
 mod scope;
+mod sensor_range;
 #[doc(hidden)]
 pub mod shown;
 mod slips;

@@ -4,13 +4,13 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use serde::Serialize;
-use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
+use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Server, Span, StopCondition, Timestamp};
 
 use crate::fleet::DeviceLatency;
 use crate::space::{Closest, InSpace};
 
 pub use crate::requirements::{AllOrNone, Ceiling, Floor, Requirements, Share};
-pub use crate::scenario::{OnDoubt, OnFailure, Repetition, SensorRange, Wait};
+pub use crate::sensor_range::SensorRange;
 
 /// A whole scenario: acts with the ways between them.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,6 +99,55 @@ impl FailurePolicy {
     }
 }
 
+/// What the fleet does when a robot fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnFailure {
+    /// All robots stop where they are.
+    #[default]
+    Stop,
+    /// All robots go to their default state.
+    Home,
+    /// The others continue.
+    Without,
+}
+
+/// What the others do when shortly before the start a robot's link is silent or broken, and it cannot be known whether it will
+/// start. What is known is never treated as doubt.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnDoubt {
+    /// They start. If the silent robot is gone, they begin without it.
+    #[default]
+    Start,
+    /// They do not move. If the silent robot starts, it moves alone until its lease has ended.
+    Withdraw,
+}
+
+/// What an act waits for before it begins.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Wait {
+    /// The act before has ended everywhere.
+    #[default]
+    Done,
+    /// The operator says go.
+    Operator,
+    /// A time of day of the server's clock, since midnight of its local time.
+    TimeOfDay(Span),
+    /// An instant.
+    Instant(Timestamp<Server>),
+    /// A reading within a range.
+    Sensor {
+        /// Robot, by its id.
+        robot: String,
+        /// Sensor, by its device id.
+        sensor: String,
+        /// Which readings will do.
+        range: SensorRange,
+    },
+}
+
 /// A cue with its times, counted from the act's start.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedCue {
@@ -116,6 +165,19 @@ pub struct PlannedCue {
     /// How its movement is repeated, if it is.
     #[serde(rename = "repeat", skip_serializing_if = "Option::is_none")]
     pub repetition: Option<Repetition>,
+}
+
+/// A movement that is repeated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Repetition {
+    /// How often it is played, more than once.
+    pub times: u32,
+    /// The length of one of them.
+    #[serde(rename = "length_ms")]
+    pub length: Span,
+    /// How much later each begins than the one before it.
+    #[serde(rename = "every_ms")]
+    pub every: Span,
 }
 
 /// How the steps of a device came about.

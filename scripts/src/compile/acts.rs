@@ -14,7 +14,8 @@ use crate::budget::{Budget, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, did_you_mean_this, names};
 use crate::plan::{FailurePolicy, Wait, Way};
-use crate::scenario::{Act, Name, SensorRange};
+use crate::scenario::{Act, Name};
+use crate::sensor_range::SensorRange;
 use crate::shown::shortened;
 
 /// What leads to an act and from it.

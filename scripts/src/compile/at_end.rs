@@ -227,7 +227,7 @@ mod tests {
     use crate::compile::{Compiled, compile};
     use crate::files::NoFiles;
     use crate::fleet::FleetRobot;
-    use crate::scenario::{OnDoubt, OnFailure};
+    use crate::plan::{OnDoubt, OnFailure};
     use crate::source::Source;
 
     fn compiled(text: &str) -> Compiled {

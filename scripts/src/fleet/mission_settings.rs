@@ -10,7 +10,7 @@ use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::Node;
-use crate::scenario::{SensorRange, acts};
+use crate::sensor_range::{SensorRange, sensor_range};
 use crate::shown::shortened;
 
 const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
@@ -140,7 +140,7 @@ fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
     let expected = "`above` or `below` with a number, or {within: [least, largest]}";
     if let Node::Map(_) = at.node {
         let [above, below, within] = findings.map(at, "the readings", RANGE_KEYS, &[])?;
-        return acts::sensor_range(findings, at, [above, below, within]);
+        return sensor_range(findings, at, [above, below, within]);
     }
     let text = findings.text(at, expected)?;
     let words: Vec<&str> = text.split_whitespace().collect();

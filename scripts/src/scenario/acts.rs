@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use serde::de::IntoDeserializer;
-use serde::{Deserialize, Serialize};
 use urrcp::{Server, Span, StopCondition, Timestamp};
 
 use super::cue::{CUE_KEYS, ORDER};
@@ -11,8 +10,10 @@ use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Place, names};
+use crate::finding::{Code, Place};
 use crate::node::Node;
+use crate::plan::{OnDoubt, OnFailure, Wait};
+use crate::sensor_range::sensor_range;
 use crate::shown::shortened;
 
 const ACT_KEYS: [&str; 10] =
@@ -37,31 +38,6 @@ struct Shared {
     faults: usize,
 }
 
-/// What the fleet does when a robot fails.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OnFailure {
-    /// All robots stop where they are.
-    #[default]
-    Stop,
-    /// All robots go to their default state.
-    Home,
-    /// The others continue.
-    Without,
-}
-
-/// What the others do when shortly before the start a robot's link is silent or broken, and it cannot be known whether it will
-/// start. What is known is never treated as doubt.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OnDoubt {
-    /// They start. If the silent robot is gone, they begin without it.
-    #[default]
-    Start,
-    /// They do not move. If the silent robot starts, it moves alone until its lease has ended.
-    Withdraw,
-}
-
 /// What a failure does, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OnFailureRule {
@@ -70,64 +46,6 @@ pub(crate) struct OnFailureRule {
     /// What the scenario says of robots, one list for all acts.
     pub(crate) inherited: Arc<[(Name, OnFailure)]>,
     pub(crate) then: Option<Name>,
-}
-
-/// What an act waits for before it begins.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Wait {
-    /// The act before has ended everywhere.
-    #[default]
-    Done,
-    /// The operator says go.
-    Operator,
-    /// A time of day of the server's clock, since midnight of its local time.
-    TimeOfDay(Span),
-    /// An instant.
-    Instant(Timestamp<Server>),
-    /// A reading within a range.
-    Sensor {
-        /// Robot, by its id.
-        robot: String,
-        /// Sensor, by its device id.
-        sensor: String,
-        /// Which readings will do.
-        range: SensorRange,
-    },
-}
-
-/// Which readings of a sensor will do, in its unit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SensorRange {
-    /// Larger than this.
-    Above(f64),
-    /// Smaller than this.
-    Below(f64),
-    /// From the first to the second.
-    Within(f64, f64),
-}
-
-impl std::fmt::Display for SensorRange {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Above(bound) => write!(f, "above {bound}"),
-            Self::Below(bound) => write!(f, "below {bound}"),
-            Self::Within(least, largest) => write!(f, "within {least} and {largest}"),
-        }
-    }
-}
-
-impl SensorRange {
-    /// Whether a reading will do.
-    #[must_use]
-    pub fn contains(self, reading: f64) -> bool {
-        match self {
-            Self::Above(bound) => reading > bound,
-            Self::Below(bound) => reading < bound,
-            Self::Within(least, largest) => reading >= least && reading <= largest,
-        }
-    }
 }
 
 /// What an act waits for, as written.
@@ -435,61 +353,6 @@ fn sensor_wait(
     }
     let range = sensor_range(reader, at, [above, below, within])?;
     named.map(|(robot, sensor)| Wait::Sensor { robot, sensor, range })
-}
-
-/// Exactly one of `above`, `below` and `within`.
-pub(crate) fn sensor_range(
-    reader: &mut Reader,
-    at: &At<'_>,
-    [above, below, within]: [Option<At<'_>>; 3],
-) -> Option<SensorRange> {
-    let mut bound = |at: &At<'_>| reader.number(at, "a number in the sensor's unit");
-    match (above, below, within) {
-        (Some(at), None, None) => bound(&at).map(SensorRange::Above),
-        (None, Some(at), None) => bound(&at).map(SensorRange::Below),
-        (None, None, Some(at)) => {
-            let bounds = reader.list(&at, "the least and the largest reading, as [0.2, 0.5]");
-            let [least, largest] = bounds.as_slice() else {
-                if !matches!(at.node, Node::List(_)) {
-                    return None;
-                }
-                let expected = "the least and the largest reading, as [0.2, 0.5]";
-                reader.add(
-                    Code::WrongType,
-                    at.place(),
-                    format!("found {} entries", bounds.len()),
-                    expected,
-                    None,
-                );
-                return None;
-            };
-            let (least, largest) = (reader.number(least, "a number")?, reader.number(largest, "a number")?);
-            if least > largest {
-                let message = format!("{least} is larger than {largest}");
-                let hint = Some(format!("write `[{largest}, {least}]`"));
-                reader.add(Code::WrongType, at.place(), message, "the least reading first", hint);
-                return None;
-            }
-            Some(SensorRange::Within(least, largest))
-        }
-        (above, below, _) => {
-            let expected = names(["above", "below", "within"]);
-            let message = "a sensor to wait for without a range, or with several";
-            let number = |at: Option<At<'_>>| match at?.node {
-                Node::Number(value) => Some(*value),
-                _ => None,
-            };
-            let hint = match (number(above), number(below)) {
-                (Some(least), Some(largest)) if least <= largest => {
-                    format!("write `within: [{least}, {largest}]`")
-                }
-                _ => "say which readings will do, as in `below: 0.5`".to_owned(),
-            };
-            let hint = Some(hint);
-            reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), hint);
-            None
-        }
-    }
 }
 
 fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {

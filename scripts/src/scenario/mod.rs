@@ -3,7 +3,7 @@
 //! `library` reads what cues share, `formations` places, `paths` ways, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
 mod across;
-pub(crate) mod acts;
+mod acts;
 mod canon;
 mod cue;
 mod data;
@@ -28,7 +28,6 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use serde::Serialize;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
@@ -41,12 +40,13 @@ use crate::fleet::{Fleet, devices_of};
 use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
+use crate::plan::{OnDoubt, Repetition};
 use crate::requirements::Requirements;
 use crate::slips::Units;
 use crate::source::Source;
 
 pub(crate) use across::{Group, is_spread};
-pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
+pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
 pub(crate) use cue::CUE_KEYS;
@@ -168,19 +168,6 @@ pub(crate) struct Movement {
     pub(crate) repetition: Option<Repetition>,
     /// Parameters without a value: faults only if some robot does it.
     pub(crate) unset: Vec<Unset>,
-}
-
-/// A movement that is repeated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Repetition {
-    /// How often it is played, more than once.
-    pub times: u32,
-    /// The length of one of them.
-    #[serde(rename = "length_ms")]
-    pub length: Span,
-    /// How much later each begins than the one before it.
-    #[serde(rename = "every_ms")]
-    pub every: Span,
 }
 
 /// A parameter that has neither a default nor a value.

@@ -9,7 +9,7 @@ use super::nesting::{self, within};
 use super::play;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Change, Changed, Motion, Movement, Name, Repetition, Track};
+use super::{Change, Changed, Motion, Movement, Name, Track};
 use crate::budget::longest;
 use crate::duration::written;
 use crate::exact::{Beginning, Exact, Laps};
@@ -17,6 +17,7 @@ use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::node::Node;
+use crate::plan::Repetition;
 use crate::shown::shortened;
 
 /// Most times that a movement is repeated.
