@@ -318,7 +318,7 @@ impl Reader {
         if self.is_template(at, expected) {
             return;
         }
-        let hint = slips::value(self, &at.place(), value, expected);
+        let hint = slips::value(&self.scope, &self.units, &at.place(), value, expected);
         let place = self.given_at(at).map_or_else(|| at.place(), |given| Place::clone(&given));
         let in_block = slips::in_block(value, expected).map(str::to_owned);
         self.add_styled(place, format!("found {}", value.kind()), expected, [hint, in_block]);
@@ -402,7 +402,7 @@ impl Reader {
                         }
                         _ => syntax::without_colon(key, &known)
                             .filter(|_| *node == Node::Null)
-                            .or_else(|| slips::key(self, what, key, node))
+                            .or_else(|| slips::key(&self.units, what, key, node))
                             .or_else(|| self.did_you_mean(key, known))
                             .or_else(|| slips::word_of(key, known))
                             .or_else(|| slips::parameter(what, key, node, entries)),

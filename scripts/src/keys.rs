@@ -1,4 +1,5 @@
-//! The keys of a map as a struct: each key is written once and read by its name, not by its position.
+//! The keys of a map as a struct: each key is written once and read by its name, not by its position. And the keys of a cue, which
+//! hints about other maps need as well.
 
 /// Declares a struct with a field for each key of a map, and the list of these keys for [`crate::fields::Reader::map`].
 macro_rules! keys {
@@ -20,3 +21,38 @@ macro_rules! keys {
 }
 
 pub(crate) use keys;
+
+/// The keys of a cue.
+pub(crate) const CUE_KEYS: [&str; 31] = [
+    "cue",
+    "at",
+    "after",
+    "with",
+    "before",
+    "end_by",
+    "duration",
+    "robots",
+    "move",
+    "sequence",
+    "parameters",
+    "tracks",
+    "devices",
+    "mirror",
+    "scale",
+    "reverse",
+    "repeat",
+    "canon",
+    "overrides",
+    "uses",
+    "apart",
+    "stop_condition",
+    "off_grid",
+    "tolerance",
+    "read",
+    "form",
+    "turn",
+    "grow",
+    "shift",
+    "along",
+    "over",
+];

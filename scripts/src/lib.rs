@@ -20,6 +20,7 @@ mod approach;
 mod at;
 mod budget;
 mod chance;
+mod clock_time;
 mod compile;
 mod composed;
 mod duration;

@@ -11,12 +11,11 @@ use urrcp::Device;
 pub(crate) use keyframes::{OtherForm, as_keyframes};
 pub(crate) use keys::{key, missing, parameter, word_of};
 
+use crate::clock_time::{parse_instant, parse_time_of_day};
 use crate::composed::{composed, is_same};
 use crate::duration::parse_duration;
-use crate::fields::Reader;
 use crate::finding::{Part, Place, did_you_mean_this};
 use crate::node::Node;
-use crate::scenario::parse_time;
 use crate::scope::Scope;
 use crate::shown::shortened;
 
@@ -150,11 +149,15 @@ pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone
 }
 
 /// A hint for a value of another kind than is expected there.
-pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str) -> Option<String> {
+pub(crate) fn value(
+    scope: &Scope,
+    units: &Units,
+    place: &Place,
+    node: &Node,
+    expected: &str,
+) -> Option<String> {
     match node {
-        Node::Text(text) if reader.scope.get(text).is_some() => {
-            Some(format!("the variable is written `${text}`"))
-        }
+        Node::Text(text) if scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
         Node::Text(text) if is_value(place) && STATES.contains(&text.to_lowercase().as_str()) => {
             Some("write the number that the device takes, such as `0` or `1`".to_owned())
         }
@@ -234,7 +237,7 @@ pub(crate) fn value(reader: &Reader, place: &Place, node: &Node, expected: &str)
         {
             Some(format!("write `{{for: {text}}}` to repeat it for that long, or how often alone"))
         }
-        Node::Text(text) => number(reader, place, text, expected)
+        Node::Text(text) => number(units, place, text, expected)
             .or_else(|| {
                 metres(text)
                     .and_then(|length| in_a_map(expected, length))
@@ -419,7 +422,7 @@ pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
 pub(crate) fn instant(text: &str) -> String {
     let is_day = text.len() == 10 && text.as_bytes().get(4) == Some(&b'-');
     let at = match () {
-        () if parse_time(text).is_some() => text.to_owned(),
+        () if parse_instant(text).is_some() || parse_time_of_day(text).is_some() => text.to_owned(),
         () if is_day => format!("{text}T20:00:00Z"),
         () => "20:00".to_owned(),
     };
@@ -696,7 +699,7 @@ fn of_thousands(text: &str) -> Option<String> {
 }
 
 /// How a number is written that a person would understand: `45,5`, `45deg`, `"45"`.
-fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<String> {
+fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<String> {
     let wants = |word: &str| expected.contains(word);
     if !names_number(expected) {
         return None;
@@ -737,7 +740,7 @@ fn number(reader: &Reader, place: &Place, text: &str, expected: &str) -> Option<
             converted(value, unit, "deg", &ANGLES).unwrap_or_else(|| "write a number in degrees".to_owned()),
         );
     }
-    let Some((device, own)) = reader.units.at(place) else {
+    let Some((device, own)) = units.at(place) else {
         return wants("unit")
             .then(|| format!("write the number alone, in the unit of the device, without `{unit}{per}`"));
     };

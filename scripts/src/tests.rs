@@ -2,7 +2,7 @@
 
 use proptest::prelude::*;
 
-use crate::scenario::CUE_KEYS;
+use crate::keys::CUE_KEYS;
 use crate::{Address, Code, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [

@@ -2,15 +2,16 @@
 
 use std::sync::Arc;
 
-use serde::de::IntoDeserializer;
-use urrcp::{Server, Span, StopCondition, Timestamp};
+use urrcp::{Span, StopCondition};
 
-use super::cue::{CUE_KEYS, ORDER};
+use super::cue::ORDER;
 use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
+use crate::clock_time::{parse_instant, parse_time_of_day};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
+use crate::keys::CUE_KEYS;
 use crate::node::Node;
 use crate::plan::{OnDoubt, OnFailure, Wait};
 use crate::sensor_range::sensor_range;
@@ -390,19 +391,5 @@ fn meant_time(text: &str) -> Option<String> {
 /// A time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339: what an act may wait for.
 #[must_use]
 pub fn parse_time(text: &str) -> Option<Wait> {
-    let deserializer = IntoDeserializer::<serde::de::value::Error>::into_deserializer(text);
-    if let Ok(instant) = <Timestamp<Server> as serde::Deserialize>::deserialize(deserializer) {
-        return Some(Wait::Instant(instant));
-    }
-    let parts: Vec<_> = text.split(':').collect();
-    let (hour, minute, second) = match parts.as_slice() {
-        [hour, minute] => (*hour, *minute, "0"),
-        [hour, minute, second] => (*hour, *minute, *second),
-        _ => return None,
-    };
-    let hour = hour.parse::<u8>().ok().filter(|hour| *hour < 24)?;
-    let minute = minute.parse::<u8>().ok().filter(|minute| *minute < 60)?;
-    let second = second.parse::<f64>().ok().filter(|second| *second >= 0.0 && *second < 60.0)?;
-    let minutes = i64::from(hour) * 60 + i64::from(minute);
-    Some(Wait::TimeOfDay(Span::from_millis(minutes * 60_000) + Span::from_millis_f64(second * 1_000.0)))
+    parse_instant(text).map(Wait::Instant).or_else(|| parse_time_of_day(text).map(Wait::TimeOfDay))
 }

@@ -12,44 +12,12 @@ use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing};
 use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
+use crate::keys::CUE_KEYS;
 use crate::node::Node;
 
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-pub(crate) const CUE_KEYS: [&str; 31] = [
-    "cue",
-    "at",
-    "after",
-    "with",
-    "before",
-    "end_by",
-    "duration",
-    "robots",
-    "move",
-    "sequence",
-    "parameters",
-    "tracks",
-    "devices",
-    "mirror",
-    "scale",
-    "reverse",
-    "repeat",
-    "canon",
-    "overrides",
-    "uses",
-    "apart",
-    "stop_condition",
-    "off_grid",
-    "tolerance",
-    "read",
-    "form",
-    "turn",
-    "grow",
-    "shift",
-    "along",
-    "over",
-];
 const OVERRIDE_KEYS: [&str; 9] =
     ["move", "parameters", "tracks", "devices", "mirror", "scale", "reverse", "repeat", "delay"];
 

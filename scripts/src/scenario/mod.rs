@@ -49,7 +49,6 @@ pub(crate) use across::{Group, is_spread};
 pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
-pub(crate) use cue::CUE_KEYS;
 pub(crate) use form::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 pub(crate) use formations::WrittenFormation;
 pub(crate) use given::{Change, Changed, Given, Givens};

@@ -6,7 +6,7 @@
 use urrcp::Span;
 
 use super::acts::Defaults;
-use super::cue::{self, CUE_KEYS, robot_names};
+use super::cue::{self, robot_names};
 use super::library::Library;
 use super::nesting::{self, Used, within};
 use super::when::{Anchor, Relation};
@@ -14,6 +14,7 @@ use super::{Bounds, Cue, nothing};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
+use crate::keys::CUE_KEYS;
 use crate::node::Node;
 use crate::shown::shortened;
 

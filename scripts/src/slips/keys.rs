@@ -1,11 +1,11 @@
 //! Hints for keys: words of other programs, keys of another map, keys that are left out.
 
+use super::Units;
 use super::advice::ADVICE;
 use crate::duration::parse_duration;
-use crate::fields::Reader;
 use crate::finding::did_you_mean_this;
+use crate::keys::CUE_KEYS;
 use crate::node::Node;
-use crate::scenario::CUE_KEYS;
 use crate::shown::shortened;
 
 /// Other words for the keys of a map: the map, the words, and the key.
@@ -89,7 +89,7 @@ const KEYS: [(&str, &[&str], &str); 76] = [
 ];
 
 /// A hint for a key that a map does not have.
-pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Option<String> {
+pub(crate) fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
     let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
     if let Some((.., meant)) = known {
         return Some(did_you_mean_this(meant));
@@ -102,7 +102,7 @@ pub(crate) fn key(reader: &Reader, what: &str, key: &str, value: &Node) -> Optio
     if let Some(place) = elsewhere(what, key) {
         return Some(format!("write it {place}"));
     }
-    if reader.units.has_device(key)
+    if units.has_device(key)
         && let Some(place) = of_devices(what, key)
     {
         return Some(format!("`{key}` is a device: write it {place}"));
