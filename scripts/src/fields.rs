@@ -1,6 +1,7 @@
 //! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
 
 mod cut;
+mod expressions;
 mod scalars;
 
 use std::cell::Cell;
@@ -9,7 +10,6 @@ use std::collections::{HashMap, HashSet};
 pub(crate) use crate::at::At;
 use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
 use crate::exact::{Beginning, Exact};
-use crate::expression::Robots;
 use crate::finding::{
     Affected, Code, Finding, Part, Pending, Place, Severity, SharedFault, did_you_mean_this, names, nearest,
     one_of,
@@ -22,6 +22,10 @@ use crate::shown::shortened;
 use crate::slips::{self, Units};
 use crate::syntax;
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
+use expressions::Robots;
+
+pub(crate) use expressions::Robot;
+pub use expressions::tried;
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
 pub(crate) struct Reader {

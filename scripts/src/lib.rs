@@ -79,7 +79,7 @@ pub use compile::{
 };
 pub use duration::parse_duration;
 #[doc(hidden)]
-pub use expression::tried as try_expression;
+pub use fields::tried as try_expression;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{

@@ -51,7 +51,7 @@ impl Formula {
     }
 
     /// With its variables put in.
-    pub(super) fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
+    pub(crate) fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };
         for (step, span) in &expression.steps {
             match step {

@@ -1,7 +1,7 @@
 //! Expressions in the place of numbers, times and truth values: `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`.
 //!
-//! `grammar` reads them, `evaluate` finds their value, `number` keeps it exact, `unit` says what can be added to what, `reading`
-//! puts variables in, `formula` is an expression over time, `pieces` cuts it where it has corners and jumps.
+//! `grammar` reads them, `evaluate` finds their value, `number` keeps it exact, `unit` says what can be added to what, `formula` is an
+//! expression over time, `pieces` cuts it where it has corners and jumps. Where they stand in a document, `fields` reads them.
 
 mod evaluate;
 mod formula;
@@ -9,22 +9,16 @@ mod grammar;
 mod interval;
 mod number;
 mod pieces;
-mod reading;
 mod unit;
-
-#[cfg(test)]
-mod tests;
-mod tried;
 
 use crate::exact::Fraction;
 use crate::finding::Code;
 
+pub(crate) use evaluate::{Known, evaluate};
 pub(crate) use formula::Formula;
-pub(crate) use grammar::{FUNCTIONS, Span};
+pub(crate) use grammar::{Expression, FUNCTIONS, Span, parse};
 pub(crate) use number::Num;
 pub(crate) use pieces::{Piece, Trouble, pieces, seconds_of};
-pub(crate) use reading::{Robot, Robots};
-pub use tried::tried;
 pub(crate) use unit::Unit;
 
 /// What a written number is cut at; it has as many digits as a number may have.
@@ -95,7 +89,7 @@ impl Amount {
     }
 }
 
-fn fraction(value: Fraction) -> String {
+pub(crate) fn fraction(value: Fraction) -> String {
     let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
     match size.is_integer() {
         true => format!("({sign}{})", whole(*size.numer())),

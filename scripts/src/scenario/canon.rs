@@ -2,8 +2,7 @@
 
 use super::across::{Across, By, parts};
 use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
-use crate::expression::Robot;
-use crate::fields::{At, Reader};
+use crate::fields::{At, Reader, Robot};
 use crate::finding::{Code, Place};
 use crate::node::Node;
 

@@ -4,8 +4,9 @@ use std::sync::Arc;
 
 use urrcp::Span;
 
-use super::{Robot, pieces};
+use super::Robot;
 use crate::exact::Fraction;
+use crate::expression::pieces;
 use crate::fields::{At, Reader};
 use crate::music::{Section, Tempo};
 use crate::node::Node;

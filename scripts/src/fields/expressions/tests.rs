@@ -3,8 +3,9 @@ use std::sync::Arc;
 use proptest::prelude::*;
 use urrcp::Span;
 
-use super::pieces::{Trouble, pieces};
 use super::*;
+use crate::exact::Fraction;
+use crate::expression::{Piece, Trouble, is_one, pieces};
 use crate::fields::{At, Reader};
 use crate::music::{Section, Tempo};
 use crate::node::Node;

@@ -1,17 +1,22 @@
 //! Expressions in a document: variables are put in, and what is wrong is found at its character.
 
-use super::evaluate::{Known, evaluate};
-use super::grammar::{Expression, Span, parse};
-use super::number::Num;
-use super::unit::Unit;
-use super::{Amount, Fault, Formula, Quantity, fraction, names_variables};
+#[cfg(test)]
+mod tests;
+mod tried;
+
+use super::{At, Reader};
 use crate::duration::{self, parse_duration};
 use crate::exact::Exact;
-use crate::fields::{At, Reader};
+use crate::expression::{
+    self, Amount, Expression, Fault, Formula, Known, Num, Quantity, Span, Unit, evaluate, fraction,
+    names_variables, parse,
+};
 use crate::finding::{Code, Place, Within, names};
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::slips;
+
+pub use tried::tried;
 
 /// Longest expression that a variable may become when others are put into it.
 const WRITTEN_MAX: usize = 2_000;
@@ -250,7 +255,7 @@ impl Reader {
     pub(crate) fn degrees(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         let node = self.scalar(at)?.into_owned();
         match &node {
-            Node::Text(text) if super::is_one(text) => {
+            Node::Text(text) if expression::is_one(text) => {
                 let value = self.quantity(at, text)?;
                 self.plain(at, text, value, expected, 180.0)
             }
