@@ -9,13 +9,13 @@ use super::cast::{Cast, Positions};
 use super::check_formations::differing;
 use super::conflict::told;
 use super::courses::{Poses, Scripts, Standing};
-use crate::ensemble;
+use crate::ensemble::{self, Action};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, SharedFault, robots_named};
 use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::requirements::Requirements;
-use crate::scenario::{Act, Action};
+use crate::scenario::Act;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
     depth, first_contact, furthest_out,

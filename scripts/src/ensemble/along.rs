@@ -2,10 +2,9 @@
 
 use std::sync::Arc;
 
-use super::{Dancer, Fault, Ground};
+use super::{Course, Dancer, Fault, Ground};
 use crate::formation::{Point, SAME, metres_between};
 use crate::motion::{Along, Carried, Path};
-use crate::scenario::Course;
 
 /// Most points of all laps together, and of the places of robots that follow.
 pub(crate) const POINTS_MAX: usize = 10_000;

@@ -2,10 +2,9 @@
 
 use std::cmp::Ordering;
 
-use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
+use super::{Asked, Axis, Dancer, Fault, Form, Ground, LEVEL, Moved, Spare, Target, Thin};
 use crate::formation::{Point, ROUNDING, SAME, nearest_pair};
 use crate::motion::Swept;
-use crate::scenario::{Form, Spare, Target, Thin};
 use crate::shown::shortened;
 use crate::transit::{self, Refused, Way};
 

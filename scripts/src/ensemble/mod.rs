@@ -1,38 +1,31 @@
 //! What a group of robots does in space: into a formation, or turning, growing, shifting, or along a path as one.
 //!
 //! From where its robots are, `ways` makes the way of each of them, or says why there is none. `dancer` is a robot with the devices that
-//! are its coordinates, `formed`, `swept` and `along` are the ways. The reader of scenarios asks where a group will be; the compiler makes
+//! are its coordinates, `formed`, `swept` and `along` are the ways; `together` is what a group is to do, and `ground` where. The reader of scenarios asks where a group will be; the compiler makes
 //! movements of the ways, and tells the faults.
 
 mod along;
 mod dancer;
 mod formed;
+mod ground;
 mod swept;
+mod together;
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 pub(crate) use along::POINTS_MAX;
 pub(crate) use dancer::{Axis, Dancer, axes, coarseness};
+pub(crate) use ground::{Ground, WrittenFormation, WrittenPath};
+pub(crate) use together::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 
-use crate::fleet::Fleet;
 use crate::formation::{PLACES_MAX, Point};
 use crate::motion::{Function, Swept};
-use crate::scenario::{Action, Together, WrittenFormation, WrittenPath};
 use crate::transit::Blocked;
 
 /// Most robots of a group: each may have a place of one formation.
 pub(crate) const GROUP_MAX: usize = PLACES_MAX;
 /// Places that differ less in height, in metres, have one height.
 const LEVEL: f64 = 1e-9;
-
-/// What groups need to know beyond their cues.
-#[derive(Clone, Copy)]
-pub(crate) struct Ground<'a> {
-    pub(crate) fleet: &'a Fleet,
-    pub(crate) formations: &'a HashMap<String, WrittenFormation>,
-    pub(crate) paths: &'a HashMap<String, WrittenPath>,
-}
 
 /// What a cue asks of its robots.
 #[derive(Clone, Copy)]

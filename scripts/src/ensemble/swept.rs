@@ -1,10 +1,9 @@
 //! A group that turns, grows, shifts and is carried as one.
 
 use super::along::{Carrier, carrier};
-use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved};
+use super::{Asked, Axis, Dancer, Fault, Ground, LEVEL, Moved, Sweep};
 use crate::formation::{Point, SAME};
 use crate::motion::Swept;
-use crate::scenario::Sweep;
 
 /// How each robot moves with the group.
 pub(super) fn swept(

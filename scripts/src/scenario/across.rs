@@ -7,10 +7,10 @@ use std::sync::Arc;
 use urrcp::{ControlType, RobotId};
 
 use super::library::Library;
-use super::{Cue, Motion, Together, Track};
+use super::{Cue, Motion, Track};
 use crate::chance::{drawn, share};
 use crate::composed::is_same;
-use crate::ensemble::{self, Asked, Dancer, Rehearsed};
+use crate::ensemble::{self, Asked, Dancer, Rehearsed, Together};
 use crate::exact::{Fraction, sum, to_f64};
 use crate::fields::{At, Reader, Robot};
 use crate::finding::{Code, Pending, names};

@@ -5,9 +5,10 @@ mod tests;
 
 use std::sync::Arc;
 
+use crate::ensemble::WrittenFormation;
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Place};
+use crate::finding::Code;
 use crate::formation::cloud::{self, Cloud};
 use crate::formation::{
     Ball, Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, Strokes, Unfit, Vee, middle_of,
@@ -39,17 +40,6 @@ pub(super) const SHAPES: [&str; 9] =
 keys! {
     /// What is said of a formation.
     FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, text, svg, cloud, at, rotate, scale, size }
-}
-
-/// A formation as written.
-#[derive(Clone, Debug)]
-pub(crate) struct WrittenFormation {
-    /// None if something is wrong with it, which has been told.
-    pub(crate) formation: Option<Formation>,
-    /// Place of its name.
-    pub(crate) place: Place,
-    /// The key that says how large it is, and its value: the places are further apart in proportion to that.
-    pub(crate) size: (&'static str, f64),
 }
 
 /// A shape, and how it stands if nothing is said of that.

@@ -31,7 +31,7 @@ use std::sync::Arc;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
-use crate::ensemble::{Ground, Rehearsed};
+use crate::ensemble::{Ground, Rehearsed, Together, WrittenFormation, WrittenPath};
 use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -49,13 +49,10 @@ pub(crate) use across::{Group, is_spread};
 pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
-pub(crate) use form::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
-pub(crate) use formations::WrittenFormation;
 pub(crate) use given::{Change, Changed, Given, Givens};
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
 pub(crate) use nesting::Nesting;
-pub(crate) use paths::WrittenPath;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::formations::{factor, length, point, rotation};
+use crate::ensemble::WrittenPath;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::formation::{Placing, Point, SAME, metres_between};
@@ -20,13 +21,6 @@ const CIRCLE: u32 = 64;
 keys! {
     /// What is said of a path.
     PathKeys, PATH_KEYS { points, circle, closed, rotate, scale }
-}
-
-/// A path as written.
-#[derive(Clone, Debug)]
-pub(crate) struct WrittenPath {
-    /// None if something is wrong with it, which has been told.
-    pub(crate) path: Option<Arc<Path>>,
 }
 
 /// Points as they are written, and whether the path leads from the last to the first.

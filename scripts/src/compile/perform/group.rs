@@ -12,12 +12,12 @@ use crate::compile::check_values;
 use crate::compile::overlap::overlap;
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
-use crate::ensemble::{self, Asked, Axis, Dancer, Fault, Moved};
+use crate::ensemble::{self, Action, Asked, Axis, Dancer, Fault, Moved, Together};
 use crate::exact::Exact;
 use crate::finding::{Code, Pending};
 use crate::fleet::settable_limits;
 use crate::motion::{Actuator, Between, Curve, Function, Knot, Played, Shape, Stretch, Swept};
-use crate::scenario::{Act, Action, Cue, Items, Motion, Together, Track};
+use crate::scenario::{Act, Cue, Items, Motion, Track};
 
 use fixes::Fixes;
 

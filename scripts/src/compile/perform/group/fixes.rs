@@ -6,10 +6,12 @@ use urrcp::{ControlType, Span};
 
 use super::Ground;
 use crate::duration::written;
-use crate::ensemble::{self, Asked, Axis, Dancer, Fault, Moved};
+use crate::ensemble::{
+    self, Action, Asked, Axis, Dancer, Fault, Form, Moved, Sweep, Target, Together, WrittenFormation,
+};
 use crate::fleet::limits_of;
 use crate::formation::{Formation, Point};
-use crate::scenario::{Action, Cue, Form, Sweep, Target, Together, WrittenFormation};
+use crate::scenario::Cue;
 use crate::shown::shortened;
 use crate::transit::Required;
 

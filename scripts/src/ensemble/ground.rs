@@ -1,0 +1,35 @@
+//! What groups need to know beyond their cues: the fleet, and the formations and paths of the scenario.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::finding::Place;
+use crate::fleet::Fleet;
+use crate::formation::Formation;
+use crate::motion::Path;
+
+/// What groups need to know beyond their cues.
+#[derive(Clone, Copy)]
+pub(crate) struct Ground<'a> {
+    pub(crate) fleet: &'a Fleet,
+    pub(crate) formations: &'a HashMap<String, WrittenFormation>,
+    pub(crate) paths: &'a HashMap<String, WrittenPath>,
+}
+
+/// A formation as written.
+#[derive(Clone, Debug)]
+pub(crate) struct WrittenFormation {
+    /// None if something is wrong with it, which has been told.
+    pub(crate) formation: Option<Formation>,
+    /// Place of its name.
+    pub(crate) place: Place,
+    /// The key that says how large it is, and its value: the places are further apart in proportion to that.
+    pub(crate) size: (&'static str, f64),
+}
+
+/// A path as written.
+#[derive(Clone, Debug)]
+pub(crate) struct WrittenPath {
+    /// None if something is wrong with it, which has been told.
+    pub(crate) path: Option<Arc<Path>>,
+}
