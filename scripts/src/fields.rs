@@ -1,7 +1,9 @@
 //! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
 
+mod across;
 mod cut;
 mod expressions;
+mod nesting;
 mod scalars;
 
 use std::cell::Cell;
@@ -16,16 +18,18 @@ use crate::finding::{
 };
 use crate::music::{Music, Unmusical};
 use crate::node::Node;
-use crate::scenario::{Group, Nesting, Unset};
 use crate::scope::Scope;
 use crate::shown::shortened;
 use crate::slips::{self, Units};
 use crate::syntax;
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
 use expressions::Robots;
+use nesting::Nesting;
 
+pub(crate) use across::{Across, Axis, By, Group, Standing, Whereabouts, is_spread, parts};
 pub(crate) use expressions::Robot;
 pub use expressions::tried;
+pub(crate) use nesting::{Name, Unset};
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
 pub(crate) struct Reader {

@@ -11,10 +11,10 @@ use urrcp::Device;
 use super::cast::Cast;
 use super::perform::unknown_sensor;
 use crate::budget::{Budget, USES_MAX};
-use crate::fields::Reader;
+use crate::fields::{Name, Reader};
 use crate::finding::{Code, Place, did_you_mean_this, names};
 use crate::plan::{FailurePolicy, Wait, Way};
-use crate::scenario::{Act, Name};
+use crate::scenario::Act;
 use crate::sensor_range::SensorRange;
 use crate::shown::shortened;
 

@@ -8,12 +8,12 @@ use urrcp::{ControlType, Device, RobotId, Span};
 
 use super::acts::Ways;
 use crate::composed::{composed, is_same};
-use crate::fields::Reader;
+use crate::fields::{Name, Reader, Unset};
 use crate::finding::{Code, SharedFault, one_of, robots_named};
 use crate::fleet::{Fleet, FleetRobot, RateLimits, devices_of};
 use crate::plan::{Act, Way};
 use crate::render::counted;
-use crate::scenario::{Canon, Cue, Movement, Name, Unset};
+use crate::scenario::{Canon, Cue, Movement};
 use crate::shown::shortened;
 use crate::slips;
 

@@ -9,11 +9,11 @@ use urrcp::{ControlType, Span};
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::duration::parse_duration;
-use crate::fields::Reader;
+use crate::fields::{Name, Reader};
 use crate::finding::{Code, Place, names, one_defined, one_of, within_file};
 use crate::motion::Stretch;
 use crate::plan::{PlannedCue, Repetition};
-use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
+use crate::scenario::{Act, Anchor, Cue, Motion, Order, Relation};
 use crate::shown::shortened;
 use crate::slips;
 

@@ -5,14 +5,13 @@ use std::sync::Arc;
 
 use urrcp::Span;
 
-use super::{At, Reader};
+use super::{At, Reader, is_spread};
 use crate::budget::longest;
 use crate::duration;
 use crate::exact::{Exact, Laps};
 use crate::expression;
 use crate::finding::{Code, Place, names, one_of};
 use crate::node::Node;
-use crate::scenario::is_spread;
 use crate::shown::shortened;
 use crate::slips;
 

@@ -1,8 +1,7 @@
 //! How much later each robot of a cue begins: by its number, by its place, at random, or as its `at` says.
 
-use super::across::{Across, By, parts};
 use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
-use crate::fields::{At, Reader, Robot};
+use crate::fields::{Across, At, By, Reader, Robot, parts};
 use crate::finding::{Code, Place};
 use crate::node::Node;
 

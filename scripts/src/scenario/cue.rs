@@ -8,7 +8,7 @@ use super::each::movements;
 use super::library::Library;
 use super::movement::Shaping;
 use super::when::{Timing, When, range};
-use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing};
+use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing, standing};
 use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
@@ -149,7 +149,7 @@ pub(super) fn read(
         tolerance,
     };
     reader.music.start = Beginning::default();
-    cue.rehearsed = reader.group.leave(library, &cue);
+    cue.rehearsed = standing::leave(&mut reader.group, library, &cue);
     Some(cue)
 }
 

@@ -1,10 +1,9 @@
 //! The keys for what a group of bodies does together: `form`, `turn`, `grow`, `shift`, `along` and `over`.
 
-use super::across::is_spread;
 use super::formations::SHAPES;
 use super::track::positive_time;
 use crate::ensemble::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
-use crate::fields::{At, Reader};
+use crate::fields::{At, Reader, is_spread};
 use crate::finding::Code;
 use crate::keys::keys;
 use crate::node::Node;

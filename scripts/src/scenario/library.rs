@@ -6,7 +6,6 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::Name;
-use super::across::is_spread;
 use super::each::Roster;
 use super::formations;
 use super::includes::{self, Included};
@@ -14,7 +13,7 @@ use super::nesting::Used;
 use super::paths;
 use crate::ensemble::{Action, Course, Form, Ground, Sweep, Target, Together, WrittenFormation, WrittenPath};
 use crate::exact::{Fraction, fraction};
-use crate::fields::{At, Reader};
+use crate::fields::{At, Reader, is_spread};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place, Use, one_defined, within_file};
 use crate::fleet::Fleet;

@@ -2,7 +2,6 @@
 //!
 //! `library` reads what cues share, `formations` places, `paths` ways, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
-mod across;
 mod acts;
 mod canon;
 mod cue;
@@ -20,6 +19,7 @@ mod paths;
 mod play;
 mod require;
 mod sequence;
+mod standing;
 mod track;
 mod vectors;
 mod when;
@@ -33,7 +33,7 @@ use urrcp::{ControlType, Millis, Span, StopCondition};
 use crate::budget::{LEADS, longest};
 use crate::ensemble::{Ground, Rehearsed, Together, WrittenFormation, WrittenPath};
 use crate::exact::Exact;
-use crate::fields::{At, Reader};
+use crate::fields::{At, Name, Reader, Unset};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Part, Place};
 use crate::fleet::{Fleet, devices_of};
@@ -45,14 +45,12 @@ use crate::requirements::Requirements;
 use crate::slips::Units;
 use crate::source::Source;
 
-pub(crate) use across::{Group, is_spread};
 pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
 pub(crate) use given::{Change, Changed, Given, Givens};
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
-pub(crate) use nesting::Nesting;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
@@ -84,13 +82,6 @@ pub(crate) struct Scenario {
 pub(crate) struct AtEnd {
     /// Duration of the movement; computed from the limits of the devices if none is given.
     pub(crate) over: Option<Span>,
-    pub(crate) place: Place,
-}
-
-/// A name with its place.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Name {
-    pub(crate) text: String,
     pub(crate) place: Place,
 }
 
@@ -164,14 +155,6 @@ pub(crate) struct Movement {
     pub(crate) repetition: Option<Repetition>,
     /// Parameters without a value: faults only if some robot does it.
     pub(crate) unset: Vec<Unset>,
-}
-
-/// A parameter that has neither a default nor a value.
-#[derive(Clone, Debug)]
-pub(crate) struct Unset {
-    pub(crate) place: Place,
-    pub(crate) of_move: String,
-    pub(crate) parameter: String,
 }
 
 /// A least and a largest length.
@@ -398,7 +381,7 @@ pub(crate) fn read(
         acts,
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
-    reader.group = Group::of(fleet);
+    reader.group = standing::at_first(fleet);
     reader.units = Units::of(fleet.robots.iter().flat_map(devices_of));
     let parts = [variables, moves, sequences, roles, formations, paths];
     let library = shared(reader, documents, files, fleet, (include, parts));

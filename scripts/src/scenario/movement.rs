@@ -2,7 +2,6 @@
 
 use urrcp::Span;
 
-use super::across::is_spread;
 use super::cue::name_list;
 use super::library::Library;
 use super::nesting::{self, within};
@@ -13,7 +12,7 @@ use super::{Change, Changed, Motion, Movement, Name, Track};
 use crate::budget::longest;
 use crate::duration::written;
 use crate::exact::{Beginning, Exact, Laps};
-use crate::fields::{At, Reader, Robot};
+use crate::fields::{At, Reader, Robot, is_spread};
 use crate::finding::{Code, one_of};
 use crate::node::Node;
 use crate::plan::Repetition;

@@ -4,91 +4,14 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::Name;
-use super::across::is_spread;
 use super::library::{Library, Shared, plain_name, scalar};
 use crate::budget::{Budget, DEPTH_MAX, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
 use crate::duration::parse_duration;
-use crate::exact::Beginning;
 use crate::expression;
-use crate::fields::{At, Reader};
+use crate::fields::{At, Reader, Unset, is_spread};
 use crate::finding::{Code, Place, Use, did_you_mean_this, one_of};
 use crate::node::Node;
 use crate::shown::shortened;
-
-/// Which moves and sequences are being read, one within another.
-#[derive(Debug)]
-pub(crate) struct Nesting {
-    /// The innermost last, each as it is told: `the move `wave``.
-    pub(super) inside: Vec<String>,
-    /// The copy of a file whose names are seen first.
-    pub(super) copy: usize,
-    /// Moves that the movement being read plays.
-    plays: Budget,
-    /// The same for all movements.
-    all_plays: Budget,
-    /// Cues that sequences make.
-    pub(super) cues: Budget,
-    /// Cues that sequences make which nothing uses.
-    unused_cues: usize,
-    /// Sequences that are being read.
-    pub(super) sequences: usize,
-    /// Robots for cues of a sequence that name none.
-    pub(super) robots: Option<Arc<[Name]>>,
-    /// Where the cue that was read last begins, as far as that is fixed.
-    pub(super) began: Beginning,
-    /// What is said of uses that lead back to themselves, with the number of the finding.
-    circles: HashMap<String, usize>,
-}
-
-impl Default for Nesting {
-    fn default() -> Self {
-        Self {
-            inside: Vec::new(),
-            copy: 0,
-            plays: Budget::new(PLAYS_MAX),
-            all_plays: Budget::new(PLAYS_IN_ALL_MAX),
-            cues: Budget::new(SEQUENCE_CUES_MAX),
-            unused_cues: 0,
-            sequences: 0,
-            robots: None,
-            began: Beginning::default(),
-            circles: HashMap::new(),
-        }
-    }
-}
-
-impl Nesting {
-    /// Whether cues of a sequence are being read.
-    pub(super) const fn is_in_sequence(&self) -> bool {
-        self.sequences > 0
-    }
-
-    /// Room for a sequence that nothing uses: its cues are none of the scenario. Returns the room that is left for those; none if enough
-    /// unused ones have been looked at.
-    pub(super) fn unused_sequence(&mut self) -> Option<Budget> {
-        if self.unused_cues > SEQUENCE_CUES_MAX {
-            return None;
-        }
-        Some(std::mem::replace(&mut self.cues, Budget::new(SEQUENCE_CUES_MAX)))
-    }
-
-    /// Its cues have been read.
-    pub(super) fn end_unused(&mut self, room: Budget) {
-        let unused = std::mem::replace(&mut self.cues, room);
-        self.unused_cues += unused.most() - unused.left();
-    }
-
-    /// For the movement that is read next.
-    pub(super) fn renew_plays(&mut self) {
-        self.plays = Budget::new(PLAYS_MAX);
-    }
-
-    /// Whether the movement plays so many moves that nothing more of it is read.
-    pub(super) const fn has_too_many_plays(&self) -> bool {
-        self.plays.is_overdrawn() || self.all_plays.is_overdrawn()
-    }
-}
 
 /// A move or a sequence where it is used.
 pub(super) struct Used<'a> {
@@ -365,7 +288,7 @@ pub(super) fn with_defaults(
 fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
     let (place, parameter) = (used.place.clone(), parameter.to_owned());
     if used.kind == "move" {
-        reader.unset.push(super::Unset { place, of_move: used.name.clone(), parameter });
+        reader.unset.push(Unset { place, of_move: used.name.clone(), parameter });
         return;
     }
     let message = format!("{} needs a value for `{parameter}`", used.what());

@@ -1,20 +1,14 @@
 //! Where each robot of a cue stands among them: by its number, by its place in the fleet, or at random. And values that are spread
 //! over them: `{from: 0, to: 90, across: group}`.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
-use urrcp::{ControlType, RobotId};
+use urrcp::RobotId;
 
-use super::library::Library;
-use super::{Cue, Motion, Track};
+use super::{At, Reader, Robot};
 use crate::chance::{drawn, share};
-use crate::composed::is_same;
-use crate::ensemble::{self, Asked, Dancer, Rehearsed, Together};
 use crate::exact::{Fraction, sum, to_f64};
-use crate::fields::{At, Reader, Robot};
 use crate::finding::{Code, Pending, names};
-use crate::fleet::{Fleet, FleetRobot, devices_of};
 use crate::motion::Easing;
 use crate::node::Node;
 use crate::space::Coordinate;
@@ -26,34 +20,34 @@ const FARTHEST: f64 = 1e8;
 /// Most robots without a place that a finding names.
 const NAMED_MAX: usize = 8;
 
-pub(super) const SPREAD_KEYS: [&str; 7] = ["from", "to", "across", "by", "seed", "direction", "ease"];
+const SPREAD_KEYS: [&str; 7] = ["from", "to", "across", "by", "seed", "direction", "ease"];
 
 /// The robots of the cue that is read.
 #[derive(Debug, Default)]
 pub(crate) struct Group {
     /// By their index in the fleet, in the order of the cue.
-    pub(super) robots: Vec<usize>,
-    fleet: Vec<Standing>,
+    pub(crate) robots: Vec<usize>,
+    pub(crate) fleet: Vec<Standing>,
     /// What has been asked of them before.
     shares: Vec<(Across, Arc<[Fraction]>)>,
 }
 
 /// A robot and where it stands.
 #[derive(Debug)]
-struct Standing {
-    id: RobotId,
+pub(crate) struct Standing {
+    pub(crate) id: RobotId,
     /// x, y and z; none without a body.
-    axes: Option<[Axis; 3]>,
+    pub(crate) axes: Option<[Axis; 3]>,
 }
 
 #[derive(Debug)]
-struct Axis {
-    of: Coordinate,
-    at: Whereabouts,
+pub(crate) struct Axis {
+    pub(crate) of: Coordinate,
+    pub(crate) at: Whereabouts,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Whereabouts {
+pub(crate) enum Whereabouts {
     /// In metres.
     Known(f64),
     Unknown,
@@ -63,14 +57,14 @@ enum Whereabouts {
 
 /// The order of the robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Across {
-    pub(super) by: By,
+pub(crate) struct Across {
+    pub(crate) by: By,
     direction: Direction,
 }
 
 /// What the robots are ordered by.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) enum By {
+pub(crate) enum By {
     /// Their number in the cue.
     #[default]
     Index,
@@ -117,100 +111,32 @@ enum Word {
 }
 
 impl Group {
-    pub(super) fn of(fleet: &Fleet) -> Self {
-        let standing = |robot: &FleetRobot| Standing { id: robot.id.clone(), axes: axes(robot) };
-        Self { fleet: fleet.robots.iter().map(standing).collect(), ..Self::default() }
+    /// Of a fleet, before any cue.
+    pub(crate) fn of(fleet: Vec<Standing>) -> Self {
+        Self { fleet, ..Self::default() }
     }
 
-    pub(super) fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.robots.len()
     }
 
     /// From here on, these robots.
-    pub(super) fn enter(&mut self, robots: Vec<usize>) {
+    pub(crate) fn enter(&mut self, robots: Vec<usize>) {
         self.robots = robots;
         self.shares.clear();
-    }
-
-    /// Robots are where their last cue in the file leaves them. The ways of those that move as a group, if it is known where they begin.
-    pub(super) fn leave(&mut self, library: &Library<'_>, cue: &Cue) -> Option<Rehearsed> {
-        let rehearsed = cue.group.as_ref().and_then(|together| self.rehearse(library, cue, together));
-        let mut overridden = HashMap::new();
-        for (name, movement) in &cue.overrides {
-            let robots = library.robots(std::slice::from_ref(name));
-            overridden.extend(robots.into_iter().map(|robot| (robot, movement)));
-        }
-        for (index, robot) in self.robots.iter().enumerate() {
-            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else {
-                continue;
-            };
-            let own = cue.own_of.get(index).copied().flatten().and_then(|own| cue.own.get(own));
-            let movement = own.or_else(|| overridden.get(robot).copied()).unwrap_or(&cue.movement);
-            for track in &movement.tracks {
-                axes.iter_mut().for_each(|axis| axis.follow(track));
-            }
-        }
-        rehearsed
-    }
-
-    /// Each robot is where its way leads; the places are lost where there is none.
-    fn rehearse(&mut self, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
-        let asked = Asked { together, tolerance: cue.tolerance };
-        let dancers = self.dancers(library, cue);
-        let ways = dancers.as_ref().map(|dancers| ensemble::ways(asked, dancers, library.ground()));
-        for robot in &self.robots {
-            let axes = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut());
-            axes.into_iter().flatten().for_each(Axis::lose);
-        }
-        let (dancers, ways) = (dancers?, ways?);
-        for (dancer, moved) in dancers.iter().zip(ways.iter().flatten()) {
-            let Some(axes) = self.fleet.get_mut(dancer.robot).and_then(|robot| robot.axes.as_mut()) else {
-                continue;
-            };
-            for ((axis, settable), end) in axes.iter_mut().zip(&dancer.axes).zip(moved.end()) {
-                axis.at = Whereabouts::Known(settable.nearest(end));
-            }
-        }
-        Some(Rehearsed::new(&dancers, ways))
-    }
-
-    /// The robots of the cue as a group, if it is known where each of them begins.
-    fn dancers<'a>(&self, library: &'a Library<'_>, cue: &Cue) -> Option<Vec<Dancer<'a>>> {
-        let dancer = |(index, robot): (usize, &usize)| {
-            let known = &library.ground().fleet.robots[*robot];
-            let body = known.body.as_ref()?;
-            let axes = ensemble::axes(body, devices_of(known))?;
-            let from = self.fleet.get(*robot)?.metres()?;
-            Some(Dancer { robot: *robot, delay: cue.canon.delay(index), body, axes, from })
-        };
-        self.robots.iter().enumerate().map(dancer).collect()
     }
 }
 
 impl Axis {
-    fn lose(&mut self) {
+    pub(crate) fn lose(&mut self) {
         if matches!(self.of, Coordinate::Device { .. }) {
             self.at = Whereabouts::Lost;
         }
     }
-
-    fn follow(&mut self, track: &Track) {
-        let Coordinate::Device { device, scale, offset } = &self.of else { return };
-        if !is_same(device.as_str(), &track.device) {
-            return;
-        }
-        self.at = match (&track.motion, track.control) {
-            (Motion::Curve(curve), None | Some(ControlType::Position)) => curve
-                .knots
-                .last()
-                .map_or(Whereabouts::Unknown, |last| Whereabouts::Known(offset + scale * last.to)),
-            _ => Whereabouts::Unknown,
-        };
-    }
 }
 
 impl Standing {
-    fn metres(&self) -> Option<[f64; 3]> {
+    pub(crate) fn metres(&self) -> Option<[f64; 3]> {
         let known = |axis: &Axis| match axis.at {
             Whereabouts::Known(metres) => Some(metres),
             Whereabouts::Unknown | Whereabouts::Lost => None,
@@ -229,22 +155,6 @@ impl Standing {
     }
 }
 
-/// Where the body is in its default state.
-fn axes(robot: &FleetRobot) -> Option<[Axis; 3]> {
-    let [x, y, z, _] = &robot.body.as_ref()?.coordinates;
-    let axis = |coordinate: &Coordinate| {
-        let metres = match coordinate {
-            Coordinate::Fixed(metres) => Some(*metres),
-            Coordinate::Device { device, scale, offset } => {
-                let known = devices_of(robot).iter().find(|known| known.id == *device);
-                known.and_then(|known| known.default_value).map(|value| offset + scale * value)
-            }
-        };
-        Axis { of: coordinate.clone(), at: metres.map_or(Whereabouts::Unknown, Whereabouts::Known) }
-    };
-    Some([x, y, z].map(axis))
-}
-
 #[expect(clippy::cast_possible_truncation, reason = "clamped")]
 fn nanometres(metres: f64) -> i128 {
     (metres.clamp(-FARTHEST, FARTHEST) * UNITS_A_METRE).round() as i128
@@ -257,7 +167,7 @@ fn distance(place: [i128; 3], point: [f64; 3]) -> i128 {
 }
 
 impl Across {
-    pub(super) fn read(
+    pub(crate) fn read(
         reader: &mut Reader,
         by: Option<At<'_>>,
         seed: Option<At<'_>>,
@@ -289,7 +199,7 @@ impl Across {
     }
 
     /// Where each robot of the cue stands along it, from 0 on; in metres, where places are asked for.
-    pub(super) fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
+    pub(crate) fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
         let own = self.own(reader, at)?;
         let metres = matches!(self.by, By::Axis(_) | By::Point(_));
         let unit = |value: i128| Fraction::new(value, if metres { 1_000_000_000 } else { 1 });
@@ -303,7 +213,7 @@ impl Across {
     }
 
     /// Which place each robot has in the order, from 0 on. Robots that stand alike share one.
-    pub(super) fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
+    pub(crate) fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
         let own = self.own(reader, at)?;
         let mut sorted = own.clone();
         sorted.sort_unstable();
@@ -395,7 +305,7 @@ impl Across {
 }
 
 /// Each as a part of the largest; 0 if all are.
-pub(super) fn parts(all: &[Fraction]) -> Vec<Fraction> {
+pub(crate) fn parts(all: &[Fraction]) -> Vec<Fraction> {
     let most = all.iter().max().copied().unwrap_or_default();
     let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
     all.iter().map(part).collect()
@@ -450,7 +360,7 @@ pub(crate) fn is_spread(node: &Node) -> bool {
 
 impl Reader {
     /// Reads something for one robot; and whether it is something else for others.
-    pub(super) fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
+    pub(crate) fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
         let before = self.robots.current.replace(robot);
         self.robots.asked = false;
         let found = read(self);
