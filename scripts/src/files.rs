@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::finding::Finding;
+use crate::finding::{Code, Finding};
 use crate::project::Project;
 use crate::source::Source;
 
@@ -62,6 +62,6 @@ pub struct NoFiles;
 impl Files for NoFiles {
     fn read(&self, name: &str) -> Result<Source, Finding> {
         let message = "there are no files here".to_owned();
-        Err(Finding::about_file(crate::Code::Unreadable, name, message, "a scenario in one file", None))
+        Err(Finding::about_file(Code::Unreadable, name, message, "a scenario in one file", None))
     }
 }

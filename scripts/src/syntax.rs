@@ -181,7 +181,7 @@ fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
 fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
     let key = shortened(key);
     finding.message = format!("this line is indented deeper than `{key}`, which has a value already");
-    finding.expected = format!("{} ahead of it", crate::counted(column - 1, "space"));
+    finding.expected = format!("{} ahead of it", crate::render::counted(column - 1, "space"));
     finding.hint = Some(format!("indent it as far as `{key}`"));
     finding.column = line.len() - line.trim_start().len() + 1;
 }

@@ -86,7 +86,7 @@ pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
         notes.push(format!("{} acts follow each other at once: what they wait for is left out", line.len()));
     }
     if line.len() < choreography.acts.len() {
-        let left = crate::counted(choreography.acts.len() - line.len(), "act");
+        let left = crate::render::counted(choreography.acts.len() - line.len(), "act");
         notes.push(format!("left out {left} that only a failure or a timeout leads to"));
     }
     if !rates.is_empty() {

@@ -59,7 +59,7 @@ fn read_joints(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -
     let many = all.len();
     if matches!(at.node, Node::List(_)) && !(1..=JOINTS_MAX).contains(&many) {
         let code = if many == 0 { Code::WrongType } else { Code::TooMuch };
-        let message = format!("the arm has {}", crate::counted(many, "joint"));
+        let message = format!("the arm has {}", crate::render::counted(many, "joint"));
         findings.add(code, at.place(), message, format!("1 to {JOINTS_MAX} joints"), None);
         return None;
     }

@@ -86,7 +86,7 @@ impl Urdfs {
         let chain = tree.chain(end.as_deref());
         let chain = chain.map_err(|fault| tell_no_chain(findings, keys, end.as_deref(), fault)).ok()?;
         if chain.len() > JOINTS_MAX {
-            let message = format!("the arm has {}", crate::counted(chain.len(), "joint"));
+            let message = format!("the arm has {}", crate::render::counted(chain.len(), "joint"));
             findings.add(
                 Code::TooMuch,
                 keys.urdf.place(),

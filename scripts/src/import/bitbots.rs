@@ -107,11 +107,11 @@ impl Tracks {
         let file = &source.name;
         let pauses = poses.iter().filter(|pose| pose.until > pose.at).count();
         if pauses > 0 {
-            sink.note(format!("{file}: held {}", crate::counted(pauses, "pause")));
+            sink.note(format!("{file}: held {}", crate::render::counted(pauses, "pause")));
         }
         if !self.left_out.is_empty() {
             let (count, joints) = (self.left_out.len(), names(self.left_out.iter().map(String::as_str)));
-            let joints_held = crate::counted(count, "joint");
+            let joints_held = crate::render::counted(count, "joint");
             sink.note(format!("{file}: held {joints_held} where keyframes leave them out: {joints}"));
         }
         if !self.late.is_empty() {

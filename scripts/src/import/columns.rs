@@ -166,7 +166,7 @@ impl<'a> Header<'a> {
         if unused.len() > NAMED_MAX {
             named.push(format!("and {} more", unused.len() - NAMED_MAX));
         }
-        let columns = crate::counted(unused.len(), "column");
+        let columns = crate::render::counted(unused.len(), "column");
         sink.note(format!("{}: left out {columns} that nothing maps: {}", source.name, named.join(", ")));
     }
 }

@@ -363,7 +363,7 @@ fn note(header: &Header, mapped: &[Mapped], name: &str, frames: usize, sink: &mu
         header.step_ms
     ));
     if left > 0 {
-        sink.note(format!("{name}: left out {} that nothing maps", crate::counted(left, "channel")));
+        sink.note(format!("{name}: left out {} that nothing maps", crate::render::counted(left, "channel")));
     }
     if !header.variables.is_empty() {
         sink.note(format!("{name}: left out what else the file says: {}", header.variables.join(", ")));

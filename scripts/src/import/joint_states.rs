@@ -79,7 +79,7 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     }
     if !recording.others.is_empty() {
         let others = names(recording.others.iter().take(12).map(String::as_str));
-        let count = crate::counted(recording.others.len(), "other topic");
+        let count = crate::render::counted(recording.others.len(), "other topic");
         sink.note(format!("{name}: left out {count}: {others}"));
     }
     let first = topics.iter().flat_map(Topic::times).min().unwrap_or(0);
@@ -300,7 +300,7 @@ impl Topic {
             }
         }
         if self.unstamped > 0 {
-            let messages = crate::counted(self.unstamped, "message");
+            let messages = crate::render::counted(self.unstamped, "message");
             sink.note(format!(
                 "{file}: `{topic}`: {messages} without a stamp: taken as of when it was recorded"
             ));

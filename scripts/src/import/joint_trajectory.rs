@@ -155,7 +155,7 @@ fn note(points: &[JointPoint], between: Between, options: &ImportOptions, source
     }
     let more = points.iter().filter(|point| point.has_more).count();
     if more > 0 {
-        let points = crate::counted(more, "point");
+        let points = crate::render::counted(more, "point");
         sink.note(format!("{file}: left out accelerations and efforts of {points}"));
     }
 }

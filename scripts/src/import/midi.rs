@@ -168,7 +168,7 @@ fn devices(read: &Read, timing: Timing, name: &str, sink: &mut Sink) -> Option<V
         }
     }
     if replaced > 0 {
-        let values = crate::counted(replaced, "value");
+        let values = crate::render::counted(replaced, "value");
         sink.note(format!("{name}: left out {values} that another replaces at the same time"));
     }
     let device = |((channel, what), keyframes): ((u8, What), Vec<Keyframe>)| DeviceMotion {
@@ -192,7 +192,7 @@ fn device_name(channel: u8, what: What) -> String {
 }
 
 fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
-    let tempi = crate::counted(read.tempi.len(), "tempo");
+    let tempi = crate::render::counted(read.tempi.len(), "tempo");
     sink.note(match song.timing {
         Timing::Beats(_) if read.tempi.is_empty() => {
             format!("{name}: no tempo is stated: 120 beats per minute")
@@ -209,11 +209,11 @@ fn note(read: &Read, song: &Song, name: &str, sink: &mut Sink) {
         (read.other, "signature or other mark"),
     ] {
         if count > 0 {
-            sink.note(format!("{name}: left out {}", crate::counted(count, what)));
+            sink.note(format!("{name}: left out {}", crate::render::counted(count, what)));
         }
     }
     if song.resumed > 0 {
-        let events = crate::counted(song.resumed, "event");
+        let events = crate::render::counted(song.resumed, "event");
         sink.note(format!(
             "{name}: {events} continue a running status behind a text or an exclusive message"
         ));

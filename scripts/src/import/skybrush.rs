@@ -120,7 +120,7 @@ impl Told {
     fn note(&self, file: &str, period_ms: u64, sink: &mut Sink) {
         let mut tell = |count: usize, text: &str| {
             if count > 0 {
-                sink.note(format!("{file}: {}: {text}", crate::counted(count, "drone")));
+                sink.note(format!("{file}: {}: {text}", crate::render::counted(count, "drone")));
             }
         };
         tell(self.pyro, "left out fireworks");

@@ -47,7 +47,7 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
     let (mut at, mut found) = (CHUNK + length, 0);
     while at < bytes.len() {
         if found == tracks {
-            let rest = crate::counted(bytes.len() - at, "byte");
+            let rest = crate::render::counted(bytes.len() - at, "byte");
             song.passed_over.push(format!("{rest} behind the last track"));
             break;
         }
@@ -77,7 +77,10 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
     }
     match found == tracks {
         true => Ok(song),
-        false => Err(format!("the header states {}, the file has {found}", crate::counted(tracks, "track"))),
+        false => Err(format!(
+            "the header states {}, the file has {found}",
+            crate::render::counted(tracks, "track")
+        )),
     }
 }
 
@@ -163,7 +166,7 @@ impl<'a> Track<'a> {
             take(tick, event);
         }
         if self.at < self.bytes.len() {
-            let rest = crate::counted(self.bytes.len() - self.at, "byte");
+            let rest = crate::render::counted(self.bytes.len() - self.at, "byte");
             song.passed_over.push(format!("{rest} behind the end of track {}", self.number));
         }
         Ok(())

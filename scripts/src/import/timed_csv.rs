@@ -94,7 +94,7 @@ fn begins_with_title(table: &Table<'_>, sink: &mut Sink) -> bool {
     let Some((before, cells)) = dialect::table_behind_title(table.source, table.dialect) else {
         return false;
     };
-    let own = crate::counted(table.header.width, "column");
+    let own = crate::render::counted(table.header.width, "column");
     let message = format!("the first line has {own}, but those from line {} on have {cells}", before + 1);
     let hint = format!("if the lines before it are a title, --skip {before} leaves them out");
     let expected = "the names of all columns";
@@ -338,12 +338,12 @@ impl Mapped {
             let message = format!("the column of `{device}` of `{robot}` is empty");
             sink.about(&source.name, Code::NothingToDo, message, "at least one value", None);
         } else if *empty > 0 {
-            let cells = crate::counted(*empty, "empty cell");
+            let cells = crate::render::counted(*empty, "empty cell");
             let how = if motion.course == Course::Straight { "moves straight" } else { "stays as it is" };
             sink.note(format!("{}: `{device}` of `{robot}` {how} through {cells}", source.name));
         }
         if *same > 0 {
-            let lines = crate::counted(*same, "line");
+            let lines = crate::render::counted(*same, "line");
             sink.note(format!(
                 "{}: `{device}` of `{robot}` does not change in {lines}: left out",
                 source.name

@@ -321,7 +321,7 @@ impl Told {
     fn note(&self, file: &str, sink: &mut Sink) {
         let listed = |names: &[String]| crate::finding::names(names.iter().take(20).map(String::as_str));
         if self.fixed > 0 {
-            sink.note(format!("{file}: left out {}", crate::counted(self.fixed, "fixed joint")));
+            sink.note(format!("{file}: left out {}", crate::render::counted(self.fixed, "fixed joint")));
         }
         for (list, text) in [
             (&self.left_out, "left out, since they have more than one value"),
@@ -335,7 +335,7 @@ impl Told {
             }
         }
         if self.efforts > 0 {
-            sink.note(format!("{file}: left out {}", crate::counted(self.efforts, "effort")));
+            sink.note(format!("{file}: left out {}", crate::render::counted(self.efforts, "effort")));
         }
         sink.note(format!(
             "{file}: a URDF says nothing about granularity and max_error ({GRANULARITY} is taken), nor about \

@@ -133,7 +133,7 @@ impl Joint {
 fn note(joints: &[Joint], source: &Source, sink: &mut Sink) {
     let gaps: usize = joints.iter().map(|joint| joint.gaps).sum();
     if gaps > 0 {
-        let gaps = crate::counted(gaps, "value");
+        let gaps = crate::render::counted(gaps, "value");
         sink.note(format!("{}: {gaps} `*`: the joint stays as it is until its next value", source.name));
     }
     for joint in joints.iter().filter(|joint| joint.motion.keyframes.is_empty() && joint.gaps > 0) {

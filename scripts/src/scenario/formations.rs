@@ -152,7 +152,7 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     let all = reader.list(at, "a list of places such as [1, 0, 2.5]");
     if matches!(at.node, Node::List(_)) && !(1..=PLACES_MAX).contains(&all.len()) {
         let code = if all.is_empty() { Code::NothingToDo } else { Code::TooMuch };
-        let message = format!("the formation has {}", crate::counted(all.len(), "place"));
+        let message = format!("the formation has {}", crate::render::counted(all.len(), "place"));
         reader.add(code, at.place(), message, format!("1 to {PLACES_MAX} places"), None);
         return None;
     }

@@ -112,7 +112,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
     let least = if closed { 3 } else { 2 };
     if matches!(at.node, Node::List(_)) && !(least..=POINTS_MAX).contains(&all.len()) {
         let code = if all.len() > POINTS_MAX { Code::TooMuch } else { Code::WrongType };
-        let message = format!("a path through {}", crate::counted(all.len(), "point"));
+        let message = format!("a path through {}", crate::render::counted(all.len(), "point"));
         let expected = match closed {
             true => format!("{least} to {POINTS_MAX} points of a closed path"),
             false => format!("{least} to {POINTS_MAX} points"),
