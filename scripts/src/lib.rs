@@ -10,9 +10,18 @@
 //! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
 //! tools, and [`export`] writes what a scenario compiles to as theirs.
 //!
-//! Within the crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile` (robots, times, movements:
-//! `downbeat-timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings carry a path into the tree; `locate`
-//! turns it into line and column only when there is something to report.
+//! The modules are layers: none imports one above it. From the bottom:
+//!
+//! 1. `finding`, `source`, `formats`, `locate`, `render`: files, and what is wrong with them. Findings carry a path into the tree; `locate`
+//!    turns it into line and column only when there is something to report.
+//! 2. `exact`, `duration`, `music`, `expression`, `fit`, `motion`: times, values, and the steps of movements.
+//! 3. `space`, `formation`, `transit`: bodies, places, and ways between them.
+//! 4. `node`, `at`, `scope`, `identify`: text to tree.
+//! 5. `fields`: reads values of a tree, with `slips` for hints.
+//! 6. `init`, `import`, `fleet`: robots, and files of other tools.
+//! 7. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
+//! 8. `compile`: robots, times (solved by `downbeat-timing`), movements.
+//! 9. `approach`, `home`, `rehearse`, `inventory`, `world`, `export`: what else is made of a fleet and a scenario.
 
 mod address;
 mod aliases;
