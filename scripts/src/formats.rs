@@ -71,7 +71,7 @@ impl ImportFormat {
         matches!(self, Self::Crazyswarm | Self::JointTrajectory | Self::Skybrush)
     }
 
-    /// What kind of robot plays such files, where the user says nothing else.
+    /// The kind of robot that plays such files, unless the user states another one.
     pub(crate) fn kind(self) -> &'static str {
         match self {
             Self::Crazyswarm | Self::Waypoints => "crazyflie",

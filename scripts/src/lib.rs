@@ -12,7 +12,7 @@
 //!
 //! The modules are layers: none imports one above it. From the bottom:
 //!
-//! 1. `finding`, `source`, `formats`, `locate`, `render`: files, and what is wrong with them. Findings carry a path into the tree; `locate`
+//! 1. `finding`, `source`, `formats`, `locate`, `render`: files and their faults. Findings carry a path into the tree; `locate`
 //!    turns it into line and column only when there is something to report.
 //! 2. `exact`, `duration`, `music`, `expression`, `fit`, `motion`: times, values, and the steps of movements.
 //! 3. `space`, `formation`, `transit`: bodies, places, and ways between them.

@@ -19,7 +19,7 @@ pub(crate) struct Ground<'a> {
 /// A formation as written.
 #[derive(Clone, Debug)]
 pub(crate) struct WrittenFormation {
-    /// None if something is wrong with it, which has been told.
+    /// `None` if it has a fault, which has been reported.
     pub(crate) formation: Option<Formation>,
     /// Place of its name.
     pub(crate) place: Place,
@@ -30,6 +30,6 @@ pub(crate) struct WrittenFormation {
 /// A path as written.
 #[derive(Clone, Debug)]
 pub(crate) struct WrittenPath {
-    /// None if something is wrong with it, which has been told.
+    /// `None` if it has a fault, which has been reported.
     pub(crate) path: Option<Arc<Path>>,
 }

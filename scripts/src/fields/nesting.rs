@@ -25,7 +25,7 @@ pub(crate) struct Unset {
 /// Which moves and sequences are being read, one within another.
 #[derive(Debug)]
 pub(crate) struct Nesting {
-    /// The innermost last, each as it is told: `the move `wave``.
+    /// The innermost last, each as messages name it: `the move `wave``.
     pub(crate) inside: Vec<String>,
     /// The copy of a file whose names are seen first.
     pub(crate) copy: usize,
@@ -43,7 +43,7 @@ pub(crate) struct Nesting {
     pub(crate) robots: Option<Arc<[Name]>>,
     /// Where the cue that was read last begins, as far as that is fixed.
     pub(crate) began: Beginning,
-    /// What is said of uses that lead back to themselves, with the number of the finding.
+    /// The message about uses that lead back to themselves, with the number of the finding.
     pub(crate) circles: HashMap<String, usize>,
 }
 
@@ -90,7 +90,7 @@ impl Nesting {
         self.plays = Budget::new(PLAYS_MAX);
     }
 
-    /// Whether the movement plays so many moves that nothing more of it is read.
+    /// Whether the movement plays more moves than are read.
     pub(crate) const fn has_too_many_plays(&self) -> bool {
         self.plays.is_overdrawn() || self.all_plays.is_overdrawn()
     }

@@ -39,7 +39,7 @@ pub(super) fn leave(group: &mut Group, library: &Library<'_>, cue: &Cue) -> Opti
     rehearsed
 }
 
-/// Each robot is where its way leads; the places are lost where there is none.
+/// Each robot is at the end of its way; without a way, its place is unknown.
 fn rehearse(group: &mut Group, library: &Library<'_>, cue: &Cue, together: &Together) -> Option<Rehearsed> {
     let asked = Asked { together, tolerance: cue.tolerance };
     let dancers = dancers(group, library, cue);
