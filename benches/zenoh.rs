@@ -268,8 +268,7 @@ fn decision(
     runtime().block_on(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
-        let mut options = MissionOptions::default();
-        options.patience = Span::from_millis(60_000);
+        let options = MissionOptions { patience: Span::from_millis(60_000), ..MissionOptions::default() };
         let mission =
             Mission::of_plan(plan(count, steps, scripts), participants, options, clock.now()).unwrap();
         let networks = through.map(|port| Networks::open_with(&configuration(port)).unwrap());

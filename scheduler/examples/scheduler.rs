@@ -35,9 +35,9 @@ pub async fn play(
 
     // The system's clock is taken as it is; `server_clock::ask_ntp` tells how far it is off.
     let clock = ServerClock::anchored(Span::ZERO);
-    let mut options = MissionOptions::default();
-    // Robots are told a name with a random key, so that nobody else can drive them.
-    options.session = Some(Session::with_key("example".parse()?, &SessionKey::random()?)?);
+    // The name that robots know has a random key, so that nobody else can drive them.
+    let session = Some(Session::with_key("example".parse()?, &SessionKey::random()?)?);
+    let options = MissionOptions { session, ..MissionOptions::default() };
     let robots = fleet::robots_in(&fleet, &choreography);
     // Simulated robots and drivers run in this process, on the host.
     let (site, options_of_host) = (Site::of(&fleet, None)?, HostOptions::default());

@@ -123,8 +123,8 @@ impl Show {
         let acts: Vec<_> = choreography.acts.iter().map(|act| act.called()).collect();
         let (world, findings) = read_world(&stage.path("world.yaml"), &fleet, &acts);
         let world = world.unwrap_or_else(|| panic!("{findings:?}"));
-        let mut options = MissionOptions::default();
-        options.greeting = downbeat::fleet::greeting(&fleet);
+        let options =
+            MissionOptions { greeting: downbeat::fleet::greeting(&fleet), ..MissionOptions::default() };
         let trials = Trials::new(&choreography, &fleet, &world, options, 0);
         let played = trials.play_one(0, Logs::Kept, &mut ()).unwrap();
         (played, world)

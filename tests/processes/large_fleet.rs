@@ -71,8 +71,7 @@ fn a_thousand_robots_on_tcp_prepare_start_and_report_without_a_failure() {
         }
         let clock = ServerClock::anchored(Span::ZERO);
         let participants = (0..ROBOTS).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
-        let mut options = MissionOptions::default();
-        options.patience = Span::from_millis(60_000);
+        let options = MissionOptions { patience: Span::from_millis(60_000), ..MissionOptions::default() };
         let mission = Mission::of_plan(plan(), participants, options, clock.now()).unwrap();
         let (_operator, said) = mpsc::channel(1);
         downbeat::run::run(mission, endpoints, clock, said, |_, _| {}).await
