@@ -284,7 +284,7 @@ impl<D: Disk> Journal<D> {
         reason
     }
 
-    /// Its bytes, for [`ended_acts`].
+    /// Its bytes, for [`ended_acts`](crate::mission::ended_acts).
     ///
     /// # Errors
     /// [`JournalError`] when the disk cannot be read.
