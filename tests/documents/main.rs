@@ -5,6 +5,7 @@ mod documents;
 mod examples;
 mod first_steps;
 mod help;
+mod layers;
 mod promises;
 mod schema;
 mod tied;
