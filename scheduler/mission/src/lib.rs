@@ -450,12 +450,15 @@ impl Mission {
         self.robots.iter().map(devices)
     }
 
-    pub(crate) const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
+    /// The reports of the acts that were sent, in order, and how many earlier ones are no longer kept.
+    #[must_use]
+    pub const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
         (&self.reports, self.reports_omitted)
     }
 
     /// Every act of the scenario and what became of it, in order.
-    pub(crate) fn fates(&self) -> &[ActCourse] {
+    #[must_use]
+    pub fn fates(&self) -> &[ActCourse] {
         &self.fates
     }
 

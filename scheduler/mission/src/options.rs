@@ -124,7 +124,8 @@ impl MissionOptions {
     }
 
     /// The session as people know it.
-    pub(crate) fn session_name(&self) -> Option<&SessionId> {
+    #[must_use]
+    pub fn session_name(&self) -> Option<&SessionId> {
         self.session.as_ref().map(Session::name)
     }
 

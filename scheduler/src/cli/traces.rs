@@ -65,7 +65,7 @@ impl Traces {
             let about = crate::operations::About {
                 scenario: mission.choreography().scenario.clone(),
                 session: mission.options().session_name().map(ToString::to_string),
-                robots: mission.robots().len(),
+                robots: mission.robot_ids().len(),
             };
             watches.add(to.watch(clock.now(), about));
         }
