@@ -85,6 +85,13 @@ const DOCTORED: &[Doctored] = &[
     ("(lease)", |played| struck(played, Some(0), What::Robot(Fault::Cut))),
     ("(lease)", |played| struck(played, Some(0), What::Robot(Fault::Deaf))),
     ("(lease)", |played| struck(played, None, What::SchedulerKilled)),
+    ("(lease)", |played| {
+        // The link holds what was said until a quarter of a second later.
+        let at = played.sets[0][2].at;
+        let (what, from, until) = (What::Robot(Fault::Muted), at - SECOND / 20, at + SECOND / 4);
+        played.struck.push(Struck { robot: Some(0), what, from, until });
+        struck(played, None, What::SchedulerFrozen);
+    }),
     ("(stop)", |played| {
         let at = played.sets[1][9].at;
         played.journal.push((at, json!({"record": "stop_confirmed", "robot": "r1"})));

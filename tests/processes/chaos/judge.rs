@@ -443,9 +443,21 @@ impl Judge<'_> {
         own.map(|struck| (struck.from, struck.until)).chain(silent).collect()
     }
 
+    /// When a robot has last heard of the mission, if the mission says nothing from this instant on. Messages that a link holds at
+    /// that instant arrive once it passes them, and renew a lease that still runs.
+    fn last_heard(&self, robot: usize, silent_from: i64) -> i64 {
+        let holds = |struck: &&Struck| {
+            matches!(struck.what, What::Robot(Fault::Muted | Fault::Deaf))
+                && (struck.from..struck.until).contains(&silent_from)
+                && struck.until - struck.from < self.lease()
+        };
+        self.faults(Some(robot)).filter(holds).map(|struck| struck.until).max().unwrap_or(silent_from)
+    }
+
     /// Nothing is done by a robot that has heard nothing for longer than its lease.
     fn leases(&mut self, robot: usize) {
         for (from, until) in self.unheard(robot) {
+            let from = self.last_heard(robot, from);
             let slow = self.faults(Some(robot)).filter_map(|struck| match struck.what {
                 What::Robot(Fault::Slow(delay)) => i64::try_from(delay.as_nanos()).ok(),
                 _ => None,
