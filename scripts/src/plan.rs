@@ -113,7 +113,7 @@ pub enum OnFailure {
 }
 
 /// What the others do when shortly before the start a robot's link is silent or broken, and it cannot be known whether it will
-/// start. What is known is never treated as doubt.
+/// start. A known state is never treated as doubt.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum OnDoubt {

@@ -220,7 +220,7 @@ fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
             "ch1:\n        - {at: 0s, to: 1, ease: step}",
             "ch2:\n        - {at: 0s, to: 350}\n        - {at: 1s, to: 370}",
             "left out 1 column that nothing maps: `note`",
-            "`ch2` goes on past 360: 1 turn",
+            "`ch2` continues past 360: 1 turn",
         ],
     );
     import(&session, &["csv", "log.csv", "--map", "arm/ch*=canal *"])

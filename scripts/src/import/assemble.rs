@@ -189,8 +189,10 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
             }
         }
         match used || scenes.is_empty() {
-            true => sink
-                .note(format!("`{target}` goes on past {period}: {}", crate::render::counted(turns, "turn"))),
+            true => sink.note(format!(
+                "`{target}` continues past {period}: {}",
+                crate::render::counted(turns, "turn")
+            )),
             false => {
                 let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
                 sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
