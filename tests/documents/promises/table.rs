@@ -365,9 +365,14 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "If a robot is missing 5 ms before the last instant at which the commitment still reaches every \
          robot (the brink, less 8 ms, two round trips or the lateness), it has failed.",
-        &[Test(
-            "scheduler/mission/src/act/tests/approaching.rs::a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it",
-        )],
+        &[
+            Test(
+                "scheduler/mission/src/act/tests/approaching.rs::a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it",
+            ),
+            Test(
+                "scheduler/mission/src/act/timing.rs::a_commitment_has_the_lateness_of_this_machine_for_its_delivery",
+            ),
+        ],
     ),
     (
         Mission,

@@ -360,8 +360,13 @@ mod tests {
     use super::*;
 
     fn timing(leases: Leases, round_trip: Span) -> Timing {
+        timing_on(leases, round_trip, Span::ZERO)
+    }
+
+    /// On a machine that is so late.
+    fn timing_on(leases: Leases, round_trip: Span, lateness: Span) -> Timing {
         let (early, late) = (Span::from_millis(1), Span::from_millis(2));
-        let (record, lateness) = (Span::from_millis(20), Span::ZERO);
+        let record = Span::from_millis(20);
         let measured = Measured {
             robots: 6,
             scripts: 6,
@@ -377,6 +382,16 @@ mod tests {
         let pace = Pace::of(&measured, lease);
         let lead = LeadTime::needed(round_trip, 6, 6_000, &pace, lease);
         Timing::new(Timestamp::from_nanos(0), lead, pace, Span::ZERO)
+    }
+
+    #[test]
+    fn a_commitment_has_the_lateness_of_this_machine_for_its_delivery() {
+        let left = |millis| {
+            let timing = timing_on(Leases::Shortened, Span::from_millis(1), Span::from_millis(millis));
+            let last_round = timing.critical();
+            timing.brink().min(last_round + timing.lease_at(last_round)) - timing.commit_by(last_round)
+        };
+        assert_eq!([0, 8, 9, 60].map(left), [8, 8, 9, 60].map(Span::from_millis));
     }
 
     #[test]
