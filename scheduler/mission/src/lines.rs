@@ -6,15 +6,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
-use super::{ActReport, Record};
-
-/// The line of a record.
-///
-/// # Errors
-/// The record cannot be written as JSON.
-pub fn line_of(at: Timestamp<Server>, record: &Record) -> io::Result<Vec<u8>> {
-    dated_line(at, record)
-}
+use super::ActReport;
 
 /// The line of a record of any type, with its time.
 ///

@@ -18,7 +18,7 @@ use downbeat_scripts::{Approach, Attempt, RateLimits, Refusal};
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
-use crate::mission::{FixedStarts, Greeting, Record, dated_line, line_of, whole_length};
+use crate::mission::{FixedStarts, Greeting, Record, dated_line, whole_length};
 use crate::session::{Session, SessionKey};
 pub use disk::{Disk, FileDisk, Name};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
@@ -236,7 +236,7 @@ impl<D: Disk> Journal<D> {
     /// # Errors
     /// Why the disk does not take it; also for every record after one that was lost.
     pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
-        self.unless_broken(|disk| line_of(at, record).and_then(|line| disk.append(&line)))?;
+        self.unless_broken(|disk| dated_line(at, record).and_then(|line| disk.append(&line)))?;
         self.appended += u64::from(record.is_durable());
         Ok(())
     }

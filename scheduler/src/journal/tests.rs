@@ -252,7 +252,7 @@ fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
     }
     if ends {
         let record = Record::Ended { outcome: Outcome::Done };
-        let line = line_of(at(number), &record).unwrap();
+        let line = dated_line(at(number), &record).unwrap();
         let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
         std::io::Write::write_all(&mut file, &line).unwrap();
     }

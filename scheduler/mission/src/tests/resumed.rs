@@ -7,7 +7,8 @@ use super::*;
 
 /// The state of a mission according to its records, and the reports of the acts that have ended.
 fn kept(played: &Played) -> (Kept, Vec<ActReport>) {
-    let lines: Vec<_> = played.recorded.iter().flat_map(|record| line_of(at(1), record).unwrap()).collect();
+    let lines: Vec<_> =
+        played.recorded.iter().flat_map(|record| dated_line(at(1), record).unwrap()).collect();
     (Kept::of_bytes(&lines), ended_acts(&lines).collect())
 }
 
