@@ -48,6 +48,7 @@
 mod codec;
 mod content_hash;
 mod control_type;
+mod encoding;
 mod error;
 mod exchange;
 mod limits;
@@ -61,9 +62,10 @@ mod time;
 #[cfg(test)]
 mod wire_tests;
 
-pub use codec::{DecodeError, DecodeErrorKind, Decoder, Encoding, Front, KnownScripts, encode, encode_as};
+pub use codec::{DecodeError, DecodeErrorKind, Decoder, Front, KnownScripts, encode, encode_as};
 pub use content_hash::ContentHash;
 pub use control_type::ControlType;
+pub use encoding::Encoding;
 pub use error::{ControlError, ErrorCode};
 pub use exchange::OpenRequests;
 pub use limits::{

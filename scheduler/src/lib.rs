@@ -42,26 +42,18 @@ mod cli;
 mod compare;
 pub mod conformance;
 pub mod dry_run;
-pub mod fleet;
 pub mod history;
-pub mod journal;
-pub mod keys;
-pub mod link;
 pub mod measured;
-pub mod open_files;
 mod operations;
 pub mod page;
-pub mod recording;
-pub mod run;
-pub mod server_clock;
 pub mod show;
-mod signals;
 pub mod simulation;
-pub mod stop_lane;
 pub mod trials;
 
 pub use downbeat_mission as mission;
 pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
+use downbeat_runtime::signals;
+pub use downbeat_runtime::{fleet, journal, keys, link, open_files, recording, run, server_clock, stop_lane};
 
 #[doc(hidden)]
 pub use cli::main;

@@ -8,7 +8,7 @@ use serde::de::{self, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Device, Devices, parameters};
-use crate::codec::Encoding;
+use crate::encoding::Encoding;
 use crate::limits::{DEVICES_MAX, ENCODINGS_MAX, LimitError, ROBOT_PARAMETERS_MAX};
 use crate::object::Object;
 use crate::text::{Label, RobotId};

@@ -624,7 +624,7 @@ pub const PROMISES: &[Promise] = &[
         "Of what comes on such a link, nothing is heard but the robot's description and its answers to \
          what was sent since, three to each request, and the link is closed again after 2 s.",
         &[Test(
-            "scheduler/src/link/budget.rs::of_a_robot_that_has_flooded_only_the_answers_to_further_requests_are_heard_and_only_for_a_moment",
+            "scheduler/runtime/src/link/budget.rs::of_a_robot_that_has_flooded_only_the_answers_to_further_requests_are_heard_and_only_for_a_moment",
         )],
     ),
     (
@@ -678,7 +678,7 @@ pub const PROMISES: &[Promise] = &[
          resumes the mission.",
         &[
             Test(
-                "scheduler/src/journal/tests.rs::what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended",
+                "scheduler/runtime/src/journal/tests.rs::what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended",
             ),
             Test(
                 "scheduler/mission/src/tests/resumed.rs::a_flaw_of_an_act_that_ended_before_the_crash_is_in_the_outcome",
@@ -783,7 +783,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "Every device that was sent anything gets an empty script.",
         &[Test(
-            "scheduler/src/stop_lane/sent.rs::a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it",
+            "scheduler/runtime/src/stop_lane/sent.rs::a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it",
         )],
     ),
     (
@@ -800,12 +800,12 @@ pub const PROMISES: &[Promise] = &[
             Test(
                 "tests/processes/missions/processes.rs::a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running",
             ),
-            Test("scheduler/src/stop_lane/words.rs::only_a_second_ctrl_c_leaves"),
+            Test("scheduler/runtime/src/stop_lane/words.rs::only_a_second_ctrl_c_leaves"),
         ],
     ),
     (
         Mission,
-        "A separate thread (`scheduler/src/stop_lane/`) listens to the signals and the mission's socket, \
+        "A separate thread (`scheduler/runtime/src/stop_lane/`) listens to the signals and the mission's socket, \
          keeps a connection to every robot, and knows which devices were sent anything.",
         &[Test("tests/processes/stops/stops.rs::ctrl_c_stops_every_robot_whatever_else_stands_still")],
     ),
@@ -818,7 +818,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "The lane itself only brings robots to rest.",
         &[Test(
-            "scheduler/src/stop_lane/sent.rs::a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it",
+            "scheduler/runtime/src/stop_lane/sent.rs::a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it",
         )],
     ),
     (
@@ -843,14 +843,14 @@ pub const PROMISES: &[Promise] = &[
         "If the file was removed, moved or replaced, the thread writes the whole journal there again, in \
          folders and a file that only you can access, and locks it.",
         &[Test(
-            "scheduler/src/journal/tests.rs::a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lock",
+            "scheduler/runtime/src/journal/tests.rs::a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lock",
         )],
     ),
     (
         Mission,
         "Only then do its records count as being on the disk.",
         &[Test(
-            "scheduler/src/journal/tests.rs::the_thread_writes_a_removed_journal_again_before_its_records_are_durable",
+            "scheduler/runtime/src/journal/tests.rs::the_thread_writes_a_removed_journal_again_before_its_records_are_durable",
         )],
     ),
     (
@@ -894,8 +894,12 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "Only its user can read it, and journals of other users are refused (security.md).",
         &[
-            Test("scheduler/src/journal/private.rs::folders_and_files_are_created_for_this_user_alone"),
-            Test("scheduler/src/journal/private.rs::what_belongs_to_another_user_is_refused_and_named"),
+            Test(
+                "scheduler/runtime/src/journal/private.rs::folders_and_files_are_created_for_this_user_alone",
+            ),
+            Test(
+                "scheduler/runtime/src/journal/private.rs::what_belongs_to_another_user_is_refused_and_named",
+            ),
         ],
     ),
     (
@@ -914,7 +918,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "one act is only promised (`prepared`) | withdraws everything",
         &[Test(
-            "scheduler/src/journal/tests.rs::a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided",
+            "scheduler/runtime/src/journal/tests.rs::a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided",
         )],
     ),
     (
@@ -1067,21 +1071,23 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "It can be tested without being taken (an open file description lock on `journal`; a lock by \
          `flock` means nothing to it).",
-        &[Test("scheduler/src/journal/tests.rs::a_lock_of_another_kind_does_not_keep_a_journal_shut")],
+        &[Test(
+            "scheduler/runtime/src/journal/tests.rs::a_lock_of_another_kind_does_not_keep_a_journal_shut",
+        )],
     ),
     (
         Mission,
         "When a mission begins, it keeps the folders of the last 50 ended missions, and of fewer if their \
          journals are longer than 64 MiB together; it removes older ones.",
         &[Test(
-            "scheduler/src/journal/tests.rs::old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays",
+            "scheduler/runtime/src/journal/tests.rs::old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays",
         )],
     ),
     (
         Mission,
         "A mission that has not ended stays until it is resumed or stopped.",
         &[Test(
-            "scheduler/src/journal/tests.rs::old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays",
+            "scheduler/runtime/src/journal/tests.rs::old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays",
         )],
     ),
     (

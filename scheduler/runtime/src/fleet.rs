@@ -1,0 +1,370 @@
+//! From the fleet file to robots that can be talked to.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec, Timeouts};
+use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
+use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
+use downbeat_scripts::{
+    Act, Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Positions, RateLimits,
+    SimulatedMoves, Wait, counted,
+};
+use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
+
+use crate::link::{Endpoint, LinkEncoding, Site};
+use downbeat_mission::{Destination, Greeting, Participant, PlanTransfer};
+
+/// A robot cannot be simulated.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("robot `{robot}` has no `init:` file in the fleet file, a simulated robot needs one")]
+pub struct NoInit {
+    /// Id of the robot.
+    pub robot: RobotId,
+}
+
+/// Robots that run in this process cannot be started.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EndpointError {
+    /// One of them is not described.
+    #[error(transparent)]
+    NoInit(#[from] NoInit),
+    /// One of them cannot be driven so.
+    #[error("robot `{robot}`: {error}")]
+    Driver {
+        /// Id of the robot.
+        robot: RobotId,
+        /// Why not.
+        error: DriverError,
+    },
+    /// The operator's identity cannot be used.
+    #[error("{0}")]
+    Identity(String),
+    /// The Zenoh network cannot be joined.
+    #[error("{0}")]
+    Network(String),
+    /// The host of all of them cannot start.
+    #[error(transparent)]
+    Host(#[from] HostError),
+}
+
+/// The fleet's robots that the plan moves, in the plan's order.
+#[must_use]
+pub fn robots_of<'a>(fleet: &'a Fleet, plan: &Plan) -> Vec<&'a FleetRobot> {
+    let by_id: std::collections::HashMap<_, _> =
+        fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
+    plan.robots.iter().filter_map(|planned| by_id.get(&planned.robot).copied()).collect()
+}
+
+/// The fleet's robots that a choreography moves or reads, in the fleet's order.
+#[must_use]
+pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a FleetRobot> {
+    let moved = choreography.acts.iter().flat_map(|act| &act.plan.robots).map(|robot| robot.robot.as_str());
+    let read = choreography.acts.iter().flat_map(|act| &act.readings).map(|reading| reading.robot.as_str());
+    let awaited = choreography.acts.iter().filter_map(|act| match &act.wait {
+        Wait::Sensor { robot, .. } => Some(robot.as_str()),
+        _ => None,
+    });
+    let all: std::collections::HashSet<&str> = moved.chain(read).chain(awaited).collect();
+    fleet.robots.iter().filter(|robot| all.contains(robot.id.as_str())).collect()
+}
+
+/// Plans acts after a stop for the robots of a fleet file.
+#[derive(Debug)]
+struct Planner(Fleet);
+
+impl PlanTransfer for Planner {
+    fn plan(
+        &self,
+        choreography: &Choreography,
+        to: Destination,
+        like: usize,
+        from: &Positions,
+    ) -> Result<Option<Act>, String> {
+        let planned = match to {
+            Destination::Home => choreography.home(like, &self.0, from),
+            Destination::Act(act) => choreography.approach(act, &self.0, from),
+        };
+        planned.map_err(|errors| {
+            let first = errors.first().map(|error| error.message.clone()).unwrap_or_default();
+            match errors.len() {
+                0 | 1 => first,
+                more => format!("{first}; {} more", counted(more - 1, "error")),
+            }
+        })
+    }
+}
+
+/// Returns the planner of acts after a stop, for [`downbeat_mission::MissionOptions::transfer`].
+#[must_use]
+pub fn transfer(fleet: &Fleet) -> Arc<dyn PlanTransfer> {
+    Arc::new(Planner(fleet.clone()))
+}
+
+/// As the mission sees them.
+#[must_use]
+pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
+    let participant = |robot: &&FleetRobot| Participant {
+        id: robot.id.clone(),
+        block: robot.init.clone(),
+        settings: settings_of(robot),
+        in_process: !robot.address.is_served(),
+    };
+    robots.iter().map(participant).collect()
+}
+
+fn settings_of(robot: &FleetRobot) -> MissionSettings {
+    let encoding = match &robot.address {
+        Address::Tcp { .. } | Address::Zenoh { .. } => robot.mission.encoding,
+        // What stays in this process is not encoded.
+        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
+    };
+    MissionSettings { encoding, ..robot.mission.clone() }
+}
+
+/// Whether steps 1 to 4 are played.
+#[must_use]
+pub fn greeting(fleet: &Fleet) -> Greeting {
+    match fleet.handshake {
+        Handshake::Full => Greeting::Full,
+        Handshake::Skip => Greeting::Skip,
+    }
+}
+
+/// The robot as a simulated one. Robots of one fleet draw from different seeds.
+///
+/// # Errors
+/// [`NoInit`] when the fleet file does not describe it.
+pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
+    simulated_with(robot, settings(robot, seed))
+}
+
+fn simulated_with(robot: &FleetRobot, settings: Settings) -> Result<SimulatedRobot, NoInit> {
+    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    let mut simulated = SimulatedRobot::new(block, settings);
+    for (sensor, reading) in &robot.simulation.readings {
+        simulated.set_reading(sensor.clone(), *reading);
+    }
+    Ok(simulated)
+}
+
+/// The robot as a dry run has it: where the fleet file does not say how long messages take, they take as long as in a wired
+/// network, because what arrives at the very instant at which it is sent hides what comes too late in reality.
+///
+/// # Errors
+/// As [`simulated`].
+pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
+    let settings = settings(robot, seed);
+    let delay = settings.delay.or(Some(WIRED));
+    simulated_with(robot, Settings { delay, ..settings })
+}
+
+/// The same with settings that are changed.
+///
+/// # Errors
+/// As [`simulated`].
+pub fn rehearsed_with(
+    robot: &FleetRobot,
+    change: impl FnOnce(&mut Settings),
+) -> Result<SimulatedRobot, NoInit> {
+    let mut settings = settings(robot, 0);
+    settings.delay = settings.delay.or(Some(WIRED));
+    change(&mut settings);
+    simulated_with(robot, settings)
+}
+
+/// Least and largest delay each way in a wired network.
+pub const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
+
+fn settings(robot: &FleetRobot, seed: u64) -> Settings {
+    let from = &robot.simulation;
+    Settings {
+        clock_offset: from.clock_offset,
+        drift_ppm: from.drift_ppm,
+        jitter: from.jitter,
+        ntp_error: from.ntp_error,
+        delay: from.delay,
+        fault: from.fault.map(|fault| match fault {
+            downbeat_scripts::Fault::Refuse => Fault::Refuse,
+            downbeat_scripts::Fault::Silent => Fault::Silent,
+            downbeat_scripts::Fault::Disconnect => Fault::Disconnect,
+        }),
+        moves: from.moves.iter().map(moves).collect(),
+        limits: limits(robot),
+        seed,
+    }
+}
+
+/// The limits of the fleet file for the movements of its devices to rest and home.
+fn limits(robot: &FleetRobot) -> BTreeMap<DeviceId, MotionLimits> {
+    let limit = |(device, limits): (&String, &RateLimits)| {
+        let RateLimits { speed, acceleration } = *limits;
+        Some((DeviceId::new(device).ok()?, MotionLimits { speed, acceleration }))
+    };
+    robot.limits.iter().filter_map(limit).collect()
+}
+
+fn moves(of: &SimulatedMoves) -> Moves {
+    let SimulatedMoves { device, latency, spread, time_constant, sensor, noise, delay } = of.clone();
+    Moves { device, latency, spread, time_constant, sensor, noise, delay }
+}
+
+/// Minimum time to wait for the hardware of all robots in this process before the mission begins without it.
+const HARDWARE_WAIT: Duration = Duration::from_secs(10);
+/// Interval between checks of the hardware in [`await_hardware`].
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+/// Whether the programs are started that the fleet file names as drivers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartPrograms {
+    /// They are: the operator has said so, or plays a mission.
+    Yes,
+    /// Their robots are not available. A command that only looks executes nothing that a file names.
+    No,
+}
+
+/// How the drivers of robots in this process are run.
+#[derive(Clone, Copy, Debug)]
+pub struct Drivers {
+    /// Whether programs are started.
+    pub programs: StartPrograms,
+    /// How long a program may take to answer.
+    pub timeouts: Timeouts,
+}
+
+impl From<StartPrograms> for Drivers {
+    fn from(programs: StartPrograms) -> Self {
+        Self { programs, timeouts: Timeouts::default() }
+    }
+}
+
+impl Drivers {
+    /// Time to wait for the hardware. A program has the start timeout for each of its first two lines. One second more lets the
+    /// driver report the reason if the program misses it.
+    fn wait(self) -> Duration {
+        (self.timeouts.start * 2 + Duration::from_secs(1)).max(HARDWARE_WAIT)
+    }
+}
+
+/// In place of a program that is not started.
+struct NotStarted;
+
+impl NotStarted {
+    fn refused<T>() -> Result<T, DriverError> {
+        let reason = "its program is not started without --start-programs";
+        Err(DriverError::Away(reason.to_owned()))
+    }
+}
+
+impl Driver for NotStarted {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        Self::refused()
+    }
+
+    fn set(&mut self, _device: &DeviceId, _setpoint: &Setpoint) -> Result<(), DriverError> {
+        Self::refused()
+    }
+
+    fn read(&mut self, _sensor: &DeviceId) -> Result<f64, DriverError> {
+        Self::refused()
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        Self::refused()
+    }
+}
+
+/// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
+fn hosted(robot: &FleetRobot, seed: u64, drivers: Drivers) -> Result<Option<Hosted>, EndpointError> {
+    let spec = match &robot.address {
+        Address::Tcp { .. } | Address::Zenoh { .. } => return Ok(None),
+        Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
+        Address::Thrift { host, port } => DriverSpec::Thrift { host: host.clone(), port: *port },
+        Address::Program { command } => DriverSpec::Program { command: command.clone() },
+    };
+    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    let refused = |error| EndpointError::Driver { robot: robot.id.clone(), error };
+    let driver = match (&spec, drivers.programs) {
+        (DriverSpec::Program { .. }, StartPrograms::No) => Box::new(NotStarted),
+        _ => spec.driver_within(&block, drivers.timeouts).map_err(refused)?,
+    };
+    Ok(Some(Hosted::driven(block, driver, DriverOptions::default().with_limits(limits(robot)))))
+}
+
+/// Where each robot is reached; all but those with `address: tcp://`, `tls://`, `hmac://` or `zenoh:` are started in this process.
+///
+/// # Errors
+/// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
+pub fn endpoints(
+    robots: &[&FleetRobot],
+    handshake: Handshake,
+    site: &Site,
+    options: HostOptions,
+    drivers: Drivers,
+) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
+    let (host, endpoints) = endpoints_at_once(robots, handshake, site, options, drivers)?;
+    if let Some(host) = &host {
+        host.await_hardware(drivers.wait());
+    }
+    Ok((host, endpoints))
+}
+
+/// Waits like [`endpoints`], without blocking the thread.
+#[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
+pub async fn await_hardware(host: &Host, drivers: Drivers) {
+    let until = Instant::now() + drivers.wait();
+    while !host.await_hardware(Duration::ZERO) && Instant::now() < until {
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}
+
+/// The same as [`endpoints`], without waiting for hardware.
+///
+/// # Errors
+/// As [`endpoints`].
+pub fn endpoints_at_once(
+    robots: &[&FleetRobot],
+    handshake: Handshake,
+    site: &Site,
+    options: HostOptions,
+    drivers: Drivers,
+) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
+    let network = robots.iter().any(|robot| matches!(robot.address, Address::Zenoh { .. }));
+    let network = network.then(|| site.network()).transpose().map_err(EndpointError::Network)?;
+    let mut machines: Vec<Hosted> = Vec::new();
+    // The index in the host of those that run there.
+    let mut places = Vec::new();
+    for robot in robots {
+        let hosted = hosted(robot, machines.len() as u64, drivers)?;
+        places.push(hosted.is_some().then_some(machines.len()));
+        machines.extend(hosted);
+    }
+    let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
+    let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
+        (Address::Tcp { host, port, protection }, ..) => {
+            let encoding = encoding(robot, handshake);
+            let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
+            let security = site.with(*protection, Some(own_id));
+            Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding, security })
+        }
+        (Address::Zenoh { key }, ..) => {
+            network.as_ref().and_then(|network| network.endpoint(key, encoding(robot, handshake)))
+        }
+        (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
+        _ => None,
+    };
+    let endpoints = robots.iter().zip(places).filter_map(endpoint).collect();
+    Ok((host, endpoints))
+}
+
+/// Without a handshake the files are trusted.
+fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
+    let encoding = robot.mission.encoding;
+    let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));
+    match handshake {
+        Handshake::Skip if listed => LinkEncoding::at_once(encoding),
+        Handshake::Skip | Handshake::Full => LinkEncoding::once_listed(encoding),
+    }
+}

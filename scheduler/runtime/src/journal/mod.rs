@@ -1,0 +1,330 @@
+//! The journal of a mission: lines, each with its checksum, that are only ever appended. Which of them must be on the disk
+//! before a promise is made, the mission decides. A folder a mission, in it `journal`, locked as long as its scheduler lives,
+//! and `control`, its socket.
+
+mod disk;
+mod found;
+mod lock;
+pub mod private;
+mod read;
+pub mod simulated;
+mod writer;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::{Approach, Attempt, RateLimits, Refusal};
+use serde::{Deserialize, Serialize};
+use urrcp::{ContentHash, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
+
+pub use disk::{Disk, FileDisk, Name};
+use downbeat_mission::session::{Session, SessionKey};
+use downbeat_mission::{FixedStarts, Greeting, Record, dated_line, whole_length};
+pub use found::{Found, Life, Missions, forget_old, has_begun};
+pub use private::NotPrivate;
+pub use read::{Contents, Records, Unreadable, read, records};
+pub use writer::{News, WAITING_MAX, Writer, append_all};
+
+/// The first line: the session, the robots and the plan. It has all that a stop needs, because files may change while a
+/// mission plays.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Opened {
+    /// The name of the mission, by which people know its session.
+    pub session: SessionId,
+    /// What follows the name of the session on the wire. `None` in journals of earlier versions: their robots know the name
+    /// alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<SessionKey>,
+    /// The process that drives them.
+    pub pid: u32,
+    /// The scenario's name; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// The scenario file.
+    pub scenario: PathBuf,
+    /// The fleet file.
+    pub fleet: PathBuf,
+    /// The working directory, where programs that drive robots are started; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folder: Option<PathBuf>,
+    /// The folder in which the files have to be that scenario and fleet name, if the operator named one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub project: Option<PathBuf>,
+    /// The further choices of the operator: acts, robots, speed.
+    pub asked: Asked,
+    /// SHA-256 over the plan, as in certificates; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plan_hash: Option<ContentHash>,
+    /// Starts at fixed times; none in journals of earlier versions.
+    #[serde(default)]
+    pub fixed: FixedStarts,
+    /// Whether robots are asked for their identity.
+    pub greeting: Greeting,
+    /// The server's time minus this machine's, as NTP said when the mission began.
+    #[serde(rename = "clock_offset_ms")]
+    pub clock_offset: Span,
+    /// Who speaks to them; empty where that is nobody, and in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "OpenedKeys::is_empty")]
+    pub keys: OpenedKeys,
+    /// The robots.
+    pub robots: Vec<OpenedRobot>,
+}
+
+/// The files by which an operator speaks to robots with TLS, and to a Zenoh network. Their contents are no part of a journal.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OpenedKeys {
+    /// The identity file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub identity: Option<PathBuf>,
+    /// The list of revoked certificates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub revoked: Option<PathBuf>,
+    /// The configuration of the Zenoh network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub zenoh: Option<PathBuf>,
+}
+
+impl OpenedKeys {
+    /// Whether there are none.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.identity.is_none() && self.revoked.is_none() && self.zenoh.is_none()
+    }
+}
+
+impl Opened {
+    /// The session that its robots know.
+    #[must_use]
+    pub fn drives_as(&self) -> Session {
+        let name = || self.session.clone();
+        let with_key = self.key.as_ref().and_then(|key| Session::with_key(name(), key).ok());
+        with_key.unwrap_or_else(|| Session::named(name()))
+    }
+}
+
+/// A robot of a mission, and how it can be reached without the fleet file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OpenedRobot {
+    /// Its id in the fleet file.
+    pub robot: RobotId,
+    /// What it calls itself, where that is not its id in the fleet file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own_id: Option<RobotId>,
+    /// Its address, as the fleet file writes it.
+    pub address: String,
+    /// What is known of its devices, where a driver of this machine has to know them to reach its hardware.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<InitializationBlock>,
+    /// The `limits` of the fleet file, if a driver on this machine has to keep them.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub limits: BTreeMap<String, RateLimits>,
+}
+
+/// What changes a choreography between its file and the mission.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Asked {
+    /// Only this act.
+    pub act: Option<String>,
+    /// Beginning with this act.
+    pub from: Option<String>,
+    /// Only these robots.
+    pub only: Vec<RobotId>,
+    /// Slower or faster than written.
+    pub speed: Option<f64>,
+    /// The act ahead that moves devices to their first positions. `None` without `--approach`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub approach: Option<Approach>,
+}
+
+/// A journal could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write the journal {}: {}", path.display(), Refusal::of(Attempt::Write(path), error).reason)]
+pub struct JournalError {
+    /// Which file.
+    pub path: PathBuf,
+    /// The error of the system.
+    pub error: io::Error,
+}
+
+/// The journal of a mission that runs.
+#[derive(Debug)]
+pub struct Journal<D = FileDisk> {
+    disk: D,
+    path: PathBuf,
+    contents: Option<Contents>,
+    /// Durable records appended since it was opened.
+    appended: u64,
+    /// Those of them that are on the disk.
+    on_disk: u64,
+    /// The first failure to write: from then on nothing is taken any more.
+    broken: Option<String>,
+}
+
+impl Journal {
+    /// Opens the journal of a mission in its folder, and locks it. What follows its last whole record is cut off.
+    ///
+    /// # Errors
+    /// [`JournalError`], also when another process holds it.
+    pub fn open(folder: &Path) -> Result<Self, JournalError> {
+        let path = folder.join("journal");
+        match FileDisk::open(folder) {
+            Ok(disk) => Self::on(disk, path),
+            Err(error) => Err(JournalError { path, error }),
+        }
+    }
+}
+
+impl<D: Disk> Journal<D> {
+    /// A journal that has been read under its lock already. What follows its last whole record is cut off. `path` is for
+    /// error messages.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk does not take the cut.
+    pub fn taken_up(mut disk: D, path: PathBuf, contents: Contents) -> Result<Self, JournalError> {
+        if contents.kept.torn.is_some()
+            && let Err(error) = disk.truncate(contents.kept.whole() as u64)
+        {
+            return Err(JournalError { path, error });
+        }
+        Ok(Self { disk, path, contents: Some(contents), appended: 0, on_disk: 0, broken: None })
+    }
+
+    /// The journal on a disk. What follows its last whole record is cut off. `path` is for error messages.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk cannot be read or does not take the cut.
+    pub fn on(mut disk: D, path: PathBuf) -> Result<Self, JournalError> {
+        let mut cut = || {
+            let bytes = disk.read()?;
+            let whole = whole_length(&bytes);
+            if whole < bytes.len() {
+                disk.truncate(whole as u64)?;
+            }
+            Ok(Contents::of_bytes(&bytes))
+        };
+        match cut() {
+            Ok(contents) => Ok(Self { disk, path, contents, appended: 0, on_disk: 0, broken: None }),
+            Err(error) => Err(JournalError { path, error }),
+        }
+    }
+
+    /// Its contents when it was opened; `None` for a new journal.
+    pub const fn contents(&self) -> Option<&Contents> {
+        self.contents.as_ref()
+    }
+
+    /// Writes the first line, which is on the disk when this returns.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk does not take it.
+    pub fn begin(&mut self, at: Timestamp<Server>, opened: &Opened) -> Result<(), JournalError> {
+        #[derive(Serialize)]
+        struct Begin<'a> {
+            record: &'static str,
+            #[serde(flatten)]
+            opened: &'a Opened,
+        }
+        let line = dated_line(at, &Begin { record: "opened", opened });
+        let written = line.and_then(|line| self.disk.append(&line)).and_then(|()| self.disk.sync());
+        written.map_err(|error| JournalError { path: self.path.clone(), error })
+    }
+
+    /// Writes a line. It may be lost until [`Journal::sync`] has returned.
+    ///
+    /// # Errors
+    /// Why the disk does not take it; also for every record after one that was lost.
+    pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
+        self.unless_broken(|disk| dated_line(at, record).and_then(|line| disk.append(&line)))?;
+        self.appended += u64::from(record.is_durable());
+        Ok(())
+    }
+
+    /// Waits for the disk, if a durable record may not be on it yet. Returns how many durable records are on it since the
+    /// journal was opened.
+    ///
+    /// # Errors
+    /// Why what was written may be lost.
+    pub fn sync(&mut self) -> Result<u64, String> {
+        let due = self.on_disk < self.appended;
+        self.unless_broken(|disk| if due { disk.sync() } else { Ok(()) })?;
+        self.on_disk = self.appended;
+        Ok(self.on_disk)
+    }
+
+    /// Makes sure that other commands can find the journal. If it was removed or replaced, writes all of it again.
+    ///
+    /// # Errors
+    /// The reason why it cannot be written again. The journal then takes no further records.
+    pub fn keep_name(&mut self) -> Result<Name, String> {
+        if let Some(broken) = &self.broken {
+            return Err(broken.clone());
+        }
+        self.disk.keep_name().map_err(|error| {
+            let reason = Refusal::of(Attempt::Write(&self.path), &error).reason;
+            self.breaks(format!(
+                "the journal {} was removed or replaced, and cannot be written again: {reason}",
+                self.path.display()
+            ))
+        })
+    }
+
+    fn unless_broken(&mut self, write: impl FnOnce(&mut D) -> io::Result<()>) -> Result<(), String> {
+        if let Some(broken) = &self.broken {
+            return Err(broken.clone());
+        }
+        write(&mut self.disk).map_err(|error| {
+            self.breaks(format!("cannot write the journal {}: {error}", self.path.display()))
+        })
+    }
+
+    fn breaks(&mut self, reason: String) -> String {
+        self.broken = Some(reason.clone());
+        reason
+    }
+
+    /// Its bytes, for [`ended_acts`](downbeat_mission::ended_acts).
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk cannot be read.
+    pub fn bytes(&mut self) -> Result<Vec<u8>, JournalError> {
+        self.disk.read().map_err(|error| JournalError { path: self.path.clone(), error })
+    }
+
+    /// Gives the disk back, as when the process ends.
+    pub fn into_disk(self) -> D {
+        self.disk
+    }
+}
+
+/// It is not known where missions leave their folders. A folder that every user can write to would not do: what is found there
+/// can be of anybody.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "no folder for the journals of missions: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
+)]
+pub struct NoStateFolder;
+
+/// Where missions leave their folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
+///
+/// # Errors
+/// None of these variables is set. A path in the latter two that is not absolute counts as none.
+pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
+    let from = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let absolute = |name: &str| from(name).filter(|path| path.is_absolute());
+    from("DOWNBEAT_STATE")
+        .or_else(|| absolute("XDG_STATE_HOME").map(|folder| folder.join("downbeat")))
+        .or_else(|| absolute("HOME").map(|home| home.join(".local/state/downbeat")))
+        .ok_or(NoStateFolder)
+}
+
+/// Creates the folder in which missions leave theirs, for this user alone, unless it exists.
+///
+/// # Errors
+/// [`NotPrivate`] for one that is not, or was not, for this user alone; else what the system says.
+pub fn create_state_folder(state: &Path) -> io::Result<()> {
+    private::create_folder(state).map(drop)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,276 @@
+//! Folders and files of the state: they belong to the user of this process alone. Whatever else is found in their place, such as
+//! a folder of another user, a link or a pipe, is refused and named; it is never opened, followed or waited for.
+
+use std::fs::{DirBuilder, File};
+use std::io::{self, ErrorKind};
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{AtFlags, FileType, Mode, OFlags, Stat};
+use rustix::process::geteuid;
+
+/// Of folders: everything for the owner, nothing for others.
+const FOLDER: Mode = Mode::RWXU;
+/// The same of files.
+const FILE: Mode = Mode::RUSR.union(Mode::WUSR);
+/// Bits with which other users may read or enter.
+const OTHERS: u32 = 0o077;
+/// Bits with which other users may write.
+const OTHERS_WRITE: u32 = 0o022;
+
+/// A folder or a file that is not, or was not, for this user alone.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{} {fault}", path.display())]
+pub struct NotPrivate {
+    /// Which one.
+    pub path: PathBuf,
+    fault: Fault,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+enum Fault {
+    #[error("belongs to user {owner}, and this process runs as user {}: run it as its owner, or set DOWNBEAT_STATE to a folder of your own", geteuid().as_raw())]
+    Owner { owner: u32 },
+    #[error("may be written by other users (mode {:04o}), so it may not say what Downbeat wrote: look through it, then allow it with `chmod -R go= {path}`", mode & 0o7777)]
+    Writable { mode: u32, path: String },
+    #[error(
+        "is a symbolic link, which is not followed: remove it, or set DOWNBEAT_STATE to the folder to which it leads"
+    )]
+    Link,
+    #[error("has other names (hard links): move it away, and copy it back with `cp`")]
+    Linked,
+    #[error("is no {0}: remove it")]
+    Kind(&'static str),
+}
+
+impl NotPrivate {
+    fn error(path: &Path, fault: Fault) -> io::Error {
+        io::Error::other(Self { path: path.to_path_buf(), fault })
+    }
+
+    /// Why something was refused, if that is why.
+    #[must_use]
+    pub fn of(error: &io::Error) -> Option<&Self> {
+        error.get_ref()?.downcast_ref()
+    }
+}
+
+/// How a file is opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum How {
+    /// One that exists, to be read.
+    Read,
+    /// One that exists, to be read and added to.
+    Append,
+    /// The same; it is created if it does not exist.
+    Create,
+}
+
+/// Opens a folder that exists. One that other users could only read is closed to them first.
+///
+/// # Errors
+/// [`NotPrivate`], or what the system says.
+pub fn folder(path: &Path) -> io::Result<OwnedFd> {
+    let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+    let folder = match rustix::fs::open(path, flags, Mode::empty()) {
+        Ok(folder) => folder,
+        Err(rustix::io::Errno::NOTDIR | rustix::io::Errno::LOOP) => {
+            let found = rustix::fs::lstat(path)?;
+            let is_link = FileType::from_raw_mode(found.st_mode) == FileType::Symlink;
+            return Err(NotPrivate::error(path, if is_link { Fault::Link } else { Fault::Kind("folder") }));
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let found = rustix::fs::fstat(&folder)?;
+    belongs(path, &found)?;
+    if found.st_mode & OTHERS != 0
+        && let Err(error) = rustix::fs::fchmod(&folder, FOLDER)
+    {
+        tracing::debug!("cannot close {} to other users: {error}", path.display());
+    }
+    Ok(folder)
+}
+
+/// Creates a folder for this user alone, with those above it that do not exist, or opens the one that exists.
+///
+/// # Errors
+/// As [`folder`].
+pub fn create_folder(path: &Path) -> io::Result<OwnedFd> {
+    match DirBuilder::new().recursive(true).mode(FOLDER.bits()).create(path) {
+        // What it is instead is told below.
+        Err(error) if error.kind() != ErrorKind::AlreadyExists => Err(error),
+        _ => folder(path),
+    }
+}
+
+/// Opens a file in a folder of the state.
+///
+/// # Errors
+/// As [`folder`], also for what is no regular file.
+pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
+    let path = within.join(name);
+    let access = match how {
+        How::Read => OFlags::RDONLY,
+        How::Append => OFlags::RDWR | OFlags::APPEND,
+        How::Create => OFlags::RDWR | OFlags::APPEND | OFlags::CREATE,
+    };
+    let flags = access | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
+    let file = match rustix::fs::openat(folder(within)?, name, flags, FILE) {
+        Ok(file) => File::from(file),
+        Err(rustix::io::Errno::LOOP) => return Err(NotPrivate::error(&path, Fault::Link)),
+        // A socket, or a device without a driver.
+        Err(rustix::io::Errno::NXIO) => return Err(NotPrivate::error(&path, Fault::Kind("file"))),
+        Err(error) => return Err(error.into()),
+    };
+    let found = rustix::fs::fstat(&file)?;
+    if FileType::from_raw_mode(found.st_mode) != FileType::RegularFile {
+        return Err(NotPrivate::error(&path, Fault::Kind("file")));
+    }
+    belongs(&path, &found)?;
+    if found.st_nlink > 1 {
+        return Err(NotPrivate::error(&path, Fault::Linked));
+    }
+    if how != How::Read
+        && found.st_mode & OTHERS != 0
+        && let Err(error) = rustix::fs::fchmod(&file, FILE)
+    {
+        tracing::debug!("cannot close {} to other users: {error}", path.display());
+    }
+    Ok(file)
+}
+
+/// Makes sure that a socket in a folder of the state is one of this user.
+///
+/// # Errors
+/// As [`file`].
+pub fn socket(within: &Path, name: &str) -> io::Result<PathBuf> {
+    let path = within.join(name);
+    let found = rustix::fs::statat(folder(within)?, name, AtFlags::SYMLINK_NOFOLLOW)?;
+    match FileType::from_raw_mode(found.st_mode) {
+        FileType::Socket => belongs(&path, &found).map(|()| path),
+        FileType::Symlink => Err(NotPrivate::error(&path, Fault::Link)),
+        _ => Err(NotPrivate::error(&path, Fault::Kind("socket"))),
+    }
+}
+
+fn belongs(path: &Path, found: &Stat) -> io::Result<()> {
+    if found.st_uid != geteuid().as_raw() {
+        return Err(NotPrivate::error(path, Fault::Owner { owner: found.st_uid }));
+    }
+    if found.st_mode & OTHERS_WRITE != 0 {
+        let path_text = path.display().to_string();
+        return Err(NotPrivate::error(path, Fault::Writable { mode: found.st_mode, path: path_text }));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::{Permissions, set_permissions};
+    use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, symlink};
+
+    use rustix::fs::{CWD, mknodat};
+
+    use super::*;
+
+    const NOBODY: u32 = 65_534;
+
+    fn mode(path: &Path) -> u32 {
+        path.metadata().unwrap().mode() & 0o7777
+    }
+
+    fn told<T: std::fmt::Debug>(refused: io::Result<T>) -> String {
+        let error = refused.unwrap_err();
+        assert!(NotPrivate::of(&error).is_some(), "{error}");
+        error.to_string()
+    }
+
+    /// Whether a file can be given to another user; only root can.
+    fn given_away(path: &Path) -> bool {
+        let given = chown(path, Some(NOBODY), None);
+        assert_eq!(given.is_ok(), geteuid().is_root());
+        given.is_ok()
+    }
+
+    #[test]
+    fn folders_and_files_are_created_for_this_user_alone() {
+        let stage = tempfile::tempdir().unwrap();
+        let (state, mission) = (stage.path().join("a/state"), stage.path().join("a/state/m"));
+        create_folder(&mission).unwrap();
+        drop(file(&mission, "journal", How::Create).unwrap());
+        for path in [&stage.path().join("a"), &state, &mission] {
+            assert_eq!(mode(path), 0o700, "{}", path.display());
+        }
+        assert_eq!(mode(&mission.join("journal")), 0o600);
+    }
+
+    #[test]
+    fn a_folder_that_others_may_read_is_closed_to_them_and_one_that_they_may_write_is_refused() {
+        let stage = tempfile::tempdir().unwrap();
+        let state = stage.path().join("state");
+        std::fs::create_dir(&state).unwrap();
+        set_permissions(&state, Permissions::from_mode(0o755)).unwrap();
+        folder(&state).unwrap();
+        assert_eq!(mode(&state), 0o700);
+        for open in [0o770, 0o707, 0o1777] {
+            set_permissions(&state, Permissions::from_mode(open)).unwrap();
+            let told = told(folder(&state));
+            assert!(
+                told.contains("may be written by other users") && told.contains("`chmod -R go= "),
+                "{told}"
+            );
+            assert!(create_folder(&state).is_err());
+        }
+    }
+
+    #[test]
+    fn what_belongs_to_another_user_is_refused_and_named() {
+        let stage = tempfile::tempdir().unwrap();
+        let state = stage.path().join("state");
+        create_folder(&state).unwrap();
+        drop(file(&state, "journal", How::Create).unwrap());
+        if !given_away(&state.join("journal")) {
+            return;
+        }
+        let told_of_file = told(file(&state, "journal", How::Read));
+        assert!(told_of_file.contains("state/journal belongs to user 65534"), "{told_of_file}");
+        assert!(given_away(&state));
+        assert!(told(folder(&state)).contains("state belongs to user 65534"));
+        assert!(told(create_folder(&state)).contains("run it as its owner"));
+    }
+
+    #[test]
+    fn links_pipes_and_sockets_are_neither_followed_nor_waited_for() {
+        let stage = tempfile::tempdir().unwrap();
+        let state = stage.path().join("state");
+        create_folder(&state).unwrap();
+        std::fs::write(stage.path().join("elsewhere"), "text").unwrap();
+        symlink(stage.path().join("elsewhere"), state.join("link")).unwrap();
+        std::fs::hard_link(stage.path().join("elsewhere"), state.join("linked")).unwrap();
+        mknodat(CWD, state.join("pipe"), FileType::Fifo, FILE, 0).unwrap();
+        let _listens = std::os::unix::net::UnixListener::bind(state.join("socket")).unwrap();
+        for how in [How::Read, How::Append, How::Create] {
+            assert!(told(file(&state, "link", how)).contains("link is a symbolic link"));
+            assert!(told(file(&state, "linked", how)).contains("has other names"));
+            assert!(told(file(&state, "pipe", how)).contains("pipe is no file"));
+            assert!(told(file(&state, "socket", how)).contains("socket is no file"));
+        }
+        symlink(&state, stage.path().join("state-link")).unwrap();
+        assert!(told(folder(&stage.path().join("state-link"))).contains("is a symbolic link"));
+        assert!(told(create_folder(&stage.path().join("state-link"))).contains("is a symbolic link"));
+        assert!(told(folder(&stage.path().join("elsewhere"))).contains("elsewhere is no folder"));
+        assert!(told(socket(&state, "pipe")).contains("pipe is no socket"));
+        set_permissions(state.join("socket"), Permissions::from_mode(0o600)).unwrap();
+        assert_eq!(socket(&state, "socket").unwrap(), state.join("socket"));
+    }
+
+    #[test]
+    fn what_stands_where_a_folder_is_to_be_created_is_named() {
+        let stage = tempfile::tempdir().unwrap();
+        let path = stage.path().join("elsewhere");
+        std::fs::write(&path, "text").unwrap();
+        assert!(told(create_folder(&path)).contains("elsewhere is no folder"));
+        assert_eq!(create_folder(&path.join("below")).unwrap_err().kind(), ErrorKind::NotADirectory);
+    }
+}

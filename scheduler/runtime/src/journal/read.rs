@@ -1,0 +1,100 @@
+//! Reads the lines of a journal back, as far as they are whole.
+
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::Value;
+use urrcp::{Server, Timestamp};
+
+use super::private::{self, How};
+use super::{Opened, OpenedRobot};
+use downbeat_mission::{Kept, Left, Torn, whole};
+
+/// A journal that does not even say whose it is.
+#[derive(Debug, thiserror::Error)]
+pub enum Unreadable {
+    /// The file cannot be read.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The error of the system.
+        error: io::Error,
+    },
+    /// Its first line is not whole.
+    #[error("{} does not begin with a whole line of a journal", path.display())]
+    NoBegin {
+        /// Which file.
+        path: PathBuf,
+    },
+}
+
+/// The contents of a journal.
+#[derive(Clone, Debug)]
+pub struct Contents {
+    /// Its first line.
+    pub opened: Opened,
+    /// When the first line was written.
+    pub opened_at: Timestamp<Server>,
+    /// The state of the mission.
+    pub kept: Kept,
+}
+
+impl Contents {
+    /// Reads the bytes of a journal; `None` if the first line is not whole.
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        let first = whole(bytes.split_inclusive(|byte| *byte == b'\n').next()?)?;
+        let opened_at = Timestamp::deserialize(&first["at"]).ok()?;
+        Some(Self { opened: Opened::deserialize(&first).ok()?, opened_at, kept: Kept::of_bytes(bytes) })
+    }
+
+    /// What the mission left on its robots.
+    #[must_use]
+    pub fn left(&self) -> Left {
+        let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
+        let own_ids = self.opened.robots.iter().filter_map(own_id).collect();
+        Left { own_ids, ..self.kept.left() }
+    }
+}
+
+/// Reads a journal of this user up to the first line that is not whole.
+///
+/// # Errors
+/// [`Unreadable`] where not even the first line is whole.
+pub fn read(path: &Path) -> Result<Contents, Unreadable> {
+    let bytes = bytes_of(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
+    Contents::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
+}
+
+/// The bytes of a journal in the state folder.
+pub(super) fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
+    let name = path.file_name().and_then(std::ffi::OsStr::to_str).ok_or(io::ErrorKind::NotFound)?;
+    let mut bytes = Vec::new();
+    private::file(path.parent().unwrap_or(Path::new(".")), name, How::Read)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// All that a journal says, for reports and pages.
+#[derive(Clone, Debug)]
+pub struct Records {
+    /// Its first line.
+    pub opened: Opened,
+    /// Its further lines, up to where it stops being whole.
+    pub all: Vec<(Timestamp<Server>, Value)>,
+    /// Where that is.
+    pub torn: Option<Torn>,
+}
+
+/// The lines of a journal whose bytes these are, up to the first one that is not whole. `path` is for error messages.
+///
+/// # Errors
+/// [`Unreadable::NoBegin`] where not even the first line is whole.
+pub fn records(bytes: &[u8], path: &Path) -> Result<Records, Unreadable> {
+    let contents =
+        Contents::of_bytes(bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })?;
+    let lines =
+        bytes[..contents.kept.whole()].split_inclusive(|byte| *byte == b'\n').skip(1).filter_map(whole);
+    let dated = |line: Value| Some((Timestamp::deserialize(&line["at"]).ok()?, line));
+    Ok(Records { opened: contents.opened, all: lines.filter_map(dated).collect(), torn: contents.kept.torn })
+}

@@ -1,0 +1,701 @@
+use urrcp::Span;
+
+use super::simulated::SimulatedDisk;
+use super::*;
+use downbeat_mission::report::Outcome;
+use downbeat_mission::{
+    ActFate, ActFlaws, ActOver, Failure, FailureKind, Fate, Kept, OutOfTolerance, Progressed, Promise,
+    PromisedScript, Rest, StepsLate, Stopping, Torn, line,
+};
+
+fn opened() -> Opened {
+    Opened {
+        session: SessionId::new("s").unwrap(),
+        key: serde_json::from_str("\"000102030405060708090a0b0c0d0e0f\"").unwrap(),
+        pid: 1,
+        name: Some("show".to_owned()),
+        scenario: "s.yaml".into(),
+        fleet: "fleet.yaml".into(),
+        folder: Some("/show".into()),
+        project: None,
+        asked: Asked { speed: Some(0.5), ..Asked::default() },
+        plan_hash: Some(urrcp::Command::ReadSensor.content_hash()),
+        fixed: FixedStarts::default(),
+        greeting: Greeting::Full,
+        clock_offset: Span::from_millis(3),
+        keys: OpenedKeys::default(),
+        robots: vec![OpenedRobot {
+            robot: RobotId::new("arm").unwrap(),
+            own_id: Some(RobotId::new("UR5-1").unwrap()),
+            address: "tcp://a:1".into(),
+            init: None,
+            limits: std::collections::BTreeMap::new(),
+        }],
+    }
+}
+
+fn at(millis: i64) -> Timestamp<Server> {
+    Timestamp::from_nanos(millis * 1_000_000)
+}
+
+fn prepared(number: u32) -> Record {
+    Record::Prepared(Promise {
+        number,
+        act: 0,
+        timestamp: at(10),
+        start: at(500),
+        lease: Span::from_millis(240),
+        prepared_again: 0,
+        scripts: vec![],
+    })
+}
+
+fn written(folder: &Path) -> PathBuf {
+    let mut journal = Journal::open(folder).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    for record in
+        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
+    {
+        journal.append(at(2), &record).unwrap();
+    }
+    assert_eq!(journal.sync(), Ok(2));
+    folder.join("journal")
+}
+
+#[test]
+fn a_mission_has_begun_once_its_fleet_is_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    assert!(!has_begun(folder.path()));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.extend(line(&serde_json::json!({"at": at(9), "record": "checked"})).unwrap());
+    std::fs::write(&path, bytes).unwrap();
+    assert!(has_begun(folder.path()));
+}
+
+#[test]
+fn what_was_promised_is_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let Contents { opened: first, kept, .. } = read(&written(folder.path())).unwrap();
+    assert_eq!(first, opened());
+    let promises: Vec<_> =
+        kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
+    assert_eq!(promises, [(0, Progressed::Decided), (1, Progressed::Prepared)]);
+    assert_eq!((kept.outcome, kept.torn), (None, None));
+}
+
+#[test]
+fn a_mission_that_ended_is_known_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
+    assert_eq!(read(&path).unwrap().kept.outcome, Some(serde_json::json!("done")));
+}
+
+#[test]
+fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases() {
+    let script = |device: &str, running| PromisedScript {
+        robot: RobotId::new("arm").unwrap(),
+        device: device.parse().unwrap(),
+        request_id: format!("s/{device}").parse().unwrap(),
+        content_hash: urrcp::Command::ReadSensor.content_hash(),
+        shift: Span::from_millis(40),
+        start: urrcp::Millis::default(),
+        duration: Span::from_millis(500),
+        running,
+    };
+    let promise = |number, scripts| match prepared(number) {
+        Record::Prepared(promise) => Record::Prepared(Promise { scripts, ..promise }),
+        other => other,
+    };
+    let lease = urrcp::Millis::new(2_000.0).ok();
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    for record in [promise(0, vec![script("a", lease)]), promise(1, vec![script("b", None)])] {
+        journal.append(at(2), &record).unwrap();
+    }
+    let left = read(&folder.path().join("journal")).unwrap().kept.left();
+    let on = &left.robots[&RobotId::new("arm").unwrap()];
+    assert_eq!(on.devices.iter().map(|device| device.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+    assert_eq!((on.shift, on.leases.as_slice()), (Span::from_millis(40), [lease, None].as_slice()));
+}
+
+#[test]
+fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let renewed_until = || read(&path).unwrap().kept.left().renewed_until;
+    let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
+    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
+    assert_eq!(renewed_until(), None);
+    append(5, stopping());
+    append(9, stopping());
+    assert_eq!(renewed_until(), Some(at(5)));
+    append(12, prepared(2));
+    assert_eq!(renewed_until(), None);
+    append(15, stopping());
+    assert_eq!(renewed_until(), Some(at(15)));
+}
+
+#[test]
+fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let robot = || RobotId::new("arm").unwrap();
+    let append = |record| Journal::open(folder.path()).unwrap().append(at(5), &record).unwrap();
+    assert_eq!(read(&path).unwrap().kept.stopped, []);
+    append(Record::StopConfirmed { robot: robot() });
+    assert_eq!(read(&path).unwrap().kept.stopped, [robot()]);
+    append(Record::Dropped { robot: robot() });
+    let kept = read(&path).unwrap().kept;
+    assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
+}
+
+#[test]
+fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let sound = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}});
+    let mut flawed = sound.clone();
+    flawed["unaccounted"] = "arm".split(' ').collect();
+    flawed["out_of_tolerance"] = serde_json::json!({"spread_ms": 12.5, "tolerance_ms": 10});
+    flawed["steps_late"] = serde_json::json!({"late_ms": 225, "tolerance_ms": 10});
+    for ended in [sound, flawed] {
+        bytes.extend(line(&ended).unwrap());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let kept = read(&path).unwrap().kept;
+    let spread = Span::from_micros(12_500);
+    let expected = ActFlaws {
+        unaccounted: vec![RobotId::new("arm").unwrap()],
+        out_of_tolerance: Some(OutOfTolerance { spread, tolerance: Span::from_millis(10) }),
+        steps_late: Some(StepsLate { late: Span::from_millis(225), tolerance: Span::from_millis(10) }),
+    };
+    assert_eq!((kept.ended_acts, kept.flaws, kept.torn), (2, vec![expected], None));
+}
+
+#[test]
+fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let timed_out = ActFate::TimedOut { awaited: "the operator's go".into(), within: Span::from_millis(5) };
+    let skipped = ActOver { act: 1, fate: timed_out };
+    let played = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "played"});
+    let mut line_of_skipped = serde_json::to_value(Record::ActSkipped(skipped.clone())).unwrap();
+    line_of_skipped["at"] = serde_json::to_value(at(10)).unwrap();
+    for record in [played, line_of_skipped] {
+        bytes.extend(line(&record).unwrap());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().kept.course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
+}
+
+fn life(folder: &Path) -> Life {
+    Found::look_at(folder).unwrap().unwrap().life
+}
+
+fn end(folder: &Path) {
+    let mut journal = Journal::open(folder).unwrap();
+    journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
+}
+
+#[test]
+fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_last_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    written(folder.path());
+    assert_eq!(life(folder.path()), Life::CutOff);
+    let held = Journal::open(folder.path()).unwrap();
+    assert_eq!(life(folder.path()), Life::Running);
+    assert!(Journal::open(folder.path()).is_err(), "looking does not break the lock");
+    drop(held);
+    end(folder.path());
+    assert_eq!(life(folder.path()), Life::Ended);
+}
+
+#[test]
+fn a_lock_of_another_kind_does_not_keep_a_journal_shut() {
+    let folder = tempfile::tempdir().unwrap();
+    let foreign = std::fs::File::open(written(folder.path())).unwrap();
+    foreign.lock().unwrap();
+    assert_eq!(life(folder.path()), Life::CutOff);
+    Journal::open(folder.path()).unwrap();
+}
+
+#[test]
+fn a_journal_whose_first_line_is_damaged_is_named() {
+    let state = tempfile::tempdir().unwrap();
+    let path = written(&state.path().join("a"));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[15] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.damaged), (0, vec![path.clone()]));
+    // Cut off while it began: nothing had been sent.
+    std::fs::write(&path, &bytes[..40]).unwrap();
+    assert!(Missions::of(state.path()).unwrap().damaged.is_empty());
+}
+
+/// A mission of that many megabytes, most of them a hole in the file.
+fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
+    let folder = state.join(format!("m{number}"));
+    let mut journal = Journal::open(&folder).unwrap();
+    journal.begin(at(number), &opened()).unwrap();
+    drop(journal);
+    if megabytes > 0 {
+        let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
+        file.set_len(megabytes * 1024 * 1024).unwrap();
+        std::io::Write::write_all(&mut file, b"\n").unwrap();
+    }
+    if ends {
+        let record = Record::Ended { outcome: Outcome::Done };
+        let line = dated_line(at(number), &record).unwrap();
+        let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
+        std::io::Write::write_all(&mut file, &line).unwrap();
+    }
+}
+
+#[test]
+fn where_there_is_no_folder_of_the_state_there_are_no_missions() {
+    let state = tempfile::tempdir().unwrap();
+    let missions = Missions::of(&state.path().join("none")).unwrap();
+    assert_eq!((missions.found.len(), missions.unread()), (0, 0));
+    let file = state.path().join("file");
+    std::fs::write(&file, "text").unwrap();
+    assert!(Missions::of(&file).is_err());
+}
+
+#[test]
+fn folders_of_which_nothing_is_known_are_counted_whether_damaged_or_refused() {
+    let state = tempfile::tempdir().unwrap();
+    for number in 1..=3 {
+        mission(state.path(), number, 0, true);
+    }
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.unread()), (3, 0));
+    for folder in [&missions.found[0].folder, &missions.found[1].folder] {
+        let path = folder.join("journal");
+        let mut bytes = std::fs::read(&path).unwrap();
+        bytes[3] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+    }
+    std::os::unix::fs::symlink(&missions.found[2].folder, state.path().join("elsewhere")).unwrap();
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.damaged.len(), missions.refused.len()), (1, 2, 1));
+    assert_eq!(missions.unread(), 3);
+}
+
+#[test]
+fn old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays() {
+    let state = tempfile::tempdir().unwrap();
+    mission(state.path(), 0, 0, false);
+    (1..=60).for_each(|number| mission(state.path(), number, 0, true));
+    forget_old(state.path());
+    let left = |number: i64| state.path().join(format!("m{number}")).exists();
+    assert!(left(0) && !left(10) && left(11) && left(60));
+    mission(state.path(), 61, 40, true);
+    mission(state.path(), 62, 40, true);
+    forget_old(state.path());
+    assert!(left(0) && !left(60) && !left(61) && left(62), "the newest is kept however long it is");
+}
+
+#[test]
+fn a_line_that_was_cut_off_or_changed_ends_what_is_believed() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let lines: Vec<usize> = bytes.iter().enumerate().filter(|(_, b)| **b == b'\n').map(|(i, _)| i).collect();
+    for cut in lines[0] + 1..bytes.len() {
+        std::fs::write(&path, &bytes[..cut]).unwrap();
+        let whole = lines.iter().filter(|end| **end < cut).count();
+        let kept = read(&path).unwrap().kept;
+        assert_eq!(kept.torn.is_some(), !lines.iter().any(|end| end + 1 == cut), "cut at {cut}");
+        assert_eq!(kept.promises.len(), [0, 0, 1, 1, 2][whole]);
+    }
+    let mut changed = bytes;
+    changed[lines[1] + 15] ^= 1;
+    std::fs::write(&path, &changed).unwrap();
+    let kept = read(&path).unwrap().kept;
+    let bytes = changed.len() - lines[1] - 1;
+    assert_eq!(kept.torn, Some(Torn { line: 3, bytes, whole_after: 1 }));
+    assert_eq!(kept.fate(), Fate::Withdraw("its journal is damaged"));
+}
+
+#[test]
+fn a_journal_has_one_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let _held = Journal::open(folder.path()).unwrap();
+    assert!(Journal::open(folder.path()).is_err());
+}
+
+#[test]
+fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let lines: Vec<usize> = bytes.iter().enumerate().filter(|(_, b)| **b == b'\n').map(|(i, _)| i).collect();
+    for cut in lines[0] + 1..=bytes.len() {
+        std::fs::write(&path, &bytes[..cut]).unwrap();
+        let mut journal = Journal::open(folder.path()).unwrap();
+        for record in
+            [prepared(7), Record::Decided { number: 7, unnamed: vec![], doubt: Span::ZERO }, prepared(8)]
+        {
+            journal.append(at(9), &record).unwrap();
+        }
+        drop(journal);
+        let kept = read(&path).unwrap().kept;
+        let whole = lines.iter().filter(|end| **end < cut).count();
+        let before: &[_] = [
+            &[][..],
+            &[],
+            &[(0, Progressed::Prepared)],
+            &[(0, Progressed::Decided)],
+            &[(0, Progressed::Decided), (1, Progressed::Prepared)],
+        ][whole];
+        let promises: Vec<_> =
+            kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
+        assert_eq!(
+            promises,
+            [before, &[(7, Progressed::Decided), (8, Progressed::Prepared)]].concat(),
+            "cut at {cut}"
+        );
+        assert_eq!(kept.torn, None, "cut at {cut}");
+    }
+}
+
+#[test]
+fn a_journal_cut_within_its_first_line_can_begin_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let bytes = std::fs::read(&path).unwrap();
+    let first = bytes.iter().position(|byte| *byte == b'\n').unwrap();
+    for cut in 0..=first {
+        std::fs::write(&path, &bytes[..cut]).unwrap();
+        let mut journal = Journal::open(folder.path()).unwrap();
+        assert!(journal.contents().is_none(), "cut at {cut}");
+        journal.begin(at(1), &opened()).unwrap();
+        journal.append(at(2), &prepared(3)).unwrap();
+        drop(journal);
+        assert_eq!(read(&path).unwrap().kept.promises.len(), 1, "cut at {cut}");
+    }
+}
+
+fn on(disk: SimulatedDisk) -> Journal<SimulatedDisk> {
+    Journal::on(disk, "journal".into()).unwrap()
+}
+
+#[test]
+fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
+    let mut survive = 0;
+    loop {
+        let mut journal = on(SimulatedDisk::default());
+        journal.begin(at(1), &opened()).unwrap();
+        journal.append(at(2), &prepared(0)).unwrap();
+        assert_eq!(journal.sync(), Ok(1));
+        journal.append(at(2), &Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }).unwrap();
+        let mut disk = journal.into_disk();
+        let at_risk = disk.at_risk();
+        disk.lose_power(survive);
+        let mut journal = on(disk);
+        let kept = journal.contents().unwrap().kept.clone();
+        assert_eq!(
+            kept.promises[0].1 == Progressed::Decided,
+            survive == at_risk,
+            "{survive} of {at_risk} bytes"
+        );
+        assert_eq!(kept.torn.is_some(), survive > 0 && survive < at_risk);
+        journal.append(at(3), &Record::Ended { outcome: Outcome::Stopped }).unwrap();
+        let again = on(journal.into_disk());
+        assert_eq!(again.contents().unwrap().kept.outcome, Some(serde_json::json!("stopped")));
+        if survive == at_risk {
+            return;
+        }
+        survive += 1;
+    }
+}
+
+#[test]
+fn a_full_disk_is_said_once_for_all_and_leaves_a_journal_that_can_be_taken_up() {
+    let mut whole = on(SimulatedDisk::default());
+    whole.begin(at(1), &opened()).unwrap();
+    let begun = whole.into_disk().bytes().len();
+    for room in 0..600 {
+        let mut journal = on(SimulatedDisk::with_capacity(Some(begun + room)));
+        journal.begin(at(1), &opened()).unwrap();
+        let mut taken = 0;
+        while journal.append(at(2), &prepared(taken)).is_ok() {
+            taken += 1;
+        }
+        assert!(journal.sync().is_err() && journal.append(at(2), &prepared(9)).is_err());
+        let mut disk = journal.into_disk();
+        disk.make_room();
+        let mut journal = on(disk);
+        assert_eq!(journal.contents().unwrap().kept.promises.len(), taken as usize, "room {room}");
+        journal.append(at(2), &prepared(taken)).unwrap();
+        assert_eq!(on(journal.into_disk()).contents().unwrap().kept.promises.len(), taken as usize + 1);
+    }
+}
+
+#[tokio::test]
+async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
+    let mut journal = on(SimulatedDisk::default());
+    journal.begin(at(1), &opened()).unwrap();
+    let mut writer = Writer::start(journal).unwrap();
+    for record in
+        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
+    {
+        writer.write(at(2), record).unwrap();
+    }
+    let mut recorded = 0;
+    while recorded < 2 {
+        let news = writer.next().await;
+        recorded = if let News::Recorded(count) = news { count } else { panic!("{news:?}") };
+    }
+    let journal = writer.finish().await.unwrap();
+    assert_eq!(on(journal.into_disk()).contents().unwrap().kept.promises.len(), 2);
+}
+
+#[tokio::test]
+async fn the_thread_tells_that_the_journal_is_lost() {
+    let mut journal = on(SimulatedDisk::with_capacity(Some(1_000)));
+    journal.begin(at(1), &opened()).unwrap();
+    let mut writer = Writer::start(journal).unwrap();
+    for number in 0..10 {
+        writer.write(at(2), prepared(number)).unwrap();
+    }
+    while !matches!(writer.next().await, News::Lost(_)) {}
+}
+
+/// A journal with a promise in the folder of a mission, and its content.
+fn promised(mission: &Path) -> (Journal, Vec<u8>) {
+    let mut journal = Journal::open(mission).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    journal.append(at(2), &prepared(0)).unwrap();
+    assert_eq!(journal.sync(), Ok(1));
+    let bytes = std::fs::read(mission.join("journal")).unwrap();
+    (journal, bytes)
+}
+
+#[test]
+fn a_journal_that_is_removed_or_moved_or_cut_short_is_written_again_under_its_lock() {
+    let mode = |path: &Path| std::os::unix::fs::MetadataExt::mode(&path.metadata().unwrap()) & 0o7777;
+    let removals: [fn(&Path); 4] = [
+        |state| std::fs::remove_dir_all(state).unwrap(),
+        |state| std::fs::remove_file(state.join("m/journal")).unwrap(),
+        |state| std::fs::rename(state, state.with_extension("elsewhere")).unwrap(),
+        // A copy of its beginning takes its place.
+        |state| {
+            let journal = state.join("m/journal");
+            let bytes = std::fs::read(&journal).unwrap();
+            std::fs::remove_file(&journal).unwrap();
+            std::fs::write(&journal, &bytes[..bytes.len() / 2]).unwrap();
+            std::fs::set_permissions(&journal, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
+        },
+    ];
+    for remove in removals {
+        let stage = tempfile::tempdir().unwrap();
+        let (state, mission) = (stage.path().join("state"), stage.path().join("state/m"));
+        let (mut journal, bytes) = promised(&mission);
+        assert_eq!(journal.keep_name(), Ok(Name::Kept));
+        remove(&state);
+        assert_eq!(journal.keep_name(), Ok(Name::WrittenAgain));
+        assert_eq!(journal.keep_name(), Ok(Name::Kept));
+        assert_eq!(std::fs::read(mission.join("journal")).unwrap(), bytes);
+        assert_eq!([mode(&state), mode(&mission), mode(&mission.join("journal"))], [0o700, 0o700, 0o600]);
+        for place in [mission, state.with_extension("elsewhere").join("m")] {
+            let found = Found::look_at(&place).ok().flatten();
+            assert!(found.is_none_or(|found| found.life == Life::Running), "{}", place.display());
+        }
+        journal.append(at(3), &prepared(1)).unwrap();
+        assert_eq!(journal.sync(), Ok(2));
+        drop(journal);
+        assert_eq!(read(&state.join("m/journal")).unwrap().kept.promises.len(), 2);
+    }
+}
+
+#[test]
+fn a_journal_that_cannot_be_written_again_takes_nothing_more_and_says_why() {
+    let stage = tempfile::tempdir().unwrap();
+    let (state, mission) = (stage.path().join("state"), stage.path().join("state/m"));
+    let (mut journal, _) = promised(&mission);
+    std::fs::write(mission.join("other"), "another file").unwrap();
+    std::fs::rename(mission.join("other"), mission.join("journal")).unwrap();
+    let reason = journal.keep_name().unwrap_err();
+    assert!(
+        reason.contains("removed or replaced") && reason.contains("another file is in its place"),
+        "{reason}"
+    );
+    assert_eq!(std::fs::read(mission.join("journal")).unwrap(), b"another file");
+    assert_eq!(journal.append(at(3), &prepared(1)), Err(reason));
+    drop(journal);
+    std::fs::remove_dir_all(&state).unwrap();
+    let (mut journal, _) = promised(&mission);
+    std::fs::remove_dir_all(&state).unwrap();
+    std::fs::write(&state, "a file where the folder was").unwrap();
+    assert!(journal.keep_name().unwrap_err().contains("cannot be written again"));
+}
+
+#[tokio::test]
+async fn the_thread_writes_a_removed_journal_again_before_its_records_are_durable() {
+    let stage = tempfile::tempdir().unwrap();
+    let mission = stage.path().join("state/m");
+    let (journal, _) = promised(&mission);
+    let mut writer = Writer::start(journal).unwrap();
+    assert_eq!(writer.next().await, News::Recorded(1));
+    std::fs::remove_dir_all(stage.path().join("state")).unwrap();
+    writer.write(at(3), prepared(1)).unwrap();
+    assert_eq!(writer.next().await, News::WrittenAgain);
+    while writer.next().await != News::Recorded(2) {}
+    assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
+    // The thread also notices it without a record.
+    std::fs::remove_dir_all(stage.path().join("state")).unwrap();
+    assert_eq!(writer.next().await, News::WrittenAgain);
+    assert_eq!(read(&mission.join("journal")).unwrap().kept.promises.len(), 2);
+}
+
+#[test]
+fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let told = |bytes: &[u8]| records(bytes, &path).unwrap();
+    let whole = told(&bytes);
+    let kinds = |records: &Records| -> Vec<(i64, String)> {
+        let kind = |(at, line): &(Timestamp<Server>, serde_json::Value)| {
+            (at.as_nanos() / 1_000_000, line["record"].as_str().unwrap().to_owned())
+        };
+        records.all.iter().map(kind).collect()
+    };
+    let expected = [(2, "prepared"), (2, "decided"), (2, "prepared")].map(|(at, kind)| (at, kind.to_owned()));
+    assert_eq!((kinds(&whole), whole.torn, whole.opened), (expected.to_vec(), None, opened()));
+    let last = bytes.len() - 2;
+    bytes[last] ^= 1;
+    let damaged = told(&bytes);
+    assert_eq!(kinds(&damaged), expected[..2]);
+    assert_eq!(damaged.torn.map(|torn| (torn.line, torn.whole_after)), Some((4, 0)));
+    assert!(matches!(records(b"", &path), Err(Unreadable::NoBegin { .. })));
+}
+
+#[test]
+fn a_mission_that_was_cut_off_can_be_resumed_if_all_that_it_promised_was_decided() {
+    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let fate = |records: Vec<Record>| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(folder.path()).unwrap();
+        journal.begin(at(1), &opened()).unwrap();
+        records.iter().for_each(|record| journal.append(at(2), record).unwrap());
+        assert!(journal.sync().is_ok());
+        read(&folder.path().join("journal")).unwrap().kept.fate()
+    };
+    assert_eq!(fate(vec![]), Fate::Withdraw("no act was under way"));
+    assert_eq!(fate(vec![prepared(0), decided(0)]), Fate::Resume);
+    let undecided = Fate::Withdraw("an act was sent and not decided");
+    assert_eq!(fate(vec![prepared(0), decided(0), prepared(1)]), undecided);
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    // Cut off within the second promise, which was not sent before it was on the disk.
+    bytes.truncate(bytes.len() - 5);
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().kept.fate(), Fate::Resume);
+    let stopping = Record::Stopping { outcome: Outcome::Stopped, rest: Rest::InPlace, by: None };
+    assert_eq!(fate(vec![prepared(0), decided(0), stopping]), Fate::Withdraw("it was being stopped"));
+}
+
+/// Writes a journal with these records and reads it back.
+fn kept(records: &[Record]) -> Kept {
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    records.iter().for_each(|record| journal.append(at(2), record).unwrap());
+    assert!(journal.sync().is_ok());
+    read(&folder.path().join("journal")).unwrap().kept
+}
+
+#[test]
+fn a_mission_that_nobody_stopped_is_withdrawn_as_failed_and_one_that_was_being_stopped_as_its_stop_says() {
+    let ending = |records: &[Record]| kept(records).ending("no act was under way");
+    let died = "the process of the mission died: no act was under way".to_owned();
+    assert_eq!(ending(&[]), (Outcome::Failed, died.clone()));
+    let stopping = |outcome| Record::Stopping { outcome, rest: Rest::Home, by: None };
+    assert_eq!(ending(&[stopping(Outcome::Failed)]), (Outcome::Failed, died.clone()));
+    let late = Outcome::DecisionLate { by: Span::from_millis(3) };
+    assert_eq!(ending(&[stopping(late.clone())]), (late.clone(), died));
+    let stopped = (Outcome::Stopped, "stopped by the operator".to_owned());
+    assert_eq!(ending(&[stopping(late), stopping(Outcome::Stopped)]), stopped, "the latest stop counts");
+    let kept = kept(&[stopping(Outcome::Stopped)]);
+    assert_eq!(kept.stopping, Some(Stopping { outcome: Outcome::Stopped, rest: Rest::Home }));
+}
+
+#[test]
+fn robots_may_have_moved_once_an_act_was_committed() {
+    let moved = |records: &[Record]| kept(records).left().moved;
+    let decided = || Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO };
+    assert!(!moved(&[]));
+    assert!(!moved(&[prepared(0), decided()]));
+    assert!(moved(&[prepared(0), decided(), Record::Committed { number: 0 }]));
+    let skipped = |fate| Record::ActSkipped(ActOver { act: 0, fate });
+    for fate in [ActFate::Played, ActFate::Stopped, ActFate::Unknown] {
+        assert!(moved(&[skipped(fate)]));
+    }
+    for fate in [ActFate::NobodyLeft, ActFate::Withdrawn] {
+        assert!(!moved(&[skipped(fate)]));
+    }
+}
+
+#[test]
+fn failures_are_read_back_and_those_of_a_later_version_are_left_out() {
+    let robot = || RobotId::new("arm").unwrap();
+    let kind = FailureKind::Silent { awaited: "an answer".to_owned(), within: Span::from_millis(5) };
+    let failure = Failure { robot: robot(), kind };
+    let records = [Record::Failed(failure.clone()), Record::Dropped { robot: robot() }];
+    let kept = kept(&records);
+    assert_eq!((&kept.failures, &kept.dropped), (&vec![failure.clone()], &vec![robot()]));
+    assert_eq!(kept.left().failures, [failure]);
+    let later = serde_json::json!({"at": at(3), "record": "failed", "robot": "arm", "failure": "bewitched"});
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.extend(line(&later).unwrap());
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().kept.failures, []);
+}
+
+#[test]
+fn a_mission_whose_act_was_withdrawn_and_prepared_again_can_be_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    let decided = |number| Record::Decided { number, unnamed: vec![], doubt: Span::ZERO };
+    let stopping =
+        Record::Stopping { outcome: Outcome::DecisionLate { by: Span::ZERO }, rest: Rest::InPlace, by: None };
+    for record in [prepared(0), decided(0), stopping] {
+        journal.append(at(2), &record).unwrap();
+    }
+    assert!(journal.sync().is_ok());
+    let path = folder.path().join("journal");
+    let mut bytes = std::fs::read(&path).unwrap();
+    let mut append = |record: serde_json::Value| {
+        bytes.extend(line(&record).unwrap());
+        std::fs::write(&path, &bytes).unwrap();
+        read(&path).unwrap().kept
+    };
+    let withdrawn = append(serde_json::json!({
+        "at": at(3), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "withdrawn", "again": true,
+    }));
+    assert_eq!(withdrawn.fate(), Fate::Withdraw("no act was under way"));
+    append(serde_json::to_value(Dated { at: at(4), record: prepared(1) }).unwrap());
+    let again = append(serde_json::to_value(Dated { at: at(5), record: decided(1) }).unwrap());
+    assert_eq!(again.fate(), Fate::Resume);
+    assert_eq!((again.ended_acts, again.course.len()), (0, 0), "the attempt is no act that has ended");
+}
+
+#[derive(serde::Serialize)]
+struct Dated {
+    at: Timestamp<Server>,
+    #[serde(flatten)]
+    record: Record,
+}

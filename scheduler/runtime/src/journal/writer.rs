@@ -1,0 +1,159 @@
+//! A journal on a thread of its own: the mission never waits for the disk.
+
+use std::io;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::time::Duration;
+
+use tokio::sync::{oneshot, watch};
+use urrcp::{Server, Timestamp};
+
+use super::{Disk, FileDisk, Journal, Name};
+use downbeat_mission::Record;
+
+/// Records that may wait for the disk; with one more the journal counts as lost.
+pub const WAITING_MAX: usize = 4_096;
+/// So long the disk may take at the end of a mission.
+const FINISH_MAX: Duration = Duration::from_secs(5);
+/// Interval between checks that the journal is still found under its name, if no record arrives.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+
+/// How far the records of a mission have come.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Written {
+    /// So many durable records are on the disk.
+    count: u64,
+    /// How often the journal was removed or replaced, and written again.
+    again: u32,
+    /// Why no more records are taken.
+    lost: Option<String>,
+}
+
+/// What the thread reports.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum News {
+    /// The number of durable records on the disk.
+    Recorded(u64),
+    /// The journal was removed or replaced, and has been written again.
+    WrittenAgain,
+    /// The reason why the journal takes no further records.
+    Lost(String),
+}
+
+impl Written {
+    /// The next news of `now` for a reader that knows `self`. `WrittenAgain` comes before `Recorded`: only then do the records
+    /// count as durable.
+    fn learn(&mut self, now: &Self) -> Option<News> {
+        if self.again != now.again {
+            self.again = now.again;
+            return Some(News::WrittenAgain);
+        }
+        if self.count != now.count {
+            self.count = now.count;
+            return Some(News::Recorded(now.count));
+        }
+        if self.lost != now.lost {
+            self.lost.clone_from(&now.lost);
+            return now.lost.clone().map(News::Lost);
+        }
+        None
+    }
+}
+
+/// Hands records to the thread that writes them.
+#[derive(Debug)]
+pub struct Writer<D = FileDisk> {
+    queue: SyncSender<(Timestamp<Server>, Record)>,
+    written: watch::Receiver<Written>,
+    /// The state that [`Writer::next`] has reported so far.
+    known: Written,
+    /// The journal, once the thread has ended.
+    back: oneshot::Receiver<Journal<D>>,
+}
+
+impl<D: Disk + Send + 'static> Writer<D> {
+    /// Starts the thread. It ends when the writer is dropped and everything is on the disk.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(journal: Journal<D>) -> io::Result<Self> {
+        let (queue, records) = sync_channel(WAITING_MAX);
+        let (tell, written) = watch::channel(Written::default());
+        let (give_back, back) = oneshot::channel();
+        std::thread::Builder::new().name("journal".to_owned()).spawn(move || {
+            let journal = write_all(journal, &records, &tell);
+            let _nobody_waits = give_back.send(journal);
+        })?;
+        Ok(Self { queue, written, known: Written::default(), back })
+    }
+
+    /// Queues a record, without waiting.
+    ///
+    /// # Errors
+    /// Why the journal takes no more: too many records wait for the disk.
+    pub fn write(&self, at: Timestamp<Server>, record: Record) -> Result<(), String> {
+        self.queue.try_send((at, record)).map_err(|error| match error {
+            TrySendError::Full(_) => {
+                format!("the journal's disk is too slow: {WAITING_MAX} records wait for it")
+            }
+            TrySendError::Disconnected(_) => "the journal's thread has ended".to_owned(),
+        })
+    }
+
+    /// Waits until more records are on the disk, or until the journal has been written again or lost.
+    pub async fn next(&mut self) -> News {
+        loop {
+            if let Some(news) = self.known.learn(&self.written.borrow_and_update()) {
+                return news;
+            }
+            if self.written.changed().await.is_err() {
+                // The thread ends only with this writer, unless it fails.
+                std::future::pending::<()>().await;
+            }
+        }
+    }
+
+    /// Waits until everything is on the disk, 5 s at most, and returns the journal.
+    pub async fn finish(self) -> Option<Journal<D>> {
+        drop(self.queue);
+        tokio::time::timeout(FINISH_MAX, self.back).await.ok()?.ok()
+    }
+}
+
+/// Writes what comes, and syncs once for all that waited.
+fn write_all<D: Disk>(
+    mut journal: Journal<D>,
+    records: &Receiver<(Timestamp<Server>, Record)>,
+    tell: &watch::Sender<Written>,
+) -> Journal<D> {
+    loop {
+        let first = match records.recv_timeout(LOOK_EVERY) {
+            Ok(first) => Some(first),
+            Err(RecvTimeoutError::Timeout) => None,
+            Err(RecvTimeoutError::Disconnected) => return journal,
+        };
+        let appended = append_all(&mut journal, first.into_iter().chain(records.try_iter()));
+        // Records in a file that cannot be found are not durable.
+        let named = appended.and_then(|()| journal.keep_name());
+        let synced = named.clone().and_then(|_| journal.sync());
+        tell.send_if_modified(|written| {
+            let before = written.clone();
+            written.again += u32::from(named == Ok(Name::WrittenAgain));
+            match synced {
+                Ok(count) => written.count = count,
+                Err(reason) => written.lost = Some(reason),
+            }
+            *written != before
+        });
+    }
+}
+
+/// Writes all records that wait, so that one sync covers them.
+///
+/// # Errors
+/// The disk refuses a record.
+pub fn append_all<D: Disk>(
+    journal: &mut Journal<D>,
+    mut waiting: impl Iterator<Item = (Timestamp<Server>, Record)>,
+) -> Result<(), String> {
+    waiting.try_for_each(|(at, record)| journal.append(at, &record))
+}

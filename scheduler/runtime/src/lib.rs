@@ -1,0 +1,23 @@
+//! Missions on real robots: what surrounds the machine of `downbeat-mission` with links, files, threads and clocks.
+//!
+//! | module | |
+//! |---|---|
+//! | [`run`] | a mission in real time, and what another process can ask of it |
+//! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
+//! | [`link`] | links to robots: within the process, over TCP, TLS and Zenoh |
+//! | [`journal`], [`recording`] | what is kept on the disk |
+//! | [`stop_lane`], [`signals`] | the operator's stop, on a thread of its own; signals of the system |
+//! | [`server_clock`] | the clock of the server, and NTP |
+//! | [`keys`] | the authority of a site, which makes the keys of robots and operators |
+//! | [`open_files`] | room for many sockets |
+
+pub mod fleet;
+pub mod journal;
+pub mod keys;
+pub mod link;
+pub mod open_files;
+pub mod recording;
+pub mod run;
+pub mod server_clock;
+pub mod signals;
+pub mod stop_lane;

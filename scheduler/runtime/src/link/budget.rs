@@ -1,0 +1,411 @@
+//! How much a robot may say: what it was asked for, and a little more. A robot that says more floods its link.
+//!
+//! Each message to a robot allows the answers that it may have, in messages and in bytes. What comes beyond that is taken from a
+//! reserve, which fills again with time. Once the reserve is empty, the link is closed: a robot that does not stop talking costs
+//! the mission's time and memory, and robots that work never do it.
+//!
+//! A robot that floods may still move, so a link to stop it may be made. Of what comes on that, nothing passes but the answers to
+//! what was asked on such links, and it ends after a moment.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use urrcp::{Command, LINE_BYTES_MAX, Message, RequestId, Server, Span, Timestamp};
+
+use downbeat_mission::Loss;
+
+/// Messages that a robot may send without being asked, at once.
+const RESERVE_MESSAGES: u64 = 1_000;
+/// Bytes of them.
+const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
+/// Messages a second with which the reserve fills again.
+const REFILL_MESSAGES: u64 = 100;
+/// Bytes of them.
+const REFILL_BYTES: u64 = 64 * 1024;
+/// Answers to a control request: `Accepted`, `Started`, and `OK` or `Failed`.
+const ANSWERS_TO_A_REQUEST: u64 = 3;
+/// Bytes of an answer, beyond what it repeats of the request: names, times, hash, reason.
+const ANSWER_BYTES: u64 = 4 * 1024;
+/// An accepted script is repeated, perhaps in JSON where it was sent in the compact encoding.
+const REPEATED: u64 = 8;
+/// Answers that may be open at most: of three scripts on each of 32,000 devices, and more.
+const ASKED_MESSAGES_MAX: u64 = 500_000;
+/// Bytes of them at most.
+const ASKED_BYTES_MAX: u64 = 1024 * 1024 * 1024;
+
+/// For how long a link to a robot that has flooded is heard.
+const SIFTED_FOR: Span = Span::from_millis(2_000);
+
+/// What a robot may say, on all links to it: the answers to what was sent on a broken one come on the next, and a robot that closes
+/// its link gets no new reserve with the next one.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Asked(Arc<Mutex<Allowance>>);
+
+#[derive(Debug)]
+struct Allowance {
+    asked_for: Amount,
+    reserve: Amount,
+    /// When the reserve was last filled; `None` before anything came.
+    filled: Option<Timestamp<Server>>,
+    /// What may pass of what a robot says that has flooded.
+    sieve: Option<Sieve>,
+}
+
+/// What was asked of a robot since it has flooded.
+#[derive(Debug, Default)]
+struct Sieve {
+    /// The answers that each request may still have.
+    answers: HashMap<RequestId, u64>,
+    /// Descriptions that may still come.
+    descriptions: u64,
+}
+
+impl Sieve {
+    fn note(&mut self, message: &Message) {
+        match message {
+            Message::InitializationRequest(_) => self.descriptions += 1,
+            Message::ControlRequest(request) => {
+                let id = request.request_id.clone();
+                self.answers.extend(id.map(|id| (id, ANSWERS_TO_A_REQUEST)));
+            }
+            _ => {}
+        }
+    }
+
+    fn passes(&mut self, message: &Message) -> bool {
+        let left = match message {
+            Message::InitializationBlock(_) => Some(&mut self.descriptions),
+            Message::ControlResponse(response) => {
+                response.request_id.as_ref().and_then(|id| self.answers.get_mut(id))
+            }
+            _ => None,
+        };
+        left.filter(|left| **left > 0).map(|left| *left -= 1).is_some()
+    }
+}
+
+impl Default for Allowance {
+    fn default() -> Self {
+        let reserve = Amount { messages: RESERVE_MESSAGES, bytes: RESERVE_BYTES };
+        Self { asked_for: Amount::default(), reserve, filled: None, sieve: None }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Amount {
+    messages: u64,
+    bytes: u64,
+}
+
+impl Asked {
+    /// Notes a message that is about to be written in so many bytes.
+    pub(crate) fn note(&self, message: &Message, bytes: usize) {
+        if let Some(sieve) = &mut self.lock().sieve {
+            return sieve.note(message);
+        }
+        let written = u64::try_from(bytes).unwrap_or(u64::MAX);
+        let (messages, bytes) = match message {
+            Message::InitializationRequest(_) => {
+                let mut allowance = self.lock();
+                // A robot that does not describe itself is asked again and again, and may describe itself once.
+                let bytes = allowance.asked_for.bytes.max(LINE_BYTES_MAX as u64);
+                allowance.asked_for.bytes = bytes;
+                (1, 0)
+            }
+            Message::Inquiry(inquiry) => {
+                let names = u64::try_from(inquiry.requests.len() + inquiry.devices.len()).unwrap_or(u64::MAX);
+                (1, names.saturating_add(1).saturating_mul(ANSWER_BYTES))
+            }
+            Message::ControlRequest(request) => {
+                let repeated = match request.command {
+                    Command::ReadSensor => 0,
+                    _ => written.saturating_mul(REPEATED),
+                };
+                (ANSWERS_TO_A_REQUEST, repeated.saturating_add(ANSWER_BYTES * ANSWERS_TO_A_REQUEST))
+            }
+            _ => (1, ANSWER_BYTES),
+        };
+        self.allow(messages, bytes);
+    }
+
+    /// It holds so many scripts that another process has sent, and will tell what becomes of them.
+    pub(crate) fn note_held(&self, scripts: usize) {
+        let messages = u64::try_from(scripts).unwrap_or(u64::MAX).saturating_mul(ANSWERS_TO_A_REQUEST);
+        self.allow(messages, messages.saturating_mul(ANSWER_BYTES));
+    }
+
+    fn allow(&self, messages: u64, bytes: u64) {
+        let Allowance { asked_for, .. } = &mut *self.lock();
+        asked_for.messages = asked_for.messages.saturating_add(messages).min(ASKED_MESSAGES_MAX);
+        asked_for.bytes = asked_for.bytes.saturating_add(bytes).min(ASKED_BYTES_MAX);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Allowance> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Allowance {
+    /// Adds what time has brought.
+    fn fill(&mut self, now: Timestamp<Server>) {
+        let filled = self.filled.get_or_insert(now);
+        let passed = u64::try_from((now - *filled).max(Span::ZERO).as_nanos()).unwrap_or(0);
+        let brought = |a_second: u64| {
+            u64::try_from(u128::from(a_second) * u128::from(passed) / 1_000_000_000).unwrap_or(u64::MAX)
+        };
+        let messages = brought(REFILL_MESSAGES);
+        // In whole messages, so that what is rounded off is not lost.
+        if messages > 0 {
+            *filled = now;
+            self.reserve.messages = self.reserve.messages.saturating_add(messages).min(RESERVE_MESSAGES);
+            self.reserve.bytes = self.reserve.bytes.saturating_add(brought(REFILL_BYTES)).min(RESERVE_BYTES);
+        }
+    }
+}
+
+/// What comes on one link.
+#[derive(Debug)]
+pub(crate) struct Budget {
+    asked: Asked,
+    came: Amount,
+    hears: Hears,
+}
+
+/// What is heard on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Hears {
+    /// All, as long as it was asked for.
+    All,
+    /// What passes the sieve, since the first of it came.
+    Sifted(Option<Timestamp<Server>>),
+}
+
+impl Budget {
+    /// For a new link to a robot that was asked this.
+    pub(crate) fn new(asked: Asked) -> Self {
+        let hears = if asked.lock().sieve.is_some() { Hears::Sifted(None) } else { Hears::All };
+        Self { asked, came: Amount::default(), hears }
+    }
+
+    /// So many bytes have come.
+    ///
+    /// # Errors
+    /// [`Loss::Flooding`]: more than it was asked for, and the link is to be closed.
+    pub(crate) fn take_bytes(&mut self, now: Timestamp<Server>, bytes: usize) -> Result<(), Loss> {
+        let bytes = u64::try_from(bytes).unwrap_or(u64::MAX);
+        self.came.bytes = self.came.bytes.saturating_add(bytes);
+        if let Hears::Sifted(since) = &mut self.hears {
+            let since = *since.get_or_insert(now);
+            return if now - since > SIFTED_FOR { Err(self.flooding()) } else { Ok(()) };
+        }
+        let mut allowance = self.asked.lock();
+        allowance.fill(now);
+        let Allowance { asked_for, reserve, sieve, .. } = &mut *allowance;
+        take(&mut asked_for.bytes, &mut reserve.bytes, bytes).ok_or_else(|| {
+            sieve.get_or_insert_default();
+            self.flooding()
+        })
+    }
+
+    /// A message has come, or what stands in place of one.
+    ///
+    /// # Errors
+    /// As [`Budget::take_bytes`].
+    pub(crate) fn take_message(&mut self) -> Result<(), Loss> {
+        self.came.messages += 1;
+        if self.is_sifted() {
+            return Ok(());
+        }
+        let Allowance { asked_for, reserve, sieve, .. } = &mut *self.asked.lock();
+        take(&mut asked_for.messages, &mut reserve.messages, 1).ok_or_else(|| {
+            sieve.get_or_insert_default();
+            self.flooding()
+        })
+    }
+
+    /// Whether the robot has flooded before, so that only answers are heard.
+    pub(crate) const fn is_sifted(&self) -> bool {
+        matches!(self.hears, Hears::Sifted(_))
+    }
+
+    /// Whether a message is heard; once, if it is.
+    pub(crate) fn passes(&self, message: &Message) -> bool {
+        match self.hears {
+            Hears::All => true,
+            Hears::Sifted(_) => self.asked.lock().sieve.as_mut().is_some_and(|sieve| sieve.passes(message)),
+        }
+    }
+
+    const fn flooding(&self) -> Loss {
+        Loss::Flooding { messages: self.came.messages, bytes: self.came.bytes }
+    }
+}
+
+/// Takes what came from what was asked for, and the rest from the reserve.
+fn take(asked_for: &mut u64, reserve: &mut u64, came: u64) -> Option<()> {
+    let answers = came.min(*asked_for);
+    *asked_for -= answers;
+    *reserve = reserve.checked_sub(came - answers)?;
+    Some(())
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{
+        AvailabilityRequest, ControlError, ControlRequest, ControlResponse, ErrorCode, InitializationRequest,
+        Inquiry, Script,
+    };
+
+    use super::*;
+
+    fn at(millis: i64) -> Timestamp<Server> {
+        Timestamp::from_nanos(millis * 1_000_000)
+    }
+
+    /// How many messages of so many bytes are taken at one instant.
+    fn taken(budget: &mut Budget, now: Timestamp<Server>, bytes: usize) -> u64 {
+        let mut count = 0;
+        while budget.take_bytes(now, bytes).and_then(|()| budget.take_message()).is_ok() {
+            count += 1;
+            assert!(count < 10_000_000, "without end");
+        }
+        count
+    }
+
+    fn request() -> Message {
+        let command = Command::Script(Script::cancel());
+        Message::ControlRequest(ControlRequest::immediate("d".parse().unwrap(), command))
+    }
+
+    #[test]
+    fn what_nobody_asked_for_is_taken_from_a_reserve_that_fills_with_time() {
+        let mut budget = Budget::new(Asked::default());
+        assert_eq!(taken(&mut budget, at(0), 100), RESERVE_MESSAGES);
+        assert_eq!(taken(&mut budget, at(500), 100), REFILL_MESSAGES / 2);
+        assert_eq!(taken(&mut budget, at(3_600_000), 100), RESERVE_MESSAGES);
+    }
+
+    #[test]
+    fn a_few_long_messages_flood_as_well() {
+        let mut budget = Budget::new(Asked::default());
+        assert_eq!(taken(&mut budget, at(0), 1024 * 1024), 4);
+        let Err(Loss::Flooding { messages, bytes }) = budget.take_bytes(at(0), 1) else { panic!() };
+        assert!(messages == 4 && bytes > RESERVE_BYTES, "{messages} {bytes}");
+    }
+
+    #[test]
+    fn every_request_allows_its_answers_also_on_a_later_link_and_the_reserve_is_that_of_the_robot() {
+        let asked = Asked::default();
+        (0..32_000).for_each(|_| asked.note(&request(), 100));
+        let mut first = Budget::new(asked.clone());
+        for _ in 0..3 * 32_000 + RESERVE_MESSAGES / 2 {
+            assert!(first.take_bytes(at(0), 300).and_then(|()| first.take_message()).is_ok());
+        }
+        (0..32_000).for_each(|_| asked.note(&request(), 100));
+        let mut second = Budget::new(asked);
+        assert_eq!(taken(&mut second, at(1), 300), 3 * 32_000 + RESERVE_MESSAGES / 2);
+    }
+
+    #[test]
+    fn a_description_may_be_as_long_as_a_line_and_only_once_however_often_it_was_asked_for() {
+        let asked = Asked::default();
+        let question = Message::InitializationRequest(InitializationRequest::default());
+        (0..10).for_each(|_| asked.note(&question, 30));
+        let mut budget = Budget::new(asked);
+        assert!(budget.take_bytes(at(0), LINE_BYTES_MAX).is_ok());
+        assert!(budget.take_bytes(at(0), LINE_BYTES_MAX).is_err());
+    }
+
+    #[test]
+    fn of_a_robot_that_has_flooded_only_the_answers_to_further_requests_are_heard_and_only_for_a_moment() {
+        let asked = Asked::default();
+        let mut first = Budget::new(asked.clone());
+        assert!(!first.is_sifted());
+        taken(&mut first, at(0), 100);
+        let named = |id: &str| {
+            let Message::ControlRequest(mut stop) = request() else { panic!() };
+            stop.request_id = id.parse().ok();
+            stop
+        };
+        let answer = |id: &str| {
+            let now = Timestamp::from_nanos(0);
+            Message::ControlResponse(ControlResponse::refusal(
+                now,
+                &named(id),
+                ControlError::new(ErrorCode::Late, ""),
+            ))
+        };
+        let mut second = Budget::new(asked.clone());
+        assert!(second.is_sifted() && !second.passes(&answer("stop")));
+        asked.note(&Message::ControlRequest(named("stop")), 100);
+        let passed = (0..10).filter(|_| second.passes(&answer("stop"))).count();
+        assert_eq!((passed, second.passes(&answer("noise"))), (3, false));
+        for (millis, heard) in [(10, true), (2_010, true), (2_011, false)] {
+            let taken = second.take_bytes(at(millis), 1_000_000).and_then(|()| second.take_message());
+            assert_eq!(taken.is_ok(), heard, "{millis}");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_answers_every_question_never_floods() {
+        let asked = Asked::default();
+        let mut budget = Budget::new(asked.clone());
+        let names = vec!["request".parse().unwrap(); 100];
+        for round in 0..100_000 {
+            asked.note(&Message::AvailabilityRequest(AvailabilityRequest::default()), 80);
+            asked.note(&Message::Inquiry(Inquiry { requests: names.clone(), ..Inquiry::default() }), 900);
+            for bytes in [200, 100 * 400] {
+                let answered = budget.take_bytes(at(round), bytes).and_then(|()| budget.take_message());
+                assert!(answered.is_ok(), "{round}: {answered:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_robot_may_tell_what_becomes_of_scripts_that_another_process_has_sent() {
+        let asked = Asked::default();
+        asked.note_held(50);
+        assert_eq!(taken(&mut Budget::new(asked), at(0), 100), RESERVE_MESSAGES + 50 * ANSWERS_TO_A_REQUEST);
+    }
+
+    #[test]
+    fn an_answer_may_be_as_long_as_what_was_asked_about() {
+        let inquiry = Inquiry {
+            requests: (0..9).map(|index| RequestId::new(format!("r{index}")).unwrap()).collect(),
+            ..Inquiry::default()
+        };
+        let longest = usize::try_from(RESERVE_BYTES + 10 * ANSWER_BYTES).unwrap();
+        for (bytes, taken) in [(longest, true), (longest + 1, false)] {
+            let asked = Asked::default();
+            asked.note(&Message::Inquiry(inquiry.clone()), 100);
+            assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken);
+        }
+    }
+
+    #[test]
+    fn a_robot_that_has_flooded_may_describe_itself_as_often_as_it_is_asked_to() {
+        let asked = Asked::default();
+        taken(&mut Budget::new(asked.clone()), at(0), 100);
+        let budget = Budget::new(asked.clone());
+        let block = r#"{"initialization_block": {"id": "r", "api_version": "1", "devices": [{"id": "a", "name": "a", "available_control_types": {}}]}}"#;
+        let described: Message = serde_json::from_str(block).unwrap();
+        let passed = |count: usize| (0..count).filter(|_| budget.passes(&described)).count();
+        assert_eq!(passed(1), 0, "nobody asked");
+        (0..2)
+            .for_each(|_| asked.note(&Message::InitializationRequest(InitializationRequest::default()), 30));
+        assert_eq!(passed(5), 2);
+    }
+
+    #[test]
+    fn a_request_allows_three_answers_which_may_repeat_it_and_a_reading_is_not_repeated() {
+        let sensor = ControlRequest::immediate("s".parse().unwrap(), Command::ReadSensor);
+        for (message, repeated) in [(request(), 8 * 100), (Message::ControlRequest(sensor), 0)] {
+            let longest = usize::try_from(RESERVE_BYTES + 3 * ANSWER_BYTES + repeated).unwrap();
+            for (bytes, taken) in [(longest, true), (longest + 1, false)] {
+                let asked = Asked::default();
+                asked.note(&message, 100);
+                assert_eq!(Budget::new(asked).take_bytes(at(0), bytes).is_ok(), taken, "{message:?}");
+            }
+        }
+    }
+}

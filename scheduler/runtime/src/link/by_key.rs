@@ -1,0 +1,86 @@
+//! Robots at keys of a Zenoh network, where this program is built for that.
+
+use std::path::PathBuf;
+
+use super::{Endpoint, LinkEncoding};
+
+#[cfg(feature = "zenoh")]
+use std::sync::OnceLock;
+
+/// The message of a build without Zenoh.
+#[cfg(not(feature = "zenoh"))]
+pub const NOT_BUILT: &str = "this build of downbeat has no Zenoh, which `zenoh:` addresses need; build it with \
+     `cargo install --path scheduler --features zenoh`";
+
+/// The Zenoh network of a site, joined once.
+#[derive(Debug, Default)]
+pub(super) struct OfSite {
+    #[cfg(feature = "zenoh")]
+    file: Option<PathBuf>,
+    #[cfg(feature = "zenoh")]
+    joined: OnceLock<Result<Network, String>>,
+}
+
+/// A Zenoh network that this process has joined.
+#[cfg(feature = "zenoh")]
+#[derive(Clone, Debug)]
+pub struct Network(downbeat_robot::zenoh::Networks);
+
+/// A network that cannot exist, because this build has no Zenoh.
+#[cfg(not(feature = "zenoh"))]
+#[derive(Clone, Copy, Debug)]
+pub enum Network {}
+
+#[cfg(feature = "zenoh")]
+impl OfSite {
+    pub(super) const fn new(file: Option<PathBuf>) -> Self {
+        Self { file, joined: OnceLock::new() }
+    }
+
+    pub(super) fn joined(&self) -> Result<Network, String> {
+        self.joined.get_or_init(|| join(self.file.as_deref()).map(Network)).clone()
+    }
+}
+
+/// Joins the network of a configuration.
+///
+/// # Errors
+/// Why not, as a sentence.
+#[cfg(feature = "zenoh")]
+pub fn join(file: Option<&std::path::Path>) -> Result<downbeat_robot::zenoh::Networks, String> {
+    let file = file.ok_or(
+        "robots at `zenoh:` addresses are reached by a configuration of Zenoh: name its file by `zenoh:` in the fleet file, \
+         or by DOWNBEAT_ZENOH (docs/zenoh.md)",
+    )?;
+    downbeat_robot::zenoh::Networks::open(file).map_err(|error| error.to_string())
+}
+
+#[cfg(feature = "zenoh")]
+impl Network {
+    /// The robot at a key; `None` if this is not a key.
+    #[must_use]
+    pub fn endpoint(&self, key: &str, encoding: LinkEncoding) -> Option<Endpoint> {
+        let key = key.parse().ok()?;
+        Some(Endpoint::Zenoh { network: self.0.for_one_more(), key, encoding })
+    }
+}
+
+#[cfg(not(feature = "zenoh"))]
+impl OfSite {
+    pub(super) fn new(_: Option<PathBuf>) -> Self {
+        Self {}
+    }
+
+    pub(super) fn joined(&self) -> Result<Network, String> {
+        Err(NOT_BUILT.to_owned())
+    }
+}
+
+#[cfg(not(feature = "zenoh"))]
+impl Network {
+    /// The robot at a key.
+    #[must_use]
+    pub const fn endpoint(&self, _: &str, _: LinkEncoding) -> Option<Endpoint> {
+        match *self {}
+    }
+}

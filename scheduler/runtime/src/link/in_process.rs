@@ -1,0 +1,95 @@
+//! A robot in the same process: messages go to its host as they are, without bytes.
+
+use downbeat_robot::{HostHandle, LinkEvent};
+
+use super::{EventSink, Queue};
+use downbeat_mission::Loss;
+
+/// Carries messages both ways until either side closes.
+pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut queue: Queue) {
+    let Some(mut link) = host.connect(index) else {
+        return sink.down(Loss::Refused, "the simulated robot is gone").await;
+    };
+    sink.up().await;
+    loop {
+        tokio::select! {
+            message = queue.next() => match message {
+                Some((message, _)) => link.send(*message),
+                None => return,
+            },
+            event = link.recv() => match event {
+                Some(LinkEvent::Message(message)) => sink.received(message, 0).await,
+                Some(LinkEvent::Closed) | None => {
+                    return sink.down(Loss::Closed, "the robot closed the link").await;
+                }
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use downbeat_robot::simulated::{Settings, SimulatedRobot};
+    use downbeat_robot::{Host, HostOptions};
+    use tokio::sync::mpsc;
+    use urrcp::{InitializationRequest, Message, Span};
+
+    use crate::link::{Endpoint, Link};
+    use crate::server_clock::ServerClock;
+    use downbeat_mission::drive::{Happened, LinkNumber, Urgency};
+    use downbeat_mission::{Event, Loss};
+
+    fn host() -> Host {
+        let block = r#"{"id": "r0", "api_version": "1", "devices": [{"id": "a", "available_control_types": {
+            "position": {"min_value": 0, "max_value": 90, "granularity": 1}}}]}"#;
+        let robot = SimulatedRobot::new(serde_json::from_str(block).unwrap(), Settings::default());
+        Host::start(vec![robot], HostOptions::default()).unwrap()
+    }
+
+    fn linked(host: &Host, index: usize) -> (Link, mpsc::Receiver<Happened>) {
+        let (events, happened) = mpsc::channel(64);
+        let endpoint = Endpoint::InProcess { host: host.handle(), index };
+        let clock = ServerClock::anchored(Span::ZERO);
+        (Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO), happened)
+    }
+
+    async fn next(happened: &mut mpsc::Receiver<Happened>) -> Option<Event> {
+        match tokio::time::timeout(Duration::from_secs(60), happened.recv()).await.unwrap()? {
+            Happened::OnLink { event, .. } => Some(*event),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[tokio::test]
+    async fn a_robot_of_this_process_answers_on_its_link_until_the_link_is_let_go_of() {
+        let host = host();
+        let (link, mut happened) = linked(&host, 0);
+        assert!(matches!(next(&mut happened).await, Some(Event::LinkUp { robot: 0 })));
+        for urgency in [Urgency::InOrder, Urgency::Overtaking] {
+            let asks = Message::InitializationRequest(InitializationRequest::default());
+            link.send(asks, urgency).unwrap();
+            let event = next(&mut happened).await;
+            assert!(
+                matches!(&event, Some(Event::Received { robot: 0, message: Message::InitializationBlock(block) }) if block.id.as_str() == "r0"),
+                "{event:?}"
+            );
+        }
+        drop(link);
+        assert!(next(&mut happened).await.is_none(), "it ends without a word");
+    }
+
+    #[tokio::test]
+    async fn a_robot_that_this_process_does_not_have_or_that_ends_is_told_as_lost() {
+        let host = host();
+        let (_other, mut of_other) = linked(&host, 1);
+        let gone = next(&mut of_other).await;
+        assert!(matches!(gone, Some(Event::LinkDown { loss: Loss::Refused, .. })), "{gone:?}");
+        let (_link, mut happened) = linked(&host, 0);
+        assert!(matches!(next(&mut happened).await, Some(Event::LinkUp { .. })));
+        drop(host);
+        let closed = next(&mut happened).await;
+        assert!(matches!(closed, Some(Event::LinkDown { loss: Loss::Closed, .. })), "{closed:?}");
+    }
+}

@@ -1,0 +1,336 @@
+//! Links to robots. A link is a pair of channels with tasks behind it; which transport carries the messages, the mission
+//! never knows.
+
+mod batch;
+mod budget;
+mod by_key;
+mod encoding;
+mod in_process;
+mod reach;
+mod secure;
+mod shared;
+mod tcp;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+pub(crate) use budget::{Asked, Budget};
+#[cfg(not(feature = "zenoh"))]
+pub use by_key::NOT_BUILT;
+pub use by_key::Network;
+#[cfg(feature = "zenoh")]
+pub use by_key::join;
+pub use encoding::LinkEncoding;
+pub(crate) use reach::{Purpose, Reach, ReadEnd, WriteEnd, over};
+pub use secure::denial;
+pub use secure::{Hmac, Security, Site, Tls};
+pub(crate) use shared::SharedScripts;
+
+use downbeat_robot::HostHandle;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::task::AbortHandle;
+use urrcp::{KnownScripts, Message, Span};
+
+use crate::server_clock::ServerClock;
+use downbeat_mission::drive::{Happened, LinkNumber, QueueFull, Urgency};
+use downbeat_mission::session;
+use downbeat_mission::{Event, Loss};
+
+/// Messages that may wait for one robot's socket; beyond that the link counts as broken.
+const OUTGOING_MAX: usize = 40_000;
+
+/// Places that what comes on one link has in the mission's queue; the link waits beyond that, and the others have theirs.
+const PLACES: usize = 256;
+/// A message takes a place for each so many bytes that it began.
+const PLACE_BYTES: usize = 64 * 1024;
+
+/// Something that happened, and the places that it takes until it is heard.
+#[derive(Debug)]
+pub(crate) struct Waiting {
+    /// What happened.
+    pub(crate) happened: Happened,
+    /// Given back when this is dropped; `None` for what is bounded otherwise.
+    _places: Option<OwnedSemaphorePermit>,
+}
+
+impl From<Happened> for Waiting {
+    fn from(happened: Happened) -> Self {
+        Self { happened, _places: None }
+    }
+}
+
+/// Where a robot is reached.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Endpoint {
+    /// A simulated robot in this process, by its index in the host.
+    InProcess {
+        /// The host that runs it.
+        host: HostHandle,
+        /// Its index there.
+        index: usize,
+    },
+    /// A robot that listens on TCP.
+    Tcp {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+        /// How it is written to.
+        encoding: LinkEncoding,
+        /// Whether both sides prove who they are.
+        security: Security,
+    },
+    /// A robot at a key of a Zenoh network.
+    #[cfg(feature = "zenoh")]
+    Zenoh {
+        /// The network.
+        network: downbeat_robot::zenoh::Network,
+        /// Its key.
+        key: downbeat_robot::zenoh::Key,
+        /// How it is written to.
+        encoding: LinkEncoding,
+    },
+}
+
+impl Endpoint {
+    /// What robots have in common that hear what is published for several: the session and the place.
+    fn place(&self) -> Option<shared::Place> {
+        match self {
+            #[cfg(feature = "zenoh")]
+            Self::Zenoh { network, key, .. } => Some((network.id().to_owned(), key.place().to_owned())),
+            Self::InProcess { .. } | Self::Tcp { .. } => None,
+        }
+    }
+}
+
+/// The sending end of a link. Dropping it closes the link once all has been sent.
+#[derive(Debug)]
+pub struct Link {
+    outgoing: mpsc::Sender<Outgoing>,
+    urgent: mpsc::UnboundedSender<Outgoing>,
+    task: AbortHandle,
+}
+
+/// A robot that listens.
+#[derive(Clone)]
+struct Peer {
+    sink: EventSink,
+    reach: Reach,
+    encoding: LinkEncoding,
+    of: OfRobot,
+    /// What a robot repeats when it accepts it.
+    sent: KnownScripts,
+}
+
+/// What all links to one robot have in common.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct OfRobot {
+    /// What it was asked on all of them.
+    pub(crate) asked: Asked,
+    /// The scripts that go to others as well.
+    pub(crate) shared: SharedScripts,
+    pub(crate) long_upload: LongUpload,
+}
+
+/// How long a robot may be busy reading after one batch of the longest kind.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LongUpload(pub(crate) Span);
+
+impl Default for LongUpload {
+    fn default() -> Self {
+        Self(Span::from_millis(2_000))
+    }
+}
+
+/// The other ends of a link's channels.
+struct Queue {
+    outgoing: mpsc::Receiver<Outgoing>,
+    /// Stops: at most one a device, and a repetition now and then.
+    urgent: mpsc::UnboundedReceiver<Outgoing>,
+}
+
+/// Boxed, because a channel keeps room for 32 of them, and there may be thousands of links.
+pub(crate) type Outgoing = Box<Message>;
+
+impl Link {
+    /// Opens a link after a while; what happens on it comes as events of `robot` on the link of this number.
+    pub fn open(
+        of: (usize, LinkNumber),
+        endpoint: Endpoint,
+        clock: ServerClock,
+        events: mpsc::Sender<Happened>,
+        after: Duration,
+    ) -> Self {
+        Self::carrying(of, (endpoint, OfRobot::default()), clock, Events::Plain(events), after)
+    }
+
+    /// The same, where what comes on one link leaves the others their places.
+    pub(crate) fn open_beside_others(
+        of: (usize, LinkNumber),
+        (endpoint, of_robot): (Endpoint, OfRobot),
+        clock: ServerClock,
+        events: mpsc::Sender<Waiting>,
+        after: Duration,
+    ) -> Self {
+        // A robot of this process is no stranger, and its host keeps what waits.
+        let places =
+            (!matches!(endpoint, Endpoint::InProcess { .. })).then(|| Arc::new(Semaphore::new(PLACES)));
+        Self::carrying(of, (endpoint, of_robot), clock, Events::Placed(events, places), after)
+    }
+
+    fn carrying(
+        (robot, number): (usize, LinkNumber),
+        (endpoint, of): (Endpoint, OfRobot),
+        clock: ServerClock,
+        events: Events,
+        after: Duration,
+    ) -> Self {
+        let (outgoing, queue) = mpsc::channel(OUTGOING_MAX);
+        let (urgent, first) = mpsc::unbounded_channel();
+        let queue = Queue { outgoing: queue, urgent: first };
+        let sink = EventSink { robot, link: Some(number), clock, events };
+        // The task ends when its link breaks or when `outgoing` is dropped, whichever comes first.
+        let task = tokio::spawn(async move {
+            if !after.is_zero() {
+                tokio::time::sleep(after).await;
+            }
+            if queue.outgoing.is_closed() {
+                return;
+            }
+            let sent = KnownScripts::default();
+            match endpoint {
+                Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
+                Endpoint::Tcp { host, port, encoding, security } => {
+                    let reach = Reach::Tcp { host, port, security };
+                    tcp::carry(Peer { sink, reach, encoding, of, sent }, queue).await;
+                }
+                #[cfg(feature = "zenoh")]
+                Endpoint::Zenoh { network, key, encoding } => {
+                    let reach = Reach::Zenoh { network, key };
+                    tcp::carry(Peer { sink, reach, encoding, of, sent }, queue).await;
+                }
+            }
+        });
+        Self { outgoing, urgent, task: task.abort_handle() }
+    }
+
+    /// Queues a message. A link that is down drops it: the mission hears of that by its own event.
+    ///
+    /// # Errors
+    /// [`QueueFull`] when the robot does not read: the message is lost.
+    pub fn send(&self, message: Message, urgency: Urgency) -> Result<(), QueueFull> {
+        let message = Box::new(message);
+        let full = match urgency {
+            Urgency::Overtaking => {
+                let _down = self.urgent.send(message);
+                false
+            }
+            Urgency::InOrder => {
+                matches!(self.outgoing.try_send(message), Err(mpsc::error::TrySendError::Full(_)))
+            }
+        };
+        if full { Err(QueueFull { waiting: OUTGOING_MAX }) } else { Ok(()) }
+    }
+
+    /// Where messages go in that overtake all that waits.
+    pub(crate) fn overtaking(&self) -> mpsc::UnboundedSender<Outgoing> {
+        self.urgent.clone()
+    }
+
+    /// Closes the link at once. What waits to be sent is discarded.
+    pub fn cut(&self) {
+        self.task.abort();
+    }
+}
+
+impl Queue {
+    /// The next message, urgent ones first, and whether it is one; `None` once the mission has let go of the link.
+    async fn next(&mut self) -> Option<(Outgoing, bool)> {
+        tokio::select! {
+            biased;
+            Some(message) = self.urgent.recv() => Some((message, true)),
+            message = self.outgoing.recv() => message.map(|message| (message, false)),
+        }
+    }
+
+    fn try_next(&mut self) -> Option<Outgoing> {
+        self.urgent.try_recv().ok().or_else(|| self.outgoing.try_recv().ok())
+    }
+}
+
+/// Stamps what happens on a link and hands it to the mission's driver.
+#[derive(Clone)]
+struct EventSink {
+    robot: usize,
+    /// `None` on an additional connection, which says nothing about the link.
+    link: Option<LinkNumber>,
+    clock: ServerClock,
+    events: Events,
+}
+
+/// Where events go.
+#[derive(Clone)]
+enum Events {
+    Plain(mpsc::Sender<Happened>),
+    /// Each with its places, as far as they are counted.
+    Placed(mpsc::Sender<Waiting>, Option<Arc<Semaphore>>),
+}
+
+impl EventSink {
+    async fn put(&self, event: Event) {
+        self.put_long(event, 0).await;
+    }
+
+    /// Hands on an event that came in so many bytes, once it has a place. The driver's end is gone only when the mission has
+    /// ended; then the event is not needed.
+    async fn put_long(&self, event: Event, bytes: usize) {
+        let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
+        let happened = match self.link {
+            Some(link) => Happened::OnLink { at, robot, link, event },
+            None => Happened::Event { at, event },
+        };
+        match &self.events {
+            Events::Plain(events) => drop(events.send(happened).await),
+            Events::Placed(events, None) => drop(events.send(happened.into()).await),
+            Events::Placed(events, Some(places)) => {
+                let count = u32::try_from((bytes / PLACE_BYTES + 1).min(PLACES)).unwrap_or(1);
+                let places = Arc::clone(places).acquire_many_owned(count).await.ok();
+                drop(events.send(Waiting { happened, _places: places }).await);
+            }
+        }
+    }
+
+    async fn up(&self) {
+        self.put(Event::LinkUp { robot: self.robot }).await;
+    }
+
+    async fn down(&self, loss: Loss, reason: impl Into<String>) {
+        self.put(Event::LinkDown { robot: self.robot, loss, reason: reason.into() }).await;
+    }
+
+    async fn received(&self, message: Message, bytes: usize) {
+        let message = session::told_without_keys(message);
+        self.put_long(Event::Received { robot: self.robot, message }, bytes).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn what_came_in_many_bytes_takes_a_place_for_each_sixty_four_thousand_that_it_began() {
+        for (bytes, taken) in [(0, 1), (PLACE_BYTES - 1, 1), (PLACE_BYTES, 2), (3 * PLACE_BYTES, 4)] {
+            let places = Arc::new(Semaphore::new(PLACES));
+            let (events, mut happened) = mpsc::channel(1);
+            let events = Events::Placed(events, Some(Arc::clone(&places)));
+            let clock = ServerClock::anchored(urrcp::Span::ZERO);
+            let sink = EventSink { robot: 0, link: None, clock, events };
+            sink.put_long(Event::LinkUp { robot: 0 }, bytes).await;
+            assert_eq!(PLACES - places.available_permits(), taken, "{bytes} bytes");
+            drop(happened.recv().await);
+            assert_eq!(places.available_permits(), PLACES, "it was heard");
+        }
+    }
+}

@@ -1,0 +1,428 @@
+//! What lies between a link and its bytes: nothing, TLS with certificates on both sides, or records with codes by a shared secret.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use downbeat_robot::sealed::{self, Held, NotSealed, Passes, Refused, Sealed};
+use downbeat_robot::tls::{Credentials, Identity, Name, Revoked, SERVER_NAME, client_config};
+use downbeat_scripts::{Fleet, Protection};
+use rustls::ClientConfig;
+use rustls::pki_types::ServerName;
+use tokio::io::{ReadHalf, WriteHalf};
+use tokio::net::TcpStream;
+use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_util::either::Either;
+use urrcp::RobotId;
+
+use super::by_key::{Network, OfSite};
+
+/// The end of a connection over TCP from which is read.
+pub(crate) type BareReadEnd =
+    Either<OwnedReadHalf, Either<ReadHalf<TlsStream<TcpStream>>, ReadHalf<Sealed<TcpStream>>>>;
+/// The end of a connection over TCP to which is written, and then flushed: what is encrypted or sealed may wait in it.
+pub(crate) type BareWriteEnd =
+    Either<OwnedWriteHalf, Either<WriteHalf<TlsStream<TcpStream>>, WriteHalf<Sealed<TcpStream>>>>;
+
+/// How a site's robots are spoken to.
+#[derive(Clone, Debug, Default)]
+pub struct Site {
+    config: Option<Arc<ClientConfig>>,
+    identity: Option<Identity>,
+    passes: Arc<Passes>,
+    zenoh: Arc<OfSite>,
+}
+
+impl Site {
+    /// As the fleet file says, or as another identity file does.
+    ///
+    /// # Errors
+    /// What is wrong with the files, as a sentence.
+    pub fn of(fleet: &Fleet, identity: Option<&Path>) -> Result<Self, String> {
+        let site = Self::of_files(identity.or(fleet.identity.as_deref()), fleet.revoked.as_deref())?;
+        Ok(site.with_zenoh(fleet.zenoh.clone()))
+    }
+
+    /// The same with the Zenoh network of this configuration.
+    #[must_use]
+    pub fn with_zenoh(mut self, file: Option<PathBuf>) -> Self {
+        self.zenoh = Arc::new(OfSite::new(file));
+        self
+    }
+
+    /// The Zenoh network, which is joined when it is asked for first.
+    ///
+    /// # Errors
+    /// Why it cannot be joined, as a sentence.
+    pub fn network(&self) -> Result<Network, String> {
+        self.zenoh.joined()
+    }
+
+    /// With these files; without an identity nothing but plain TCP is spoken.
+    ///
+    /// # Errors
+    /// What is wrong with them, as a sentence.
+    pub fn of_files(identity: Option<&Path>, revoked: Option<&Path>) -> Result<Self, String> {
+        let Some(path) = identity else { return Ok(Self::default()) };
+        let own = Credentials::read(path).map_err(|error| error.to_string())?;
+        if let Name::Robot(id) = &own.identity().name {
+            return Err(format!(
+                "{}: this is the identity of robot `{id}`; expected an operator's, which `downbeat keys operator` makes",
+                path.display()
+            ));
+        }
+        let revoked = revoked.map(Revoked::in_file).transpose().map_err(|error| error.to_string())?;
+        let config = client_config(&own, revoked.as_ref())?;
+        let passes = Passes::next_to(path);
+        let passes = if passes.exists() { Passes::read(&passes) } else { Ok(Passes::default()) };
+        let passes = Arc::new(passes.map_err(|error| error.to_string())?);
+        let identity = Some(own.identity().clone());
+        Ok(Self { config: Some(Arc::new(config)), identity, passes, ..Self::default() })
+    }
+
+    /// Who speaks; `None` without an identity.
+    #[must_use]
+    pub const fn identity(&self) -> Option<&Identity> {
+        self.identity.as_ref()
+    }
+
+    /// The operator's passes for robots with a secret.
+    #[must_use]
+    pub fn passes(&self) -> &Passes {
+        &self.passes
+    }
+
+    /// For a robot that calls itself so; `None`: whichever robot it is.
+    #[must_use]
+    pub fn with(&self, protection: Protection, robot: Option<&RobotId>) -> Security {
+        let robot = robot.cloned();
+        match (protection, &self.config) {
+            (Protection::Open, _) => Security::Plain,
+            (_, None) => Security::Nameless,
+            (Protection::Tls, Some(config)) => {
+                Security::Tls(Arc::new(Tls { config: Arc::clone(config), robot }))
+            }
+            (Protection::Hmac, Some(_)) => {
+                Security::Hmac(Arc::new(Hmac { passes: Arc::clone(&self.passes), robot }))
+            }
+        }
+    }
+}
+
+/// How one robot is spoken to.
+#[derive(Clone, Debug)]
+pub enum Security {
+    /// As it is.
+    Plain,
+    /// With TLS, by a certificate that says so.
+    Tls(Arc<Tls>),
+    /// In records with codes, by a pass that says so.
+    Hmac(Arc<Hmac>),
+    /// Not as it is, but there is no identity: nothing can be said.
+    Nameless,
+}
+
+/// What it takes to seal what is said to one robot.
+#[derive(Debug)]
+pub struct Hmac {
+    passes: Arc<Passes>,
+    /// Whose secret its pass is made from; `None`: any robot's.
+    robot: Option<RobotId>,
+}
+
+impl Hmac {
+    /// The same for one robot alone.
+    #[must_use]
+    pub fn for_robot(&self, robot: RobotId) -> Self {
+        Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
+    }
+
+    /// The pass to begin with.
+    ///
+    /// # Errors
+    /// There is none, or it has expired; the error says how to make one.
+    pub fn pass(&self) -> io::Result<&Held> {
+        self.first().map_err(io::Error::other)
+    }
+
+    fn first(&self) -> Result<&Held, Denied> {
+        let none = |of: String| {
+            Denied(format!(
+                "you have no pass for {of}: `downbeat keys secret` makes one, in a file next to your identity file"
+            ))
+        };
+        match &self.robot {
+            Some(robot) => self.passes.of(robot).ok_or_else(|| none(format!("robot {robot}"))),
+            None => self.passes.held().first().ok_or_else(|| none("any robot".to_owned())),
+        }
+    }
+
+    /// Connects. A robot that refuses the pass of another names itself; if any robot is meant, it is asked again with its own.
+    async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
+        let address = stream.peer_addr()?;
+        let held = self.pass()?;
+        let error = match sealed::connect(stream, held).await {
+            Err(error) if self.robot.is_none() => error,
+            connected => return connected,
+        };
+        let named = match error.get_ref().and_then(|inner| inner.downcast_ref()) {
+            Some(NotSealed::Refused(Refused::OtherRobot(own))) => self.passes.of(own),
+            _ => None,
+        };
+        let Some(held) = named else { return Err(error) };
+        let stream = TcpStream::connect(address).await?;
+        stream.set_nodelay(true)?;
+        sealed::connect(stream, held).await
+    }
+}
+
+/// What TLS with one robot takes.
+#[derive(Debug)]
+pub struct Tls {
+    config: Arc<ClientConfig>,
+    /// Whom its certificate has to name; `None`: any robot of the authority.
+    robot: Option<RobotId>,
+}
+
+impl Tls {
+    /// How this side proves who it is.
+    #[must_use]
+    pub const fn config(&self) -> &Arc<ClientConfig> {
+        &self.config
+    }
+}
+
+/// Connects to a robot, makes sure that it is this one, and says whose certificate it has shown.
+///
+/// # Errors
+/// The connection cannot be made, or the other side does not prove who it is.
+pub(crate) async fn secured(
+    stream: TcpStream,
+    security: &Security,
+) -> io::Result<((BareReadEnd, BareWriteEnd), Option<Met>)> {
+    let denied = |what: String| io::Error::other(Denied(what));
+    stream.set_nodelay(true)?;
+    let tls = match security {
+        Security::Plain => {
+            let (reader, writer) = stream.into_split();
+            return Ok(((Either::Left(reader), Either::Left(writer)), None));
+        }
+        Security::Nameless => {
+            let hint = "name your identity file: `identity` in the fleet file, or DOWNBEAT_IDENTITY";
+            return Err(denied(format!("the robot needs to know who you are: {hint}")));
+        }
+        Security::Hmac(hmac) => {
+            let (reader, writer) = tokio::io::split(hmac.connect(stream).await?);
+            return Ok((
+                (Either::Right(Either::Right(reader)), Either::Right(Either::Right(writer))),
+                Some(Met { until: None }),
+            ));
+        }
+        Security::Tls(tls) => tls,
+    };
+    let name = ServerName::try_from(SERVER_NAME).map_err(io::Error::other)?;
+    let connector = TlsConnector::from(Arc::clone(&tls.config));
+    let stream = connector.connect(name, stream).await?;
+    let certificates = stream.get_ref().1.peer_certificates().unwrap_or_default();
+    let certificate = certificates.first().ok_or_else(|| denied("the robot showed no certificate".into()))?;
+    let met = Identity::of_certificate(certificate).map_err(|error| denied(error.to_string()))?;
+    if let Some(robot) = tls.robot.as_ref().filter(|robot| met.name != Name::Robot((*robot).clone())) {
+        return Err(denied(format!("its certificate is that of {}, expected robot {robot}", met.name)));
+    }
+    let (reader, writer) = tokio::io::split(stream);
+    Ok((
+        (Either::Right(Either::Left(reader)), Either::Right(Either::Left(writer))),
+        Some(Met { until: Some(met.expires) }),
+    ))
+}
+
+/// Why one side was not let in, in words of keys and certificates; `None` where the connection failed otherwise.
+#[must_use]
+pub fn denial(error: &io::Error) -> Option<String> {
+    use rustls::{AlertDescription as Alert, CertificateError as Certificate, Error};
+    let inner = error.get_ref()?;
+    if let Some(Denied(why)) = inner.downcast_ref() {
+        return Some(why.clone());
+    }
+    if let Some(why) = inner.downcast_ref::<NotSealed>() {
+        return Some(why.to_string());
+    }
+    let why = match inner.downcast_ref::<Error>()? {
+        Error::InvalidCertificate(Certificate::UnknownIssuer | Certificate::BadSignature) => {
+            "the robot's certificate is of another authority than yours"
+        }
+        Error::InvalidCertificate(Certificate::Expired | Certificate::ExpiredContext { .. }) => {
+            "the robot's certificate has expired: `downbeat keys renew` makes a new one"
+        }
+        Error::InvalidCertificate(Certificate::Revoked) => "the robot's certificate is revoked",
+        Error::InvalidMessage(_) => "what listens there does not speak TLS",
+        Error::AlertReceived(Alert::UnknownCA | Alert::DecryptError) => {
+            "the robot trusts another authority than yours"
+        }
+        Error::AlertReceived(Alert::CertificateExpired) => {
+            "your certificate has expired: `downbeat keys renew` makes a new one"
+        }
+        Error::AlertReceived(Alert::CertificateRevoked) => "your certificate is revoked",
+        other => return Some(format!("no TLS with the robot: {other}")),
+    };
+    Some(why.to_owned())
+}
+
+/// A robot that has proven who it is.
+pub(crate) struct Met {
+    /// Until when its certificate counts, if it has one, in seconds since 1970.
+    pub(crate) until: Option<i64>,
+}
+
+/// Not let in, for a reason of this side.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Denied(String);
+
+#[cfg(test)]
+mod tests {
+    use std::net::SocketAddr;
+
+    use downbeat_robot::simulated::{Settings, SimulatedRobot};
+    use downbeat_robot::{Door, Host, HostOptions, serve_behind};
+    use rustls::{AlertDescription, CertificateError, Error, InvalidMessage};
+
+    use super::*;
+
+    #[test]
+    fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
+        for (error, expected) in [
+            (Error::InvalidCertificate(CertificateError::UnknownIssuer), "of another authority than yours"),
+            (Error::InvalidCertificate(CertificateError::BadSignature), "of another authority than yours"),
+            (Error::InvalidCertificate(CertificateError::Expired), "the robot's certificate has expired"),
+            (Error::InvalidCertificate(CertificateError::Revoked), "the robot's certificate is revoked"),
+            (Error::InvalidMessage(InvalidMessage::InvalidContentType), "does not speak TLS"),
+            (Error::AlertReceived(AlertDescription::UnknownCA), "the robot trusts another authority"),
+            (Error::AlertReceived(AlertDescription::DecryptError), "the robot trusts another authority"),
+            (Error::AlertReceived(AlertDescription::CertificateExpired), "your certificate has expired"),
+            (Error::AlertReceived(AlertDescription::CertificateRevoked), "your certificate is revoked"),
+            (Error::AlertReceived(AlertDescription::InternalError), "no TLS with the robot"),
+        ] {
+            let told = denial(&io::Error::other(error.clone())).unwrap();
+            assert!(told.contains(expected), "{error:?}: {told}");
+        }
+    }
+
+    #[test]
+    fn a_connection_that_breaks_is_no_denial() {
+        assert_eq!(denial(&io::ErrorKind::ConnectionReset.into()), None);
+        assert_eq!(denial(&io::Error::other("no route")), None);
+    }
+
+    #[test]
+    fn without_an_identity_open_robots_alone_are_spoken_to() {
+        let site = Site::of_files(None, None).unwrap();
+        assert!(site.identity().is_none() && site.passes().held().is_empty());
+        assert!(matches!(site.with(Protection::Open, None), Security::Plain));
+        for protection in [Protection::Tls, Protection::Hmac] {
+            assert!(matches!(site.with(protection, None), Security::Nameless), "{protection:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_robot_that_needs_to_know_who_speaks_is_not_spoken_to_without_an_identity() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let error = secured(stream, &Security::Nameless).await.err().unwrap();
+        assert!(denial(&error).is_some_and(|why| why.contains("DOWNBEAT_IDENTITY")), "{error}");
+    }
+
+    /// A pass by a secret of its own.
+    fn held(robot: &str) -> Held {
+        held_by(&sealed::Secret::generate().unwrap(), robot)
+    }
+
+    fn held_by(secret: &sealed::Secret, robot: &str) -> Held {
+        let claim: sealed::Claim = format!("operator eve - {} 1", i64::MAX).parse().unwrap();
+        Held { robot: robot.parse().unwrap(), pass: secret.pass(&claim), claim }
+    }
+
+    /// The robot `b` behind a secret, until its host is dropped.
+    async fn robot_b(secret: sealed::Secret) -> (Host, SocketAddr) {
+        let block = r#"{"id": "b", "api_version": "1", "devices": [{"id": "eye", "name": "eye",
+            "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+        let block = serde_json::from_str(block).unwrap();
+        let robots = vec![SimulatedRobot::new(block, Settings::default())];
+        let host = Host::start(robots, HostOptions::default()).unwrap();
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let door = Door::Sealed(Arc::new(sealed::Guard::new("b".parse().unwrap(), secret, None)));
+        tokio::spawn(serve_behind(listener, host.handle(), 0, door));
+        (host, address)
+    }
+
+    #[tokio::test]
+    async fn whichever_robot_it_is_it_is_asked_again_with_its_own_pass_and_another_than_is_meant_is_not() {
+        let secret = sealed::Secret::generate().unwrap();
+        let (host, address) = robot_b(secret.clone()).await;
+        let other = "it is robot b, another than your pass is for";
+        for (meant, passes, expected) in [
+            (None, vec![held("a"), held_by(&secret, "b")], None),
+            (None, vec![held_by(&secret, "b")], None),
+            (None, vec![held("a")], Some(other)),
+            (None, vec![held("a"), held("b")], Some("the robot does not know the secret")),
+            (None, vec![held("b"), held_by(&secret, "b")], Some("the robot does not know the secret")),
+            (Some("a"), vec![held("a"), held_by(&secret, "b")], Some(other)),
+            (Some("b"), vec![held("a"), held_by(&secret, "b")], None),
+        ] {
+            let robot = meant.map(|robot| robot.parse().unwrap());
+            let named: Vec<_> = passes.iter().map(|held| held.robot.to_string()).collect();
+            let hmac = Hmac { passes: Arc::new(Passes::new(passes)), robot };
+            let stream = TcpStream::connect(address).await.unwrap();
+            let refused = secured(stream, &Security::Hmac(Arc::new(hmac))).await.err();
+            let why = refused.as_ref().and_then(denial);
+            let told = why.as_deref().zip(expected).is_some_and(|(why, part)| why.starts_with(part));
+            assert!(told || refused.is_none() && expected.is_none(), "{meant:?}, {named:?}: {refused:?}");
+        }
+        drop(host);
+    }
+
+    #[test]
+    fn a_pass_is_that_of_the_robot_that_is_meant_or_the_first_one_if_any_is() {
+        let passes = Arc::new(Passes::new(vec![held("a"), held("b")]));
+        let any = Hmac { passes: Arc::clone(&passes), robot: None };
+        assert_eq!(any.pass().unwrap().robot.as_str(), "a");
+        assert_eq!(any.for_robot("b".parse().unwrap()).pass().unwrap().robot.as_str(), "b");
+        let of_other = any.for_robot("c".parse().unwrap());
+        let why = of_other.pass().map(|_| ()).unwrap_err().to_string();
+        assert!(why.contains("no pass for robot c"), "{why}");
+        let none = Hmac { passes: Arc::default(), robot: None };
+        let why = none.pass().map(|_| ()).unwrap_err().to_string();
+        assert!(why.contains("no pass for any robot"), "{why}");
+    }
+
+    #[test]
+    fn a_site_speaks_by_its_identity_file_and_to_robots_as_they_are_protected() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let now = crate::keys::calendar();
+        let authority = crate::keys::Authority::create(&folder.path().join("keys"), now).unwrap();
+        let file = |name: Name| {
+            let roles = downbeat_robot::Roles::default();
+            authority.issue(&[name].into(), &roles, now, 10).unwrap().remove(0)
+        };
+        let eve = Name::Operator("eve".to_owned());
+        let site = Site::of_files(Some(&file(eve.clone())), None).unwrap().with_zenoh(None);
+        assert_eq!(site.identity().map(|identity| &identity.name), Some(&eve));
+        assert!(matches!(site.with(Protection::Open, None), Security::Plain));
+        let robot: RobotId = "arm".parse().unwrap();
+        let Security::Tls(tls) = site.with(Protection::Tls, Some(&robot)) else { panic!("no TLS") };
+        assert_eq!(tls.robot.as_ref(), Some(&robot));
+        let Security::Hmac(hmac) = site.with(Protection::Hmac, Some(&robot)) else { panic!("no codes") };
+        assert_eq!(hmac.robot.as_ref(), Some(&robot));
+        let refused = Site::of_files(Some(&file(Name::Robot(robot))), None).unwrap_err();
+        assert!(refused.contains("the identity of robot `arm`"), "{refused}");
+    }
+
+    #[test]
+    fn without_a_configuration_there_is_no_zenoh_network_and_it_is_told_why() {
+        let why = Site::default().with_zenoh(None).network().err();
+        assert!(why.as_deref().is_some_and(|why| why.contains("`zenoh:` addresses")), "{why:?}");
+    }
+}

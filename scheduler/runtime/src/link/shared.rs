@@ -1,0 +1,184 @@
+//! Which scripts of a mission go to several robots of one place in a Zenoh network: those are published there once, for the robots
+//! that get them.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use urrcp::{Command, ContentHash, RobotId, Script};
+
+use super::Endpoint;
+use downbeat_mission::Mission;
+
+/// A script of fewer steps is written to each robot: to publish it costs more than it spares.
+const STEPS_MIN: usize = 16;
+/// Audiences to which one robot belongs; what it gets with others beyond that is written to it.
+const AUDIENCES_MAX: usize = 32;
+
+/// The same session of Zenoh, and the same place.
+pub(super) type Place = (String, String);
+
+/// The scripts that go to one robot and to others where it stands.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SharedScripts {
+    /// All that are shared in its place, each with the number of its audience.
+    audience_of: Arc<HashMap<ContentHash, u32>>,
+    /// The audiences to which it belongs.
+    own: Vec<u32>,
+}
+
+impl SharedScripts {
+    /// Those of each robot of a mission, in the order of its robots.
+    pub(crate) fn of(mission: &Mission, endpoints: &[Endpoint]) -> Vec<Self> {
+        let ids = (0..endpoints.len()).map(|robot| (mission.robot_id(robot), robot));
+        let robots: HashMap<&RobotId, usize> = ids.collect();
+        let mut places: HashMap<Place, Vec<(usize, &Script)>> = HashMap::new();
+        for plan in mission.choreography().acts.iter().flat_map(|act| &act.plan.robots) {
+            let Some(robot) = robots.get(&plan.robot) else { continue };
+            let Some(place) = endpoints[*robot].place() else { continue };
+            let scripts = plan.scripts.iter().map(|script| (*robot, &script.script));
+            places.entry(place).or_default().extend(scripts.filter(|(_, script)| is_long(script)));
+        }
+        let mut all = vec![Self::default(); endpoints.len()];
+        for sent in places.into_values() {
+            for (robot, shared) in in_one_place(sent) {
+                all[robot] = shared;
+            }
+        }
+        all
+    }
+
+    /// The audiences to which the robot belongs.
+    pub(crate) fn audiences(&self) -> &[u32] {
+        &self.own
+    }
+
+    /// The audience that gets a script, if the robot belongs to one that does.
+    pub(crate) fn audience(&self, script: &Script) -> Option<u32> {
+        if self.own.is_empty() || !is_long(script) {
+            return None;
+        }
+        self.audience_of.get(&hash_of(script)).copied().filter(|audience| self.own.contains(audience))
+    }
+}
+
+/// What is shared of the scripts that go to the robots of one place.
+fn in_one_place(mut sent: Vec<(usize, &Script)>) -> Vec<(usize, SharedScripts)> {
+    sent.sort_by_key(|(robot, _)| *robot);
+    let mut sets = Sets::default();
+    let mut set_of: HashMap<ContentHash, usize> = HashMap::new();
+    for (robot, script) in &sent {
+        let set = set_of.entry(hash_of(script)).or_default();
+        *set = sets.with(*set, *robot);
+    }
+    // The same robots get the same number.
+    let shared = set_of.into_iter().filter(|(_, set)| sets.count(*set) > 1);
+    let audience_of: HashMap<_, _> =
+        shared.filter_map(|(hash, set)| Some((hash, u32::try_from(set).ok()?))).collect();
+    let audience_of = Arc::new(audience_of);
+    let mut all: Vec<(usize, SharedScripts)> = Vec::new();
+    for (robot, script) in sent {
+        let Some(audience) = audience_of.get(&hash_of(script)) else { continue };
+        if all.last().is_none_or(|(last, _)| *last != robot) {
+            all.push((robot, SharedScripts { audience_of: Arc::clone(&audience_of), own: Vec::new() }));
+        }
+        let Some((_, SharedScripts { own, .. })) = all.last_mut() else { continue };
+        if own.len() < AUDIENCES_MAX && !own.contains(audience) {
+            own.push(*audience);
+        }
+    }
+    all
+}
+
+/// Sets of robots, each with a number; 0 is the empty one. Robots are added in order.
+#[derive(Default)]
+struct Sets {
+    /// Of each set but the empty one: its last robot, and how many it has.
+    known: Vec<(usize, usize)>,
+    /// The number of a set with one robot more.
+    larger: HashMap<(usize, usize), usize>,
+}
+
+impl Sets {
+    fn with(&mut self, set: usize, robot: usize) -> usize {
+        let (last, count) = self.last_and_count(set);
+        if last == Some(robot) {
+            return set;
+        }
+        *self.larger.entry((set, robot)).or_insert_with(|| {
+            self.known.push((robot, count + 1));
+            self.known.len()
+        })
+    }
+
+    fn count(&self, set: usize) -> usize {
+        self.last_and_count(set).1
+    }
+
+    fn last_and_count(&self, set: usize) -> (Option<usize>, usize) {
+        let known = set.checked_sub(1).and_then(|index| self.known.get(index));
+        known.map_or((None, 0), |(last, count)| (Some(*last), *count))
+    }
+}
+
+fn is_long(script: &Script) -> bool {
+    script.steps().len() >= STEPS_MIN
+}
+
+/// Scripts keep it once it has been asked for.
+fn hash_of(script: &Script) -> ContentHash {
+    Command::Script(script.clone()).content_hash()
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{ControlType, Millis, Setpoint, Step};
+
+    use super::*;
+
+    fn script(value: f64, steps: usize) -> Script {
+        let step = |_| Step {
+            offset: Millis::new(0.0).unwrap(),
+            setpoint: Setpoint::new(ControlType::Position, value),
+            stop_condition: None,
+        };
+        Script::new((0..steps).map(step).collect()).unwrap()
+    }
+
+    /// By robot: which of these scripts have which audience.
+    fn audiences(sent: &[(usize, &Script)], of: &[&Script]) -> Vec<(usize, Vec<Option<u32>>)> {
+        let shared = in_one_place(sent.to_vec());
+        let row = |shared: &SharedScripts| of.iter().map(|script| shared.audience(script)).collect();
+        shared.iter().map(|(robot, shared)| (*robot, row(shared))).collect()
+    }
+
+    #[test]
+    fn a_script_of_several_robots_is_shared_by_them_and_one_of_a_single_robot_is_not() {
+        let [all, pair, own] = [1.0, 2.0, 3.0].map(|value| script(value, STEPS_MIN));
+        // Twice for one robot, and in any order.
+        let sent = [(2, &all), (0, &all), (0, &pair), (1, &all), (1, &pair), (0, &own), (0, &own)];
+        let found = audiences(&sent, &[&all, &pair, &own]);
+        let [(0, first), (1, second), (2, third)] = found.as_slice() else { panic!("{found:?}") };
+        assert!(first[0].is_some() && first[1].is_some() && first[0] != first[1], "{found:?}");
+        assert_eq!(first[2], None);
+        assert_eq!(first, second);
+        assert_eq!(*third, [first[0], None, None], "it does not hear what others get");
+    }
+
+    #[test]
+    fn scripts_of_the_same_robots_have_one_audience() {
+        let [one, two] = [1.0, 2.0].map(|value| script(value, STEPS_MIN));
+        let found = audiences(&[(0, &one), (1, &one), (1, &two), (0, &two)], &[&one, &two]);
+        assert!(found[0].1[0].is_some() && found[0].1[0] == found[0].1[1], "{found:?}");
+    }
+
+    #[test]
+    fn a_robot_belongs_to_so_many_audiences_at_most_and_is_written_the_rest() {
+        let scripts: Vec<_> = (0..40).map(|i| script(f64::from(i), STEPS_MIN)).collect();
+        // Each with another robot.
+        let sent: Vec<_> =
+            scripts.iter().zip(1..).flat_map(|(script, other)| [(0, script), (other, script)]).collect();
+        let found = audiences(&sent, &scripts.iter().collect::<Vec<_>>());
+        assert_eq!(found[0].1.iter().flatten().count(), AUDIENCES_MAX);
+        assert_eq!(found.len(), 41);
+    }
+}

@@ -1,0 +1,269 @@
+//! Everything that was said in a mission as an MCAP file, which Foxglove and others open: requests and responses, planned
+//! and reported values, clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
+
+mod recorder;
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::{Attempt, Refusal};
+use mcap::records::MessageHeader;
+use mcap::{McapError, WriteOptions, Writer};
+use serde::Serialize;
+use serde_json::{Value, json};
+use urrcp::{
+    Command, ControlRequest, ControlResponse, Message, Robot, RobotId, Server, Span, StatusValue, Timestamp,
+};
+
+use downbeat_mission::clock::ClockSample;
+use downbeat_mission::session;
+use downbeat_mission::{Progress, Record};
+
+pub use recorder::Recorder;
+
+/// A recording could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write the recording {}: {}", path.display(), why(path, error))]
+pub struct RecordingError {
+    /// Which file.
+    pub path: PathBuf,
+    /// The error of the MCAP writer, or of the system below it.
+    pub error: McapError,
+}
+
+impl RecordingError {
+    /// Why, without the file.
+    #[must_use]
+    pub fn reason(&self) -> String {
+        reason(&self.error)
+    }
+}
+
+/// What the system refuses, and what to do.
+fn why(path: &Path, error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => Refusal::of(Attempt::Write(path), error).to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// What the system said, where it was the system.
+fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
+    }
+}
+
+/// How much of a mission may be missing in the file of a process that is killed.
+const FLUSH_EVERY: Span = Span::from_millis(1_000);
+
+/// A file that is being written.
+pub struct Recording {
+    path: PathBuf,
+    writer: Writer<BufWriter<File>>,
+    channels: HashMap<String, u16>,
+    sequence: u32,
+    /// When what was written was last brought to the file.
+    flushed: Timestamp<Server>,
+    /// The first failure: nothing is written after it.
+    failed: Option<McapError>,
+}
+
+impl std::fmt::Debug for Recording {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Recording").field("path", &self.path).finish_non_exhaustive()
+    }
+}
+
+/// A kind of topic, with the JSON Schema of its messages.
+#[derive(Clone, Copy)]
+enum Kind {
+    Message,
+    Value,
+    Clock,
+    Record,
+    Progress,
+}
+
+impl Kind {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Message => "urrcp.Message",
+            Self::Value => "downbeat.Value",
+            Self::Clock => "downbeat.Clock",
+            Self::Record => "downbeat.Record",
+            Self::Progress => "downbeat.Progress",
+        }
+    }
+
+    fn schema(self) -> Value {
+        match self {
+            Self::Message => json!({"type": "object", "minProperties": 1, "maxProperties": 1}),
+            Self::Value => json!({"type": "object", "properties": {
+                "value": {"type": "number"}, "control_type": {"type": "string"},
+                "request_id": {"type": "string"}, "status": {"type": "string"}}}),
+            Self::Clock => json!({"type": "object", "properties": {
+                "offset_ms": {"type": "number"}, "delay_ms": {"type": "number"}}}),
+            Self::Record => json!({"type": "object", "properties": {"record": {"type": "string"}}}),
+            Self::Progress => json!({"type": "object", "properties": {"progress": {"type": "string"}}}),
+        }
+    }
+}
+
+impl Recording {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// [`RecordingError`] when it cannot be written.
+    pub fn create(path: &Path) -> Result<Self, RecordingError> {
+        let open = || -> Result<_, McapError> {
+            let file = BufWriter::new(File::create(path)?);
+            let options = WriteOptions::new().compression(None).profile("").library("downbeat");
+            Writer::with_options(file, options)
+        };
+        match open() {
+            Ok(writer) => Ok(Self {
+                path: path.to_path_buf(),
+                writer,
+                channels: HashMap::new(),
+                sequence: 0,
+                flushed: Timestamp::from_nanos(0),
+                failed: None,
+            }),
+            Err(error) => Err(RecordingError { path: path.to_path_buf(), error }),
+        }
+    }
+
+    /// A message left for a robot. The key of its session is left out.
+    pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: Message) {
+        let message = session::without_key(message);
+        self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, &message);
+        if let Message::ControlRequest(request) = &message {
+            self.planned(at, robot, request);
+        }
+    }
+
+    /// The values of a script, each at the time at which it is due.
+    fn planned(&mut self, at: Timestamp<Server>, robot: &RobotId, request: &ControlRequest) {
+        let (Command::Script(script), Some(start)) = (&request.command, request.starts_at()) else { return };
+        let topic = format!("/robots/{robot}/{}/planned", request.device_id);
+        for step in script.steps() {
+            let value = json!({"value": step.setpoint.value, "control_type": step.setpoint.control_type,
+                "request_id": request.request_id});
+            self.put(&topic, Kind::Value, start + step.offset.span(), at, &value);
+        }
+    }
+
+    /// A message came from a robot.
+    pub fn received(&mut self, at: Timestamp<Server>, robot: &RobotId, message: &Message) {
+        self.put(&format!("/robots/{robot}/responses"), Kind::Message, at, at, message);
+        match message {
+            Message::AvailabilityResponse(answer) => {
+                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
+                self.clock(at, robot, times);
+            }
+            Message::InquiryResponse(answer) => {
+                let times = (answer.originate_timestamp, answer.receive_timestamp, answer.timestamp);
+                self.clock(at, robot, times);
+            }
+            Message::ControlResponse(response) => self.reported(at, robot, response),
+            _ => {}
+        }
+    }
+
+    /// Records a clock sample from the times in an answer: the question was sent, was received, and was answered.
+    fn clock(
+        &mut self,
+        at: Timestamp<Server>,
+        robot: &RobotId,
+        (sent, received, answered): (Option<Timestamp<Server>>, Timestamp<Robot>, Timestamp<Robot>),
+    ) {
+        let Some(sent) = sent else { return };
+        let sample = ClockSample::from_exchange(sent, received, answered, at);
+        let value = json!({"offset_ms": sample.offset, "delay_ms": sample.delay});
+        self.put(&format!("/robots/{robot}/clock"), Kind::Clock, at, at, &value);
+    }
+
+    fn reported(&mut self, at: Timestamp<Server>, robot: &RobotId, response: &ControlResponse) {
+        let StatusValue::Number(value) = response.status_value else { return };
+        let value = json!({"value": value, "status": response.status, "request_id": response.request_id});
+        self.put(&format!("/robots/{robot}/{}/reported", response.device_id), Kind::Value, at, at, &value);
+    }
+
+    /// The mission wrote something down.
+    pub fn record(&mut self, at: Timestamp<Server>, record: &Record) {
+        self.put("/mission/decisions", Kind::Record, at, at, record);
+    }
+
+    /// The operator was told something.
+    pub fn progress(&mut self, at: Timestamp<Server>, progress: &Progress) {
+        self.put("/mission/progress", Kind::Progress, at, at, progress);
+    }
+
+    fn put(
+        &mut self,
+        topic: &str,
+        kind: Kind,
+        log: Timestamp<Server>,
+        published: Timestamp<Server>,
+        value: &impl Serialize,
+    ) {
+        if self.failed.is_none()
+            && let Err(error) = self.try_put(topic, kind, log, published, value)
+        {
+            tracing::error!("the recording ends here: {error}");
+            self.failed = Some(error);
+        }
+    }
+
+    fn try_put(
+        &mut self,
+        topic: &str,
+        kind: Kind,
+        log: Timestamp<Server>,
+        published: Timestamp<Server>,
+        value: &impl Serialize,
+    ) -> Result<(), McapError> {
+        let channel_id = match self.channels.get(topic) {
+            Some(id) => *id,
+            None => {
+                let schema = kind.schema().to_string();
+                let schema = self.writer.add_schema(kind.name(), "jsonschema", schema.as_bytes())?;
+                let id = self.writer.add_channel(schema, topic, "json", &BTreeMap::new())?;
+                self.channels.insert(topic.to_owned(), id);
+                id
+            }
+        };
+        let data = serde_json::to_vec(value).map_err(std::io::Error::from)?;
+        self.sequence = self.sequence.wrapping_add(1);
+        let nanos = |at: Timestamp<Server>| u64::try_from(at.as_nanos()).unwrap_or(0);
+        let header = MessageHeader {
+            channel_id,
+            sequence: self.sequence,
+            log_time: nanos(log),
+            publish_time: nanos(published),
+        };
+        self.writer.write_to_known_channel(&header, &data)?;
+        // What a process that is killed leaves can be read but for the last second.
+        if published - self.flushed >= FLUSH_EVERY {
+            self.flushed = published;
+            self.writer.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Writes the end of the file.
+    ///
+    /// # Errors
+    /// [`RecordingError`], also for a failure on the way.
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        let failed = match self.failed.take() {
+            Some(error) => Some(error),
+            None => self.writer.finish().err(),
+        };
+        failed.map_or(Ok(()), |error| Err(RecordingError { path: self.path, error }))
+    }
+}

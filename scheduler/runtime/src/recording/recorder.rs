@@ -1,0 +1,71 @@
+//! A recording on a thread of its own: the mission never waits for its disk, and a recording that fails, fails alone.
+
+use std::io;
+use std::path::PathBuf;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+
+use super::Recording;
+use downbeat_mission::report::Recorded;
+
+/// Notes that may wait for the disk; further ones are missing in the file.
+const WAITING_MAX: usize = 65_536;
+/// So long the disk may take at the end of a mission.
+const FINISH_MAX: Duration = Duration::from_secs(5);
+
+/// Something for the recording.
+type Note = Box<dyn FnOnce(&mut Recording) + Send>;
+
+/// Hands what is said to the thread that writes it.
+#[derive(Debug)]
+pub struct Recorder {
+    path: PathBuf,
+    notes: SyncSender<Note>,
+    /// Notes that found no room.
+    missing: u64,
+    /// What became of the file, once the thread has ended.
+    ended: oneshot::Receiver<Option<String>>,
+}
+
+impl Recorder {
+    /// Starts the thread. It ends when the recorder is dropped and everything is in the file.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(recording: Recording) -> io::Result<Self> {
+        let path = recording.path.clone();
+        let (notes, taken) = sync_channel::<Note>(WAITING_MAX);
+        let (tell, ended) = oneshot::channel();
+        std::thread::Builder::new().name("recording".to_owned()).spawn(move || {
+            let mut recording = recording;
+            while let Ok(note) = taken.recv() {
+                note(&mut recording);
+            }
+            let _nobody_waits = tell.send(recording.finish().err().map(|error| error.reason()));
+        })?;
+        Ok(Self { path, notes, missing: 0, ended })
+    }
+
+    /// Queues a note, without waiting.
+    pub fn note(&mut self, note: impl FnOnce(&mut Recording) + Send + 'static) {
+        if self.notes.try_send(Box::new(note)).is_err() {
+            self.missing += 1;
+        }
+    }
+
+    /// Waits until everything is in the file, 5 s at most.
+    pub async fn finish(self) -> Recorded {
+        drop(self.notes);
+        let failure = match tokio::time::timeout(FINISH_MAX, self.ended).await {
+            Ok(Ok(None)) if self.missing > 0 => {
+                Some(format!("its disk is too slow: {} messages are missing", self.missing))
+            }
+            Ok(Ok(failure)) => failure,
+            Ok(Err(_)) => Some("its thread has failed".to_owned()),
+            Err(_) => Some(format!("its disk is too slow: not written within {FINISH_MAX:?}")),
+        };
+        Recorded { path: self.path, failure }
+    }
+}

@@ -1,0 +1,443 @@
+//! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
+//!
+//! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
+//! or `home`, which sends robots to their default state, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
+//! by its report, a line of JSON, preceded by `superseded` if a later stop brought robots to rest in the other way. So a client
+//! knows within a second whether the mission listens.
+//!
+//! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
+//! word, `as CERTIFICATE SIGNATURE`, and may do what its roles permit ([`super::desk`]); what they do not is answered by `refused: REASON`.
+
+use std::fs::Permissions;
+use std::io;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use rustix::io::Errno;
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::net::{UnixListener, UnixStream};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::{AbortHandle, spawn_blocking};
+use tokio::time::timeout;
+
+use super::desk::{Challenge, Desk, Presented};
+use crate::journal::private;
+use crate::stop_lane::{Operator, StopLane, Voice};
+use downbeat_mission::Rest;
+
+/// Longest word that is listened to, in bytes: a word and the name of an act.
+const LINE_MAX: u64 = 4_096;
+/// The same with a certificate and a signature ahead of it.
+const PRESENTED_MAX: u64 = 16_384;
+/// After which connections are taken again where the system refused one.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
+/// A scheduler that is silent for this long does not listen.
+const SILENCE_MAX: Duration = Duration::from_secs(1);
+/// How often a mission that stops says that it is alive.
+const ALIVE_EVERY: Duration = Duration::from_millis(250);
+/// If the loop of a stopping mission makes no progress for this long, the client gives it up and asks the robots itself.
+const STANDS_STILL: Duration = Duration::from_secs(2);
+/// Interval between checks that the socket is still found under its name.
+const LOOK_EVERY: Duration = Duration::from_millis(250);
+/// How often it is looked whether the mission has taken a word.
+const TAKEN_RETRY: Duration = Duration::from_millis(2);
+
+/// Sent ahead of the report if a later stop of the operator brings robots to rest in the other way.
+const SUPERSEDED: &str = "superseded";
+
+/// The socket in a mission's folder.
+#[must_use]
+pub fn socket(folder: &Path) -> PathBuf {
+    folder.join(SOCKET)
+}
+
+const SOCKET: &str = "control";
+
+/// Whether the other end of a connection is a process of this user, or of root.
+fn is_ours(stream: &UnixStream) -> bool {
+    let own = rustix::process::geteuid().as_raw();
+    stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0)
+}
+
+/// Whether it is one of root, to a mission of another user.
+fn is_root(stream: &UnixStream) -> bool {
+    !rustix::process::geteuid().is_root() && stream.peer_cred().is_ok_and(|peer| peer.uid() == 0)
+}
+
+/// Listens for other terminals as long as a mission runs.
+#[derive(Debug)]
+pub struct Control {
+    /// The task that accepts connections, and the task that keeps the socket under its name.
+    listening: [AbortHandle; 2],
+    report: watch::Sender<Option<String>>,
+    /// Closed once everybody has been told how it ended.
+    told: mpsc::Receiver<()>,
+}
+
+impl Control {
+    /// Listens until [`Control::end`]. With a desk, operators that present themselves may do what their roles permit. If the
+    /// socket is removed or replaced, it is made again, together with its folder.
+    ///
+    /// # Errors
+    /// The socket cannot be made, as where its path is too long.
+    pub fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> io::Result<Self> {
+        // In the lane: nothing that stands still elsewhere keeps a stop from being heard.
+        let _in_the_lane = lane.runtime().enter();
+        let voice = lane.voice();
+        let (place, listener) = Place::bind(folder)?;
+        let mut listener = UnixListener::from_std(listener)?;
+        let (made_again, mut again) = mpsc::channel(1);
+        // Ends with the mission.
+        let keeping = tokio::spawn(keep(place, made_again));
+        let (report, reported) = watch::channel(None);
+        let (telling, told) = mpsc::channel(1);
+        let (desk, mission) = (desk.map(Arc::new), mission_of(folder));
+        let accepting = tokio::spawn(async move {
+            loop {
+                let accepted = tokio::select! {
+                    accepted = listener.accept() => accepted,
+                    Some(other) = again.recv() => {
+                        listener = other;
+                        continue;
+                    }
+                };
+                let Ok((stream, _)) = accepted else {
+                    // As where there are too many open files: it may be over soon.
+                    tokio::time::sleep(ACCEPT_AGAIN).await;
+                    continue;
+                };
+                if !is_ours(&stream) {
+                    continue;
+                }
+                let by = is_root(&stream).then(|| "root".to_owned());
+                let (reader, writer) = stream.into_split();
+                let desk = desk.clone().map(|desk| (desk, Challenge::new(&mission)));
+                let listener = Listener { writer, voice: voice.clone(), report: reported.clone(), desk, by };
+                let telling = telling.clone();
+                // Ends with the mission, or with the other process.
+                tokio::spawn(async move {
+                    let _gone = listener.converse(reader).await;
+                    drop(telling);
+                });
+            }
+        });
+        Ok(Self { listening: [accepting.abort_handle(), keeping.abort_handle()], report, told })
+    }
+
+    /// Tells every client that said stop how the mission ended, for at most a second.
+    pub async fn end(mut self, report: Option<String>) {
+        let _nobody_waits = self.report.send(report);
+        self.listening.iter().for_each(AbortHandle::abort);
+        drop(self.report);
+        let _too_slow = timeout(SILENCE_MAX, self.told.recv()).await;
+    }
+}
+
+/// The name of a mission's socket, and the file that it leads to.
+struct Place {
+    folder: PathBuf,
+    /// Device and inode.
+    file: (u64, u64),
+}
+
+impl Place {
+    fn bind(folder: &Path) -> io::Result<(Self, std::os::unix::net::UnixListener)> {
+        let path = socket(folder);
+        // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
+        let _absent = std::fs::remove_file(&path);
+        let listener = std::os::unix::net::UnixListener::bind(&path)?;
+        // The folder is for this user alone, too.
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
+        listener.set_nonblocking(true)?;
+        let found = rustix::fs::lstat(&path)?;
+        Ok((Self { folder: folder.to_path_buf(), file: (found.st_dev, found.st_ino) }, listener))
+    }
+
+    /// Whether the name no longer leads to the file. If the check itself fails, the file counts as present.
+    fn is_gone(&self) -> bool {
+        match rustix::fs::lstat(socket(&self.folder)) {
+            Ok(found) => (found.st_dev, found.st_ino) != self.file,
+            Err(error) => matches!(error, Errno::NOENT | Errno::NOTDIR),
+        }
+    }
+
+    /// Makes the socket again if it is gone, together with the folders that it needs.
+    fn make_again(&mut self) -> io::Result<Option<std::os::unix::net::UnixListener>> {
+        if !self.is_gone() {
+            return Ok(None);
+        }
+        if let Some(state) = self.folder.parent() {
+            private::create_folder(state)?;
+        }
+        private::create_folder(&self.folder)?;
+        let (place, listener) = Self::bind(&self.folder)?;
+        *self = place;
+        Ok(Some(listener))
+    }
+}
+
+/// Passes on each socket that had to be made again. Another thread accesses the disk, because the disk may stall.
+async fn keep(mut place: Place, made_again: mpsc::Sender<UnixListener>) {
+    let mut before = None;
+    loop {
+        tokio::time::sleep(LOOK_EVERY).await;
+        let looked = spawn_blocking(move || {
+            let made = place.make_again();
+            (place, made)
+        });
+        let Ok((back, made)) = looked.await else { return };
+        place = back;
+        match made.and_then(|made| made.map(UnixListener::from_std).transpose()) {
+            Ok(None) => {}
+            Ok(Some(listener)) => {
+                tracing::warn!("the mission's socket was removed or replaced, and is made again");
+                if made_again.send(listener).await.is_err() {
+                    return;
+                }
+            }
+            Err(error) => {
+                let reason = error.to_string();
+                if before.as_ref() != Some(&reason) {
+                    tracing::warn!(
+                        "the mission's socket was removed or replaced, and cannot be made again, so `downbeat stop` does not reach this mission: {reason}"
+                    );
+                }
+                before = Some(reason);
+            }
+        }
+    }
+}
+
+/// The mission's end of one connection.
+struct Listener {
+    writer: OwnedWriteHalf,
+    voice: Voice,
+    report: watch::Receiver<Option<String>>,
+    /// Checks who presents itself, and what it has to sign.
+    desk: Option<(Arc<Desk>, Challenge)>,
+    /// Who speaks, where that is another than who began the mission.
+    by: Option<String>,
+}
+
+impl Listener {
+    async fn converse(mut self, reader: OwnedReadHalf) -> io::Result<()> {
+        match &self.desk {
+            Some((_, challenge)) => self.say(&format!("ready {}", challenge.nonce())).await?,
+            None => self.say("ready").await?,
+        }
+        let limit = if self.desk.is_some() { PRESENTED_MAX } else { LINE_MAX };
+        let mut reader = BufReader::new(reader.take(limit));
+        let mut line = String::new();
+        reader.read_line(&mut line).await?;
+        if let (Some(presented), Some((desk, challenge))) = (line.strip_prefix("as "), &self.desk) {
+            let presented = presented.trim().to_owned();
+            line.clear();
+            reader.read_line(&mut line).await?;
+            match desk.admits(challenge, &presented, line.trim()) {
+                Ok(name) => self.by = name,
+                Err(reason) => {
+                    tracing::warn!("refused at the mission's socket: `{}`: {reason}", line.trim());
+                    return self.say(&format!("refused: {reason}")).await;
+                }
+            }
+        }
+        if let Some(by) = &self.by {
+            tracing::warn!("`{}` by {by}", line.trim());
+        }
+        match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
+            ("go", act) => self.go(act).await,
+            ("stop", "") => self.stop(Rest::InPlace).await,
+            ("home", "") => self.stop(Rest::Home).await,
+            _ => self.say("unknown").await,
+        }
+    }
+
+    async fn say(&mut self, line: &str) -> io::Result<()> {
+        self.writer.write_all(format!("{line}\n").as_bytes()).await
+    }
+
+    async fn go(&mut self, act: &str) -> io::Result<()> {
+        let act = Some(act).filter(|act| !act.is_empty()).map(str::to_owned);
+        let (answer, answered) = oneshot::channel();
+        let _over = self.voice.say(Operator::Go { act, by: self.by.take(), answer }).await;
+        match answered.await {
+            Ok(Ok(act)) => self.say(&format!("started {act}")).await,
+            Ok(Err(reason)) => self.say(&format!("refused: {reason}")).await,
+            Err(_) => self.say("refused: the mission is over").await,
+        }
+    }
+
+    async fn stop(&mut self, rest: Rest) -> io::Result<()> {
+        let _over = self.voice.say(Operator::Stop { rest, by: self.by.take() }).await;
+        while !self.voice.is_heard() {
+            tokio::time::sleep(TAKEN_RETRY).await;
+        }
+        self.say("heard").await?;
+        let (mut turns, mut still) = (self.voice.turns(), Duration::ZERO);
+        loop {
+            let reported = timeout(ALIVE_EVERY, self.report.wait_for(Option::is_some)).await;
+            match reported.map(|report| report.ok().and_then(|report| report.clone())) {
+                Ok(Some(report)) => {
+                    if !self.voice.latest_is(rest) {
+                        self.say(SUPERSEDED).await?;
+                    }
+                    return self.say(&report).await;
+                }
+                // The mission ended without one.
+                Ok(None) => return Ok(()),
+                // Robots are asked again at least once a second.
+                Err(_) if still >= STANDS_STILL => return Ok(()),
+                Err(_) => {
+                    let now = self.voice.turns();
+                    still = if now == turns && now.is_some() { still + ALIVE_EVERY } else { Duration::ZERO };
+                    turns = now;
+                    self.say("alive").await?;
+                }
+            }
+        }
+    }
+}
+
+/// A scheduler did not do what it was told.
+#[derive(Debug, thiserror::Error)]
+pub enum Unheard {
+    /// No process listens.
+    #[error("no process listens at its socket: {0}")]
+    NobodyListens(#[from] io::Error),
+    /// It is silent.
+    #[error("it does not answer within 1 s")]
+    Silent,
+    /// It hung up without an answer.
+    #[error("it ended without an answer")]
+    Ended,
+    /// It does not let this operator do that.
+    #[error("refused: {0}")]
+    Refused(String),
+}
+
+/// The name of the mission with this folder.
+fn mission_of(folder: &Path) -> String {
+    folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Lets the act begin that waits for the operator, of this name if one is given. Returns the name of the act, or why the go
+/// counts for none.
+///
+/// # Errors
+/// [`Unheard`]; nothing begins then, unless the scheduler fell silent in the middle of it.
+pub async fn go(
+    folder: &Path,
+    act: Option<&str>,
+    presented: Option<&Presented>,
+) -> Result<Result<String, String>, Unheard> {
+    if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
+        return Ok(Err("no act has such a name".to_owned()));
+    }
+    let mut speaker = Speaker::to(folder).await?;
+    // A go that a scheduler finds when it wakes up from standing still would come at any time.
+    let ready = speaker.hear().await?;
+    let word = format!("go {}", act.unwrap_or_default());
+    speaker.present(folder, &ready, presented, word.trim()).await?;
+    speaker.say(&word).await?;
+    let answer = speaker.hear().await?;
+    match (answer.strip_prefix("started "), answer.strip_prefix("refused: ")) {
+        (Some(act), _) => Ok(Ok(act.to_owned())),
+        (_, reason) => Ok(Err(reason.unwrap_or(&answer).to_owned())),
+    }
+}
+
+/// How a mission ended after a stop was requested.
+#[derive(Clone, Debug)]
+pub struct Ending {
+    /// Its report, a line of JSON.
+    pub report: String,
+    /// Whether a later stop of the operator replaced this one.
+    pub superseded: bool,
+}
+
+/// Stops a mission. Waits for its end, and returns how it ended.
+///
+/// # Errors
+/// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
+pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<Ending, Unheard> {
+    let mut speaker = Speaker::to(folder).await?;
+    let mut superseded = false;
+    let word = match rest {
+        Rest::InPlace => "stop",
+        Rest::Home => "home",
+    };
+    // Who presents nothing waits for nothing.
+    if presented.is_some() {
+        let ready = speaker.hear().await?;
+        speaker.present(folder, &ready, presented, word).await?;
+    }
+    speaker.say(word).await?;
+    loop {
+        let line = speaker.hear().await?;
+        if line.starts_with('{') {
+            return Ok(Ending { report: line, superseded });
+        }
+        superseded |= line == SUPERSEDED;
+        if let Some(reason) = line.strip_prefix("refused: ") {
+            return Err(Unheard::Refused(reason.to_owned()));
+        }
+    }
+}
+
+/// Another terminal's end of a connection.
+struct Speaker {
+    reader: BufReader<OwnedReadHalf>,
+    writer: OwnedWriteHalf,
+}
+
+impl Speaker {
+    async fn to(folder: &Path) -> Result<Self, Unheard> {
+        let stream = UnixStream::connect(private::socket(folder, SOCKET)?);
+        let stream = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??;
+        if !is_ours(&stream) {
+            return Err(io::Error::other("the process that listens there is of another user").into());
+        }
+        let (reader, writer) = stream.into_split();
+        Ok(Self { reader: BufReader::new(reader), writer })
+    }
+
+    /// Says who speaks, to a mission that asks for that.
+    async fn present(
+        &mut self,
+        folder: &Path,
+        ready: &str,
+        presented: Option<&Presented>,
+        word: &str,
+    ) -> Result<(), Unheard> {
+        let (Some(presented), Some(nonce)) = (presented, ready.strip_prefix("ready ")) else { return Ok(()) };
+        match presented.signed(&Challenge::of(&mission_of(folder), nonce), word) {
+            Ok(signed) => self.say(&format!("as {signed}")).await,
+            Err(error) if word.starts_with("go") => Err(Unheard::Refused(error)),
+            // A stop waits for no key.
+            Err(error) => {
+                tracing::warn!("the stop is said without a name: {error}");
+                Ok(())
+            }
+        }
+    }
+
+    async fn say(&mut self, line: &str) -> Result<(), Unheard> {
+        let line = format!("{line}\n");
+        match timeout(SILENCE_MAX, self.writer.write_all(line.as_bytes())).await {
+            Ok(written) => written.map_err(|_| Unheard::Ended),
+            Err(_) => Err(Unheard::Silent),
+        }
+    }
+
+    async fn hear(&mut self) -> Result<String, Unheard> {
+        let mut line = String::new();
+        match timeout(SILENCE_MAX, self.reader.read_line(&mut line)).await {
+            Err(_) => Err(Unheard::Silent),
+            Ok(Ok(n)) if n > 0 => Ok(line.trim_end().to_owned()),
+            Ok(_) => Err(Unheard::Ended),
+        }
+    }
+}

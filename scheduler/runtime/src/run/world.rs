@@ -1,0 +1,294 @@
+//! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, oneshot};
+use urrcp::{Message, RobotId, Server, Span, Timestamp};
+
+use super::Keep;
+use super::watch::Watches;
+use crate::journal::{Journal, News, Writer};
+use crate::link::{Asked, Endpoint, Link, OfRobot, SharedScripts, Waiting};
+use crate::recording::{Recorder, Recording};
+use crate::server_clock::{NtpWatch, ServerClock};
+use crate::stop_lane::{Before, Operator, Passage, StopLane};
+use downbeat_mission::clock::NtpState;
+use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
+use downbeat_mission::{Event, Mission, Progress, Record};
+
+/// Events that may wait for the mission; links wait beyond that.
+const EVENTS_MAX: usize = 65_536;
+
+/// Scripts of another process that one device is expected to tell of at most, beyond what a link takes unasked.
+const SCRIPTS_HELD: usize = 16;
+
+pub(super) struct RealWorld<T> {
+    clock: ServerClock,
+    endpoints: Vec<Endpoint>,
+    /// What the links to each robot have in common.
+    of_robots: Vec<OfRobot>,
+    ids: Arc<[RobotId]>,
+    links: Vec<Option<Link>>,
+    events: mpsc::Sender<Waiting>,
+    happened: mpsc::Receiver<Waiting>,
+    operator: mpsc::Receiver<Operator>,
+    /// Who waits for the answer to a go, the oldest first.
+    unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
+    ntp: Option<NtpWatch>,
+    tell: T,
+    journal: FileJournal,
+    recording: Option<Recorder>,
+    stop_lane: Option<StopLane>,
+    watches: Watches,
+}
+
+enum FileJournal {
+    None,
+    Written(Writer),
+    /// Its thread cannot start.
+    Lost(String),
+}
+
+impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
+    pub(super) fn new(
+        (endpoints, shared, before): (Vec<Endpoint>, Vec<SharedScripts>, Before),
+        ids: Vec<RobotId>,
+        clock: ServerClock,
+        operator: mpsc::Receiver<Operator>,
+        tell: T,
+        keep: Keep,
+    ) -> Self {
+        let (events, happened) = mpsc::channel(EVENTS_MAX);
+        let mut stop_lane = keep.stop_lane;
+        if let Some(lane) = &mut stop_lane {
+            lane.guard(&endpoints, &before, clock, &events);
+        }
+        let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
+            Ok(writer) => FileJournal::Written(writer),
+            Err(error) => FileJournal::Lost(format!("cannot start a thread for the journal: {error}")),
+        });
+        Self {
+            clock,
+            links: endpoints.iter().map(|_| None).collect(),
+            of_robots: of_robots(shared, &before),
+            endpoints,
+            ids: ids.into(),
+            events,
+            happened,
+            operator,
+            unanswered: VecDeque::new(),
+            ntp: keep.ntp,
+            tell,
+            journal,
+            recording: keep.recording,
+            stop_lane,
+            watches: keep.watches,
+        }
+    }
+
+    /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
+    pub(super) async fn finish(self) -> Keep {
+        if let Some(lane) = &self.stop_lane {
+            lane.let_go();
+        }
+        drop(self.links);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let journal: Option<Journal> = match self.journal {
+            FileJournal::Written(writer) => writer.finish().await,
+            FileJournal::None | FileJournal::Lost(_) => None,
+        };
+        let (recording, ntp, stop_lane) = (self.recording, self.ntp, self.stop_lane);
+        Keep { journal, recording, ntp, stop_lane, watches: self.watches }
+    }
+
+    fn note(&mut self, note: impl FnOnce(&mut Recording, &[RobotId]) + Send + 'static) {
+        if let Some(recorder) = &mut self.recording {
+            let ids = Arc::clone(&self.ids);
+            recorder.note(move |recording| note(recording, &ids));
+        }
+    }
+
+    fn note_received(&mut self, happened: &Happened) {
+        let (Happened::OnLink { at, event, .. } | Happened::Event { at, event }) = happened else { return };
+        if let (Event::LinkUp { robot }, Some(lane)) = (&**event, &self.stop_lane) {
+            lane.reached(*robot);
+        }
+        if let (Event::Received { robot, message }, Some(_)) = (&**event, &self.recording) {
+            let (at, robot, message) = (*at, *robot, message.clone());
+            self.note(move |recording, ids| recording.received(at, &ids[robot], &message));
+        }
+    }
+
+    /// What happens next until then, in the order that every world keeps to.
+    async fn happens(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
+        tokio::select! {
+            biased;
+            word = self.operator.recv() => match word {
+                Some(Operator::Stop { rest, by }) => self.event(Event::StopRequested { rest, by }),
+                Some(Operator::Go { act, by, answer }) => {
+                    self.unanswered.push_back(answer);
+                    self.event(Event::Go { act, by })
+                }
+                Some(Operator::Leave) | None => Some(Happened::Left),
+            },
+            news = next_news(&mut self.journal) => self.recorded(match news {
+                News::Recorded(count) => Event::Recorded { count },
+                News::WrittenAgain => Event::JournalWrittenAgain,
+                News::Lost(reason) => Event::JournalLost { reason },
+            }),
+            Some(Waiting { happened, .. }) = self.happened.recv() => {
+                self.note_received(&happened);
+                Some(happened)
+            }
+            state = next_state(&mut self.ntp) => self.event(Event::ServerTime(state)),
+            () = wait_until(self.clock, until) => None,
+        }
+    }
+
+    fn recorded(&mut self, event: Event) -> Option<Happened> {
+        if let Event::Recorded { count } = event {
+            let now = self.clock.now();
+            self.watches.each(|watch| watch.recorded(now, count));
+        }
+        self.event(event)
+    }
+
+    fn event(&self, event: Event) -> Option<Happened> {
+        Some(Happened::Event { at: self.clock.now(), event: Box::new(event) })
+    }
+}
+
+impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
+    fn now(&self) -> Timestamp<Server> {
+        self.clock.now()
+    }
+
+    async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
+        if let Some(lane) = &self.stop_lane {
+            lane.turned();
+        }
+        if self.watches.is_empty() {
+            return self.happens(until).await;
+        }
+        let due = until.filter(|due| self.watches.turns_by().is_none_or(|by| *due <= by));
+        let until = due.or_else(|| self.watches.turns_by());
+        let sleeps = due.filter(|due| *due > self.clock.now());
+        let happened = self.happens(until).await;
+        if let (None, Some(due)) = (&happened, sleeps) {
+            let late = self.clock.now() - due;
+            self.watches.each(|watch| watch.woke(late));
+        }
+        happened
+    }
+
+    fn turned(&mut self, mission: &Mission) {
+        if !self.watches.is_empty() {
+            let now = self.clock.now();
+            self.watches.each(|watch| watch.turned(now, mission));
+        }
+    }
+
+    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+        let endpoint = (self.endpoints[robot].clone(), self.of_robots[robot].clone());
+        let events = self.events.clone();
+        let link = Link::open_beside_others((robot, link), endpoint, self.clock, events, after.to_duration());
+        if let Some(lane) = &self.stop_lane {
+            lane.links(robot, &link);
+        }
+        self.links[robot] = Some(link);
+    }
+
+    fn send(
+        &mut self,
+        robot: usize,
+        _: LinkNumber,
+        message: Message,
+        urgency: Urgency,
+    ) -> Result<(), QueueFull> {
+        let Some(link) = &self.links[robot] else { return Ok(()) };
+        if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
+            return Ok(());
+        }
+        // Taken before: the link may have sent it long before a busy machine runs this again, which would look
+        // like an error of the robot's clock in the recording.
+        let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
+        link.send(message, urgency)?;
+        if let Some((at, message)) = copy {
+            self.note(move |recording, ids| recording.sent(at, &ids[robot], message));
+        }
+        Ok(())
+    }
+
+    fn cut(&mut self, robot: usize, _: LinkNumber) {
+        if let Some(link) = self.links[robot].take() {
+            link.cut();
+        }
+    }
+
+    fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed {
+        if self.recording.is_some() {
+            let record = record.clone();
+            self.note(move |recording, _| recording.record(at, &record));
+        }
+        match &self.journal {
+            FileJournal::None => Filed::AtOnce,
+            FileJournal::Lost(reason) => Filed::Lost(reason.clone()),
+            FileJournal::Written(writer) => {
+                if record.is_durable() {
+                    self.watches.each(|watch| watch.filed(at));
+                }
+                writer.write(at, record).map_or_else(Filed::Lost, |()| Filed::Waiting)
+            }
+        }
+    }
+
+    fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
+        if let (Progress::GoingHome { .. }, Some(lane)) = (&progress, &self.stop_lane) {
+            lane.goes_home();
+        }
+        (self.tell)(at, &progress);
+        self.watches.each(|watch| watch.told(at, &progress));
+        self.note(move |recording, _| recording.progress(at, &progress));
+    }
+
+    fn answer(&mut self, answer: Result<String, String>) {
+        if let Some(asked) = self.unanswered.pop_front() {
+            let _gone = asked.send(answer);
+        }
+    }
+}
+
+/// A robot may still tell what becomes of scripts that another process has sent to some of its devices.
+fn of_robots(shared: Vec<SharedScripts>, before: &Before) -> Vec<OfRobot> {
+    let of = |(robot, shared): (usize, SharedScripts)| {
+        let asked = Asked::default();
+        asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
+        OfRobot { asked, shared, ..OfRobot::default() }
+    };
+    shared.into_iter().enumerate().map(of).collect()
+}
+
+async fn next_news(journal: &mut FileJournal) -> News {
+    match journal {
+        FileJournal::Written(writer) => writer.next().await,
+        FileJournal::None | FileJournal::Lost(_) => std::future::pending().await,
+    }
+}
+
+async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
+    match ntp {
+        Some(watch) => watch.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn wait_until(clock: ServerClock, until: Option<Timestamp<Server>>) {
+    match until {
+        // A timer that is due already would still take until the runtime's next millisecond.
+        Some(at) if at <= clock.now() => {}
+        Some(at) => tokio::time::sleep_until(tokio::time::Instant::from_std(clock.instant_of(at))).await,
+        None => std::future::pending().await,
+    }
+}

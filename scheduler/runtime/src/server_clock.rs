@@ -1,0 +1,460 @@
+//! The server's clock: the system's, corrected by NTP, and from then on carried by the monotonic clock, so that a step of
+//! the system's clock does not move what is scheduled. [`NtpWatch`] tells how far it has drifted since.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use downbeat_robot::clock::HostClock;
+use downbeat_scripts::{Attempt, Refusal};
+use rsntp::{AsyncSntpClient, Config, SynchronizationError};
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+use urrcp::{Server, Span, Timestamp};
+
+use downbeat_mission::clock::{ClockEstimate, ClockSample, NtpState};
+
+/// NTP exchanges asked for; all their bounds count.
+const NTP_SAMPLES: usize = 5;
+/// Between two NTP exchanges.
+const NTP_INTERVAL: Duration = Duration::from_millis(50);
+const NTP_TIMEOUT: Duration = Duration::from_secs(2);
+/// Rounding: rsntp computes in floating point, and the system's clock and the monotonic one are not read at once.
+const NTP_ROUNDING: Span = Span::from_micros(1);
+/// A datagram may be lost: this many questions in a row must go unanswered for the server to be.
+const NTP_LOST_AFTER: u32 = 3;
+/// Between two questions of a watch: the shortest that RFC 5905 lets a client poll steadily (MINPOLL, 2^4 s).
+pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
+
+/// Reads the server's time. Copies always agree.
+#[derive(Clone, Copy, Debug)]
+pub struct ServerClock {
+    host: HostClock,
+    /// Server time minus the host's.
+    offset: Span,
+}
+
+impl ServerClock {
+    /// Anchored now: system clock plus `offset`.
+    #[must_use]
+    pub fn anchored(offset: Span) -> Self {
+        Self { host: HostClock::anchored(), offset }
+    }
+
+    /// The server's time minus the system's.
+    #[must_use]
+    pub const fn offset(&self) -> Span {
+        self.offset
+    }
+
+    /// The time now.
+    #[must_use]
+    pub fn now(&self) -> Timestamp<Server> {
+        self.host.now().assume_clock() + self.offset
+    }
+
+    /// The monotonic instant of a timestamp; instants before the anchor become the anchor.
+    #[must_use]
+    pub fn instant_of(&self, timestamp: Timestamp<Server>) -> Instant {
+        self.host.instant_of((timestamp - self.offset).assume_clock())
+    }
+
+    /// How far the system's clock, as it is now, is ahead of this one.
+    fn system_ahead(&self) -> Span {
+        let system = Self::anchored(Span::ZERO);
+        // The instants at which both show the same are compared, not two readings: nothing can come between. Later than
+        // both anchors, where instants are exact.
+        let shown = system.now().max(self.now()) + Span::from_millis(1_000);
+        let (by_system, by_this) = (system.instant_of(shown), self.instant_of(shown));
+        Span::from(by_this.saturating_duration_since(by_system))
+            - Span::from(by_system.saturating_duration_since(by_this))
+    }
+}
+
+/// What an NTP server says of the system's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct NtpReading {
+    /// NTP time minus system time.
+    #[serde(rename = "offset_ms")]
+    pub offset: Span,
+    /// The true offset lies within this of `offset`, if the NTP server is right.
+    #[serde(rename = "uncertainty_ms")]
+    pub uncertainty: Span,
+    /// Of the NTP server: 1 is attached to a reference clock (RFC 5905, figure 11).
+    pub stratum: u8,
+}
+
+/// The NTP server could not be asked.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "no NTP time from `{server}`: {reason}; check `ntp:` in the fleet file, or leave it out to trust the system clock"
+)]
+pub struct NtpError {
+    /// As in the fleet file.
+    pub server: String,
+    /// What the client says.
+    pub reason: String,
+}
+
+/// Asks an NTP server (`host` or `host:port`) a few times; the offset is where all exchanges agree.
+///
+/// # Errors
+/// [`NtpError`] when no exchange came through.
+pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let failed = |reason| NtpError { server: server.to_owned(), reason };
+    // Behind one name there may be many servers, whose clocks differ: one is asked throughout.
+    let address = resolve(server).await.map_err(failed)?;
+    let mut estimate = ClockEstimate::default();
+    let mut stratum = None;
+    let mut reason = String::new();
+    for question in 0..NTP_SAMPLES {
+        if question > 0 {
+            tokio::time::sleep(NTP_INTERVAL).await;
+        }
+        match exchange(address, &clock, NTP_TIMEOUT).await {
+            Ok((sample, told)) => {
+                estimate.add(sample);
+                stratum = Some(told);
+            }
+            // A server that is off stays off: the first exchange decides.
+            Err(error) if question == 0 => return Err(failed(error)),
+            Err(error) => reason = error,
+        }
+    }
+    match (estimate.reading(), stratum) {
+        (Some(reading), Some(stratum)) => {
+            Ok(NtpReading { offset: reading.offset, uncertainty: reading.uncertainty, stratum })
+        }
+        _ => Err(failed(reason)),
+    }
+}
+
+async fn resolve(server: &str) -> Result<SocketAddr, String> {
+    const NTP_PORT: u16 = 123;
+    let has_port = server.parse::<std::net::Ipv6Addr>().is_err() && server.contains(':');
+    let addresses: Vec<_> = match has_port {
+        true => tokio::net::lookup_host(server).await.map(Iterator::collect),
+        false => tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect),
+    }
+    .map_err(|error| Refusal::of(Attempt::Connect, &error).reason)?;
+    // As many hosts still have no way out by IPv6.
+    let preferred = addresses.iter().find(|address| address.is_ipv4()).or(addresses.first());
+    preferred.copied().ok_or_else(|| "the name has no address".to_owned())
+}
+
+/// One exchange: NTP time minus `clock`, and the stratum.
+async fn exchange(
+    server: SocketAddr,
+    clock: &ServerClock,
+    timeout: Duration,
+) -> Result<(ClockSample, u8), String> {
+    let any_port: SocketAddr = match server {
+        SocketAddr::V4(_) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let client = AsyncSntpClient::with_config(Config::default().timeout(timeout).bind_address(any_port));
+    // The client reads the system's clock, which may be set between its two readings.
+    let (ahead_before, sent) = (clock.system_ahead(), clock.now());
+    let plain = |error| match error {
+        SynchronizationError::IOError(error) => Refusal::of(Attempt::Connect, &error).reason,
+        error @ SynchronizationError::ProtocolError(_) => error.to_string(),
+    };
+    let result = client.synchronize(server).await.map_err(plain)?;
+    let (at, ahead_after) = (clock.now(), clock.system_ahead());
+    let delay = Span::from_millis_f64(result.round_trip_delay().as_secs_f64() * 1e3);
+    let offset = Span::from_millis_f64(result.clock_offset().as_secs_f64() * 1e3);
+    let upper = offset + delay / 2 + ahead_before;
+    let lower = offset - delay / 2 + ahead_after;
+    let sample = ClockSample {
+        offset: lower + (upper - lower) / 2,
+        delay: (upper - lower).max(Span::ZERO),
+        lower: lower - NTP_ROUNDING,
+        upper: upper + NTP_ROUNDING,
+        sent,
+        at,
+    };
+    Ok((sample, result.stratum()))
+}
+
+/// Asks an NTP server again and again, until it is dropped.
+#[derive(Debug)]
+pub struct NtpWatch {
+    states: watch::Receiver<NtpState>,
+    task: JoinHandle<()>,
+}
+
+impl NtpWatch {
+    /// Asks at once and then every `interval`; an answer must come before the next question. Needs a runtime.
+    #[must_use]
+    pub fn start(server: String, clock: ServerClock, interval: Duration) -> Self {
+        let (tell, states) = watch::channel(NtpState::default());
+        let task = tokio::spawn(async move { watch_ntp(&server, &clock, interval, &tell).await });
+        Self { states, task }
+    }
+
+    /// The state now.
+    #[must_use]
+    pub fn state(&self) -> NtpState {
+        *self.states.borrow()
+    }
+
+    /// The state after the next question, answered or not.
+    pub async fn next(&mut self) -> NtpState {
+        if self.states.changed().await.is_err() {
+            // The task lives as long as this does.
+            std::future::pending::<()>().await;
+        }
+        *self.states.borrow_and_update()
+    }
+}
+
+impl Drop for NtpWatch {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: &watch::Sender<NtpState>) {
+    let timeout = interval.min(NTP_TIMEOUT);
+    let mut estimate = ClockEstimate::default();
+    let mut address = None;
+    let (mut answered, mut unanswered) = (clock.now(), 0);
+    let mut ticks = tokio::time::interval(interval);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        let outcome = match address {
+            Some(address) => Ok(address),
+            None => resolve(server).await,
+        };
+        let outcome = match outcome {
+            Ok(found) => {
+                address = Some(found);
+                exchange(found, clock, timeout).await
+            }
+            Err(reason) => Err(reason),
+        };
+        match outcome {
+            Ok((sample, _)) => {
+                estimate.add(sample);
+                (answered, unanswered) = (sample.at, 0);
+            }
+            Err(reason) => {
+                unanswered += 1;
+                tracing::debug!(server, reason, unanswered, "no NTP time");
+            }
+        }
+        let lost = unanswered >= NTP_LOST_AFTER;
+        if lost {
+            // Its name may lead to another by now. Their clocks need not agree, which then counts as a step.
+            address = None;
+        }
+        let reading = estimate.reading_at(clock.now());
+        tell.send_replace(NtpState {
+            offset_change: reading.map_or(Span::ZERO, |reading| reading.offset),
+            uncertainty: reading.map(|reading| reading.uncertainty),
+            drift: reading.and_then(|reading| reading.drift),
+            steps: estimate.steps(),
+            lost_since: lost.then_some(answered),
+        });
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an NTP server tells the real time")]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, AtomicI64, AtomicUsize, Ordering};
+    use std::time::SystemTime;
+
+    use tokio::net::UdpSocket;
+
+    use super::*;
+
+    /// An SNTP server (RFC 5905, figure 8) that is off by a known offset and falls silent when told.
+    #[derive(Clone, Default)]
+    struct Responder {
+        offset_nanos: Arc<AtomicI64>,
+        is_silent: Arc<AtomicBool>,
+        /// Questions that it refuses, counted from none.
+        refuses: Vec<usize>,
+        questions: Arc<AtomicUsize>,
+    }
+
+    impl Responder {
+        async fn start(&self) -> String {
+            let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+            let address = socket.local_addr().unwrap().to_string();
+            let responder = self.clone();
+            tokio::spawn(async move {
+                let mut question = [0; 48];
+                loop {
+                    let (_, peer) = socket.recv_from(&mut question).await.unwrap();
+                    let mut answer = [0; 48];
+                    answer[..4].copy_from_slice(&[0b00_100_100, 1, 0, 0xe9]);
+                    answer[12..16].copy_from_slice(b"LOCL");
+                    answer[24..32].copy_from_slice(&question[40..48]);
+                    answer[32..40].copy_from_slice(&responder.now());
+                    answer[40..48].copy_from_slice(&responder.now());
+                    if responder.refuses.contains(&responder.questions.fetch_add(1, Ordering::Relaxed)) {
+                        // As of a server that is asked too often (RFC 5905, section 7.4).
+                        answer[1] = 0;
+                        answer[12..16].copy_from_slice(b"RATE");
+                    }
+                    if !responder.is_silent.load(Ordering::Relaxed) {
+                        socket.send_to(&answer, peer).await.unwrap();
+                    }
+                }
+            });
+            address
+        }
+
+        fn now(&self) -> [u8; 8] {
+            let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos();
+            let offset = i128::from(self.offset_nanos.load(Ordering::Relaxed));
+            let nanos = i128::try_from(now).unwrap() + offset;
+            let seconds = nanos / 1_000_000_000 + 2_208_988_800;
+            let fraction = ((nanos % 1_000_000_000) << 32) / 1_000_000_000;
+            u64::try_from((seconds << 32) | fraction).unwrap().to_be_bytes()
+        }
+
+        fn set_offset(&self, offset: Span) {
+            self.offset_nanos.store(offset.as_nanos(), Ordering::Relaxed);
+        }
+    }
+
+    #[track_caller]
+    fn assert_is(state: NtpState, change: Span) {
+        // Anchoring reads two clocks, one after the other.
+        let error = (state.offset_change - change).abs();
+        assert!(error <= state.uncertainty.unwrap() + Span::from_micros(5), "{state:?}");
+    }
+
+    const INTERVAL: Duration = Duration::from_millis(100);
+
+    #[tokio::test]
+    async fn a_watch_follows_ntp_time_notices_steps_and_its_loss_and_return() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let server = responder.start().await;
+        let clock = ServerClock::anchored(Span::from_millis(250));
+        let mut watch = NtpWatch::start(server, clock, INTERVAL);
+        while watch.next().await.uncertainty.is_none() {}
+        assert_is(watch.next().await, Span::ZERO);
+        assert_eq!(watch.state().steps, 0);
+
+        responder.set_offset(Span::from_millis(1_250));
+        while watch.next().await.steps == 0 {}
+        assert_is(watch.next().await, Span::from_millis(1_000));
+
+        responder.is_silent.store(true, Ordering::Relaxed);
+        // One state may wait to be read, and one answer may be on its way.
+        watch.next().await;
+        let mut lost = watch.next().await;
+        let unanswered_since = clock.now();
+        let known = lost.uncertainty.unwrap();
+        while lost.lost_since.is_none() {
+            lost = watch.next().await;
+        }
+        assert!(lost.lost_since.unwrap() <= unanswered_since, "{lost:?}");
+        assert_is(lost, Span::from_millis(1_000));
+        assert!(lost.uncertainty.unwrap() > known, "it must grow: {lost:?}");
+
+        responder.is_silent.store(false, Ordering::Relaxed);
+        while watch.next().await.lost_since.is_some() {}
+        assert_is(watch.state(), Span::from_millis(1_000));
+    }
+
+    #[tokio::test]
+    async fn a_watch_whose_server_never_answered_says_so_since_it_began() {
+        let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let clock = ServerClock::anchored(Span::ZERO);
+        let began = clock.now();
+        let address = silent.local_addr().unwrap().to_string();
+        let mut watch = NtpWatch::start(address, clock, Duration::from_millis(20));
+        let mut state = watch.next().await;
+        let asked = clock.now();
+        while state.lost_since.is_none() {
+            assert_eq!(state.uncertainty, None);
+            state = watch.next().await;
+        }
+        let lost_since = state.lost_since.unwrap();
+        assert!(lost_since >= began && lost_since < asked, "{state:?}, not from {began} to {asked}");
+    }
+
+    #[tokio::test]
+    async fn a_watch_that_is_dropped_asks_no_more() {
+        let server = Responder::default().start().await;
+        let watch = NtpWatch::start(server, ServerClock::anchored(Span::ZERO), Duration::from_millis(20));
+        let mut states = watch.states.clone();
+        states.changed().await.unwrap();
+        drop(watch);
+        let ends = async { while states.changed().await.is_ok() {} };
+        tokio::time::timeout(Duration::from_secs(60), ends).await.expect("nobody tells anything any more");
+    }
+
+    #[test]
+    fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
+        for millis in [0, 250, -250, 3_600_000, -3_600_000] {
+            let offset = Span::from_millis(millis);
+            // On a busy machine a thread may lose its core between two readings, and not each time.
+            let error = |_| (ServerClock::anchored(offset).system_ahead() + offset).abs();
+            let least = (0..100).map(error).min().unwrap();
+            assert!(least < Span::from_micros(50), "{millis}: {least}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_server_without_a_port_is_asked_on_that_of_ntp() {
+        for (server, address) in [
+            ("127.0.0.1", "127.0.0.1:123"),
+            ("127.0.0.1:1123", "127.0.0.1:1123"),
+            ("::1", "[::1]:123"),
+            ("[::1]:5", "[::1]:5"),
+        ] {
+            assert_eq!(resolve(server).await, Ok(address.parse().unwrap()));
+        }
+    }
+
+    #[tokio::test]
+    async fn a_server_is_asked_a_few_times_for_its_offset() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let reading = ask_ntp(&responder.start().await).await.unwrap();
+        let error = (reading.offset - Span::from_millis(250)).abs();
+        assert!(error <= reading.uncertainty + Span::from_micros(5), "{reading:?}");
+        assert_eq!(reading.stratum, 1);
+    }
+
+    #[tokio::test]
+    async fn a_server_that_answers_some_questions_is_believed_unless_it_refuses_the_first() {
+        for (refuses, asked, believed) in [(vec![1, 4], 5, true), (vec![0], 1, false)] {
+            let responder = Responder { refuses: refuses.clone(), ..Responder::default() };
+            responder.set_offset(Span::from_millis(250));
+            let reading = ask_ntp(&responder.start().await).await;
+            assert_eq!(reading.is_ok(), believed, "{refuses:?}: {reading:?}");
+            assert_eq!(responder.questions.load(Ordering::Relaxed), asked, "{refuses:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn the_bounds_of_an_answer_allow_for_the_way_and_for_the_rounding_of_its_timestamps() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let server = responder.start().await.parse().unwrap();
+        let clock = ServerClock::anchored(Span::from_millis(250));
+        let (sample, stratum) = exchange(server, &clock, Duration::from_secs(60)).await.unwrap();
+        assert_eq!(stratum, 1);
+        let took = sample.at - sample.sent;
+        assert!(sample.delay > Span::ZERO && sample.delay <= took + NTP_ROUNDING * 2, "{sample:?}");
+        assert_eq!(sample.upper - sample.lower, sample.delay + NTP_ROUNDING * 2);
+        let middle = sample.lower + (sample.upper - sample.lower) / 2;
+        assert!((sample.offset - middle).abs() <= Span::from_nanos(1), "{sample:?}");
+        assert!(
+            sample.offset.abs() <= took + NTP_ROUNDING * 2,
+            "both clocks are ahead by as much: {sample:?}"
+        );
+    }
+}

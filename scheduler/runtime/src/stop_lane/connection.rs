@@ -1,0 +1,185 @@
+//! A connection of the lane with one robot, kept for a stop.
+
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use downbeat_robot::{LinkEvent, RobotLink};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
+
+use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, over};
+#[cfg(feature = "zenoh")]
+use crate::link::{Purpose, Reach};
+use crate::server_clock::ServerClock;
+use downbeat_mission::session;
+
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
+/// How often a connection that is kept is asked for a sign of life: well within the 30 s after which robots let go of a
+/// silent one where others wait.
+const ASK_EVERY: Duration = Duration::from_secs(10);
+/// How long the answer may take.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(3);
+
+/// A way to a robot.
+pub(super) enum Connection {
+    InProcess(RobotLink),
+    Bytes(Box<Bytes>),
+}
+
+/// A stream of bytes, over TCP or through a network.
+pub(super) struct Bytes {
+    reader: ReadEnd,
+    writer: WriteEnd,
+    encoding: LinkEncoding,
+    decoder: Decoder,
+    bytes: Vec<u8>,
+    clock: ServerClock,
+    asked: Asked,
+    budget: Budget,
+    /// Something was written in part, so that what follows would not be understood.
+    torn: bool,
+}
+
+impl Connection {
+    /// Connects. `known` is the robot's address, once it has been resolved: a stop must not wait for a name server.
+    pub(super) async fn open(
+        endpoint: &Endpoint,
+        (clock, asked): (ServerClock, &Asked),
+        known: &mut Option<SocketAddr>,
+    ) -> io::Result<Self> {
+        match endpoint {
+            Endpoint::InProcess { host, index } => {
+                let gone = || io::Error::other("the robot in this process is gone");
+                host.connect(*index).map(Self::InProcess).ok_or_else(gone)
+            }
+            Endpoint::Tcp { host, port, encoding, security } => {
+                let connect = async {
+                    let stream = match known {
+                        Some(address) => TcpStream::connect(*address).await,
+                        None => TcpStream::connect((host.as_str(), *port)).await,
+                    }?;
+                    *known = stream.peer_addr().ok();
+                    over(stream, security).await
+                };
+                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(ends, encoding, (clock, asked)))
+            }
+            #[cfg(feature = "zenoh")]
+            Endpoint::Zenoh { network, key, encoding } => {
+                let reach = Reach::Zenoh { network: network.clone(), key: key.clone() };
+                let connect = reach.connect(Purpose::Stop);
+                let (ends, _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
+                Ok(Self::of(ends, encoding, (clock, asked)))
+            }
+        }
+    }
+
+    fn of(
+        (reader, writer): (ReadEnd, WriteEnd),
+        encoding: &LinkEncoding,
+        (clock, asked): (ServerClock, &Asked),
+    ) -> Self {
+        Self::Bytes(Box::new(Bytes {
+            reader,
+            writer,
+            encoding: encoding.clone(),
+            decoder: Decoder::default(),
+            bytes: vec![0; 8 * 1024],
+            clock,
+            asked: asked.clone(),
+            budget: Budget::new(asked.clone()),
+            torn: false,
+        }))
+    }
+
+    /// Writes all of them at once.
+    pub(super) async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
+        match self {
+            Self::InProcess(link) => {
+                messages.for_each(|message| link.send(message.clone()));
+                Ok(())
+            }
+            Self::Bytes(bytes) => bytes.send(messages).await,
+        }
+    }
+
+    /// What the robot says next; `None` once the connection has ended.
+    pub(super) async fn next(&mut self) -> Option<Message> {
+        match self {
+            Self::InProcess(link) => match link.recv().await? {
+                LinkEvent::Message(message) => Some(message),
+                LinkEvent::Closed => None,
+            },
+            Self::Bytes(bytes) => bytes.next().await,
+        }
+    }
+
+    /// Asks for signs of life until there is none.
+    pub(super) async fn stay(&mut self) {
+        // Without a session it claims nothing and renews no lease.
+        let ask = Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp: None,
+            session: None,
+            seize: false,
+        });
+        loop {
+            let asked = self.send(std::iter::once(&ask)).await.is_ok();
+            let answered = async { asked && self.next().await.is_some() };
+            if !matches!(tokio::time::timeout(ANSWERS_WITHIN, answered).await, Ok(true)) {
+                return;
+            }
+            // What it says meanwhile is not asked for.
+            let ended = async { while self.next().await.is_some() {} };
+            if tokio::time::timeout(ASK_EVERY, ended).await.is_ok() {
+                return;
+            }
+        }
+    }
+}
+
+impl Bytes {
+    async fn send(&mut self, messages: impl Iterator<Item = &Message>) -> io::Result<()> {
+        if std::mem::replace(&mut self.torn, true) {
+            return Err(io::Error::other("the last message was written in part"));
+        }
+        let mut bytes = Vec::new();
+        for message in messages {
+            let before = bytes.len();
+            encode_as(self.encoding.current(), message, &mut bytes);
+            self.asked.note(message, bytes.len() - before);
+        }
+        self.writer.write_all(&bytes).await?;
+        self.writer.flush().await?;
+        self.torn = false;
+        Ok(())
+    }
+
+    /// The next message; `None` once the connection has ended, or is to be ended because the robot says more than it was asked
+    /// for.
+    async fn next(&mut self) -> Option<Message> {
+        loop {
+            let decoded = self.decoder.next_message();
+            if decoded.is_some() {
+                self.budget.take_message().ok()?;
+            }
+            match decoded {
+                Some(Ok(message)) if !self.budget.passes(&message) => {}
+                Some(Ok(message)) => return Some(session::told_without_keys(message)),
+                Some(Err(error)) => tracing::debug!("on the connection for stops: {error}"),
+                None => {
+                    // However much one robot says, the others have their turn.
+                    tokio::task::yield_now().await;
+                    match self.reader.read(&mut self.bytes).await {
+                        Ok(0) | Err(_) => return None,
+                        Ok(came) => {
+                            self.budget.take_bytes(self.clock.now(), came).ok()?;
+                            self.decoder.push(&self.bytes[..came]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! What the mission has sent a robot, as far as a stop has to know it. The mission's loop writes it, the lane reads the
+//! latest; neither waits for the other.
+
+use std::collections::BTreeSet;
+
+use tokio::sync::{mpsc, watch};
+use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
+
+use crate::link::{Link, Outgoing};
+use downbeat_mission::session;
+
+/// What a robot was sent.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sent {
+    /// Devices that were sent anything that moves.
+    devices: BTreeSet<DeviceId>,
+    /// The latest timestamp of a request, by the robot's own clock where that is not the server's: a stop takes back all up
+    /// to it that arrives later.
+    latest: Option<Timestamp<Server>>,
+    /// As the robot knows it.
+    session: Option<SessionId>,
+    /// The mission's own link, for messages that overtake.
+    pub(super) link: Option<mpsc::UnboundedSender<Outgoing>>,
+    /// A link has stood.
+    pub(super) reached: bool,
+}
+
+impl Sent {
+    /// The devices of a mission that another process began.
+    pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
+        Self { devices: devices.clone(), session, ..Self::default() }
+    }
+}
+
+/// Whether a message may leave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Passage {
+    Open,
+    /// The operator has said stop.
+    Closed,
+}
+
+/// What a message moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Moves {
+    Nothing,
+    Devices,
+}
+
+/// The writing end.
+#[derive(Debug)]
+pub(super) struct Book(watch::Sender<Sent>);
+
+impl Book {
+    pub(super) const fn new(sent: watch::Sender<Sent>) -> Self {
+        Self(sent)
+    }
+
+    /// Notes a message that is about to be sent.
+    pub(super) fn note(&self, message: &Message) -> Moves {
+        let Message::ControlRequest(request) = message else { return Moves::Nothing };
+        match &request.command {
+            Command::ReadSensor => Moves::Nothing,
+            Command::Script(script) if script.is_empty() => Moves::Nothing,
+            Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {
+                self.0.send_modify(|sent| sent.add(request));
+                Moves::Devices
+            }
+        }
+    }
+
+    pub(super) fn links(&self, link: &Link) {
+        self.0.send_modify(|sent| sent.link = Some(link.overtaking()));
+    }
+
+    pub(super) fn reached(&self) {
+        self.0.send_if_modified(|sent| !std::mem::replace(&mut sent.reached, true));
+    }
+}
+
+impl Sent {
+    fn add(&mut self, request: &ControlRequest) {
+        self.devices.insert(request.device_id.clone());
+        self.latest = self.latest.max(request.timestamp);
+        self.session.clone_from(&request.session);
+    }
+
+    /// A stop for each device that was sent anything, each with its own name. Devices come to rest where they are, even if the
+    /// mission moves them home afterwards.
+    pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
+        let name = |session: &SessionId| format!("{}/", session::name_of(session));
+        let session = self.session.as_ref().map(name).unwrap_or_default();
+        let stop = |(index, device): (usize, &DeviceId)| {
+            let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
+            // Sessions are named by this program, far below the limit.
+            let id = RequestId::new(name).ok()?;
+            let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
+            request.request_id = Some(id.clone());
+            request.timestamp = self.latest;
+            request.session.clone_from(&self.session);
+            Some((id, Message::ControlRequest(request)))
+        };
+        self.devices.iter().enumerate().filter_map(stop).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::Setpoint;
+
+    use super::*;
+
+    fn request(device: &str, command: Command, at: i64) -> Message {
+        let mut request = ControlRequest::immediate(device.parse().unwrap(), command);
+        request.timestamp = Some(Timestamp::from_nanos(at));
+        request.session = Some("show".parse().unwrap());
+        Message::ControlRequest(request)
+    }
+
+    fn set() -> Command {
+        Command::Set(Setpoint::new(urrcp::ControlType::Position, 1.0))
+    }
+
+    #[test]
+    fn a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it() {
+        let book = Book::new(watch::Sender::new(Sent::default()));
+        assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
+        assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
+        assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
+        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3);
+        let told = |(id, message): &(RequestId, Message)| {
+            let Message::ControlRequest(request) = message else { panic!("{message:?}") };
+            assert_eq!(request.command, Command::Script(Script::cancel()));
+            assert_eq!(request.session, Some("show".parse().unwrap()));
+            assert_eq!(request.request_id.as_ref(), Some(id));
+            (request.device_id.to_string(), request.timestamp, request.home, id.to_string())
+        };
+        let latest = Some(Timestamp::from_nanos(9));
+        let expected = [
+            ("arm".to_owned(), latest, false, "show/stop/1/lane/3/0".to_owned()),
+            ("leg".to_owned(), latest, false, "show/stop/1/lane/3/1".to_owned()),
+        ];
+        assert_eq!(stops.iter().map(told).collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn readings_and_stops_leave_nothing_to_stop() {
+        let book = Book::new(watch::Sender::new(Sent::default()));
+        assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
+        assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
+        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0).is_empty());
+    }
+}
