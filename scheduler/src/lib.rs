@@ -40,7 +40,6 @@ pub mod calibrate;
 pub mod certificate;
 mod cli;
 mod compare;
-pub mod conformance;
 pub mod dry_run;
 pub mod history;
 pub mod measured;
@@ -50,6 +49,7 @@ pub mod show;
 pub mod simulation;
 pub mod trials;
 
+pub use downbeat_conformance as conformance;
 pub use downbeat_mission as mission;
 pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
 use downbeat_runtime::signals;

@@ -15,7 +15,7 @@ use rustls::pki_types::ServerName;
 use rustls::sign::CertifiedKey;
 use rustls::{ClientConfig, ClientConnection, SignatureScheme, StreamOwned};
 
-use crate::link::{Security, Tls};
+use downbeat_runtime::link::{Security, Tls};
 
 /// Bytes of a line of the handshake at most.
 const LINE_BYTES_MAX: usize = 8 * 1024;

@@ -4,7 +4,7 @@ use urrcp::{ControlType, Span};
 
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::Trial;
-use crate::clock::{ClockEstimate, ClockReading, ClockSample};
+use downbeat_mission::clock::{ClockEstimate, ClockReading, ClockSample};
 
 pub(super) const ALL: [Requirement; 4] = [
     Requirement {

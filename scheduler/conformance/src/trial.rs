@@ -17,8 +17,8 @@ use super::actor::Actor;
 use super::line::Line;
 use super::requirement::{Unmet, not_applicable};
 use super::stream::Stream;
-use crate::link::{Security, denial};
-use crate::server_clock::ServerClock;
+use downbeat_runtime::link::{Security, denial};
+use downbeat_runtime::server_clock::ServerClock;
 
 /// A start that never comes, because the check is over before.
 pub(super) const LATER_MS: f64 = 20_000.0;

@@ -13,7 +13,7 @@ use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::stream::{Stream, dial, hello, line};
 use super::trial::Trial;
-use crate::link::Security;
+use downbeat_runtime::link::Security;
 
 const SECTION: &str = "Proving who one is (D)";
 /// Within which a robot hangs up on a peer that has not proven who it is.

@@ -32,14 +32,13 @@ use urrcp::{InitializationBlock, Span};
 
 pub use requirement::{Judged, Requirement, Verdict};
 
-use crate::link::Security;
-use crate::server_clock::ServerClock;
+use downbeat_runtime::link::Security;
+use downbeat_runtime::server_clock::ServerClock;
 use requirement::Unmet;
 use trial::Trial;
 
 /// How a robot is examined.
 #[derive(Clone, Debug)]
-#[non_exhaustive]
 pub struct Options {
     /// How long the robot may take for any answer.
     pub patience: Span,
