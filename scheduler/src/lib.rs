@@ -37,21 +37,19 @@
 //! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; room for many sockets |
 
 pub mod calibrate;
-pub mod certificate;
 mod cli;
 mod compare;
-pub mod dry_run;
 pub mod history;
 pub mod measured;
 mod operations;
 pub mod page;
 pub mod show;
 pub mod simulation;
-pub mod trials;
 
 pub use downbeat_conformance as conformance;
 pub use downbeat_mission as mission;
 pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
+pub use downbeat_rehearsal::{certificate, dry_run, trials};
 use downbeat_runtime::signals;
 pub use downbeat_runtime::{fleet, journal, keys, link, open_files, recording, run, server_clock, stop_lane};
 

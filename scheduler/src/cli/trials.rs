@@ -8,7 +8,8 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use super::{Exit, Format, console, load};
 use crate::mission::MissionOptions;
-use crate::trials::{self, Results, Trials};
+use crate::show::trials_text;
+use crate::trials::{Results, Trials};
 
 /// Reads a world file, or the world in which everything is as the fleet file says.
 pub(super) fn world(
@@ -67,7 +68,7 @@ fn bar(count: u32, format: Format) -> ProgressBar {
 /// Prints what they showed.
 pub(super) fn print(results: &Results, format: Format) {
     match format {
-        Format::Text => console::print(&trials::text(results, console::columns())),
+        Format::Text => console::print(&trials_text(results, console::columns())),
         Format::Json => console::print_json(results),
     }
 }

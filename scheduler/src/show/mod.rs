@@ -11,6 +11,7 @@ mod required;
 mod ruler;
 pub(crate) mod table;
 mod text;
+mod trials;
 mod wait;
 
 pub(crate) use course::course_lines;
@@ -20,4 +21,5 @@ pub(crate) use text::{
     TAKEN_OVER, UNBOUNDED, choreography_figures, ending_text, latencies_text, main_duration, plan_table,
     preflight_table,
 };
+pub use trials::trials_text;
 pub(crate) use wait::waits;

@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 use urrcp::{ContentHash, InitializationBlock, RobotId};
 
 use super::{hash_of, sorted};
-use crate::fleet;
-use crate::journal::Asked;
+use downbeat_runtime::fleet;
+use downbeat_runtime::journal::Asked;
 
 /// A plan and the fleet for which it was made.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,8 +4,8 @@ use downbeat_scripts::{Act, Choreography, Fleet, Folder, Source, World, compile,
 
 use super::{Results, Started, Trials};
 use crate::dry_run::Logs;
-use crate::mission::MissionOptions;
-use crate::report::Outcome;
+use downbeat_mission::MissionOptions;
+use downbeat_mission::report::Outcome;
 
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 const WAVE: &str = "scenario: wave

@@ -8,7 +8,7 @@ use urrcp::{RobotId, Span};
 
 use super::figures::{Quantiles, Share};
 use super::trial::{Evidence, Started, Trial};
-use crate::requirements::{Figures, Judged, closest_of, judge};
+use downbeat_mission::requirements::{Figures, Judged, closest_of, judge};
 
 /// The results of trials.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -6,7 +6,7 @@ use downbeat_robot::set_log::LogEntry;
 use urrcp::{DeviceId, Robot, RobotId, Span, Timestamp};
 
 use super::act_of;
-use crate::report::ActReport;
+use downbeat_mission::report::ActReport;
 
 /// The starts of the scripts of acts that have not ended.
 #[derive(Debug)]

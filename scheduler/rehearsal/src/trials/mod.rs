@@ -3,7 +3,6 @@
 
 mod figures;
 mod results;
-mod text;
 mod trial;
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -14,12 +13,11 @@ use downbeat_scripts::{Choreography, ClockMode, Fleet, FleetRobot, World};
 use urrcp::{RobotId, Span};
 
 use crate::dry_run::{Audience, Circumstances, Logs, Played, Rehearsal, Stream, between, mixed};
-use crate::fleet::{self, NoInit};
-use crate::mission::{MissingParticipant, MissionOptions};
+use downbeat_mission::{MissingParticipant, MissionOptions};
+use downbeat_runtime::fleet::{self, NoInit};
 
 pub use figures::{Quantiles, Share};
 pub use results::{ActResult, LeadResult, Reason, Results, RobotResult};
-pub use text::text;
 pub use trial::{Started, Trial, Why};
 
 /// What is tried.

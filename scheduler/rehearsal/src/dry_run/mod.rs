@@ -22,9 +22,9 @@ use self::operator::VirtualOperator;
 pub use self::spread::ActStarts;
 pub use self::watch::Watched;
 use self::world::VirtualWorld;
-use crate::drive::{at_once, drive};
-use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
-use crate::report::Report;
+use downbeat_mission::drive::{at_once, drive};
+use downbeat_mission::report::Report;
+use downbeat_mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
 
 /// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);

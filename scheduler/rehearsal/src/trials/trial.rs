@@ -5,8 +5,8 @@ use serde::Serialize;
 use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::dry_run::{ActStarts, Audience, Played};
-use crate::mission::{Failure, Progress};
-use crate::report::Outcome;
+use downbeat_mission::report::Outcome;
+use downbeat_mission::{Failure, Progress};
 
 /// One trial, for reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]

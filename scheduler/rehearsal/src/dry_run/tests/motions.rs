@@ -3,8 +3,8 @@
 use downbeat_scripts::{Folder, Source, compile, read_fleet};
 
 use super::Rehearsal;
-use crate::fleet::{greeting, participants, simulated};
-use crate::mission::{MissionOptions, MotionReport, MotionSpread};
+use downbeat_mission::{MissionOptions, MotionReport, MotionSpread};
+use downbeat_runtime::fleet::{greeting, participants, simulated};
 
 const ARM: &str = "id: arm
 api_version: '1'

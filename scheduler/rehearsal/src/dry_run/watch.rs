@@ -9,9 +9,9 @@ use urrcp::{DeviceId, Server, Span, Timestamp};
 use super::operator::VirtualOperator;
 use super::world::VirtualWorld;
 use super::{Audience, Logs, Rehearsal, act_of};
-use crate::drive::{at_once, drive};
-use crate::mission::Progress;
-use crate::report::Report;
+use downbeat_mission::Progress;
+use downbeat_mission::drive::{at_once, drive};
+use downbeat_mission::report::Report;
 
 /// What one robot really did.
 #[derive(Clone, Debug, Default, PartialEq)]

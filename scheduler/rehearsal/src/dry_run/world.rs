@@ -13,8 +13,8 @@ use super::link::{Link, Way};
 use super::operator::VirtualOperator;
 use super::spread::{ActStarts, TrueSpread};
 use super::{Audience, Cut, Logs};
-use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
-use crate::mission::{Event, Loss, Progress, Record};
+use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
+use downbeat_mission::{Event, Loss, Progress, Record};
 
 /// In nanoseconds.
 const SECOND: i64 = 1_000_000_000;

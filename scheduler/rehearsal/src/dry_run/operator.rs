@@ -8,7 +8,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::Cut;
 use super::link::between;
-use crate::mission::{Event, Progress, Rest};
+use downbeat_mission::{Event, Progress, Rest};
 
 /// So long after an act has begun to wait, with nothing else playing, the operator says go; and again, as long as it waits.
 const THINKS: Span = Span::from_millis(1_000);

@@ -7,7 +7,7 @@ use fastrand::Rng;
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::link::{Link, between};
-use crate::fleet::WIRED;
+use downbeat_runtime::fleet::WIRED;
 
 /// Everything that differs from a perfect world. Each robot's link, each incident and the operator draw from streams of their own, so
 /// that none of them changes because another one draws more.

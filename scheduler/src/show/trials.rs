@@ -3,9 +3,9 @@
 use downbeat_scripts::counted;
 use downbeat_scripts::shown::within;
 
-use super::figures::{Quantiles, Share};
-use super::results::Results;
-use crate::show::{requirements_table, table::Rows};
+use downbeat_rehearsal::trials::{Quantiles, Results, Share};
+
+use super::{requirements_table, table::Rows};
 
 /// Reasons and robots that are listed; JSON has all.
 const LISTED_MAX: usize = 12;
@@ -14,7 +14,7 @@ const TEXT_MAX: usize = 60;
 
 /// The results, in lines of about this many columns.
 #[must_use]
-pub fn text(results: &Results, columns: usize) -> String {
+pub fn trials_text(results: &Results, columns: usize) -> String {
     let mut text = format!(
         "{} in {}, seed {}: {}\n\n",
         counted(results.trials, "trial"),

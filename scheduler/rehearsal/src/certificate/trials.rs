@@ -11,9 +11,9 @@ use urrcp::{RobotId, Span};
 
 use super::value_of;
 use crate::dry_run::{Circumstances, Rehearsal, Watched};
-use crate::fleet;
-use crate::mission::{MissionOptions, Outcome};
-use crate::report::{Report, StopState};
+use downbeat_mission::report::{Report, StopState};
+use downbeat_mission::{MissionOptions, Outcome};
+use downbeat_runtime::fleet;
 
 /// A fault that is injected.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

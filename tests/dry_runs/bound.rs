@@ -1,0 +1,25 @@
+//! The largest number of acts.
+
+use stage::session::Session;
+
+#[test]
+fn a_dry_run_that_ends_because_of_its_bound_says_so() {
+    let session = Session::new();
+    let act = |name: &str, more: &str| {
+        format!(
+            "  - {{act: {name}, {more}cues: [{{robots: arms, tracks: {{shoulder: [{{at: 0s, to: 0}}, {{at: 1s, to: 9}}, {{at: 2s, to: 0}}]}}}}]}}\n"
+        )
+    };
+    session
+        .file("loop.yaml", format!("scenario: loop\nacts:\n{}{}", act("one", ""), act("two", "next: one, ")));
+    let bound = "ended because 3 acts had begun, the bound; another would have followed";
+    session.run(&["dry-run", "loop.yaml", "--acts", "3"]).says(0, &[bound]);
+    session.file("once.yaml", format!("scenario: once\nacts:\n{}{}", act("one", ""), act("two", "")));
+    let ran = session.run(&["dry-run", "once.yaml", "--acts", "2"]);
+    assert_eq!(
+        (ran.code(), ran.text().contains("bound")),
+        (0, false),
+        "no other act would have followed: {}",
+        ran.text()
+    );
+}
