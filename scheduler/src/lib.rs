@@ -43,7 +43,6 @@ pub mod history;
 pub mod measured;
 mod operations;
 pub mod page;
-pub mod show;
 pub mod simulation;
 
 pub use downbeat_conformance as conformance;
@@ -52,6 +51,8 @@ pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
 pub use downbeat_rehearsal::{certificate, dry_run, trials};
 use downbeat_runtime::signals;
 pub use downbeat_runtime::{fleet, journal, keys, link, open_files, recording, run, server_clock, stop_lane};
+
+pub use downbeat_show as show;
 
 #[doc(hidden)]
 pub use cli::main;

@@ -64,10 +64,13 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",
+        "scheduler/rehearsal/src",
+        "scheduler/show/src",
+        "scheduler/conformance/src",
         "scheduler/src",
     ] {
         let imports = imports(&root().join(source));
-        assert!(imports.len() > 5, "{source} has only {} modules", imports.len());
+        assert!(imports.len() > 2, "{source} has only {} modules", imports.len());
         let circles = circles(imports);
         assert!(circles.is_empty(), "modules of {source} in circles, with their imports: {circles:#?}");
     }

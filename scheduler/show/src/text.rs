@@ -11,17 +11,17 @@ use super::local::{date_and_time, time_as_of, time_of_day};
 use super::reading::reading_text;
 use super::table::{Rows, wrapped};
 use super::{course_lines, requirements_table};
-use crate::mission::{
+use downbeat_mission::report::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState};
+use downbeat_mission::{
     AfterFailure, Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, NOT_STRICT, Preflight,
     PreflightRow, SkewBudget, TransferReport, Verdict,
 };
-use crate::report::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
 /// What became of the stop of a robot that belongs to another session by now.
-pub(crate) const TAKEN_OVER: &str =
+pub const TAKEN_OVER: &str =
     "not stopped: another mission drives it by now, and it holds nothing of this one";
 
 /// Most devices that one line names.
@@ -287,7 +287,8 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
 }
 
 /// How a mission ended and why, for people.
-pub(crate) fn ending_text(report: &Report, columns: usize) -> String {
+#[must_use]
+pub fn ending_text(report: &Report, columns: usize) -> String {
     let mut text = String::new();
     say(&mut text, columns, &format!("{}: {}", report.scenario, outcome_text(&report.outcome)));
     if let Some(because) = &report.because {

@@ -2,7 +2,7 @@
 
 use downbeat_scripts::counted;
 
-use crate::report::{ActCourse, ActFate, Report};
+use downbeat_mission::report::{ActCourse, ActFate, Report};
 
 /// With more acts those that were played once are only counted.
 const LISTED_MAX: usize = 20;

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{Frame, LEFT, NAME_MAX, escaped};
-use crate::dry_run::Played;
+use downbeat_rehearsal::dry_run::Played;
 
 const STYLE: &str = "text{font:12px sans-serif;fill:#222}.small,.name{font-size:10px}.small{fill:#666}\
 .title{font-size:16px;font-weight:bold}.head{font-weight:bold}\

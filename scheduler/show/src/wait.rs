@@ -3,7 +3,8 @@
 use downbeat_scripts::{SensorRange, Wait};
 
 /// The condition for which an act waits, as text; empty if it follows the act before it at once.
-pub(crate) fn waits(wait: &Wait) -> String {
+#[must_use]
+pub fn waits(wait: &Wait) -> String {
     match wait {
         Wait::Operator => "the operator".to_owned(),
         Wait::Instant(at) => at.to_string(),

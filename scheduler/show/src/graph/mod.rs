@@ -14,7 +14,7 @@ const TEXT_MAX: usize = 60;
 
 /// Acts and cues as nodes, with generated ids: no name is part of an id.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub(crate) struct Graph {
+pub struct Graph {
     scenario: String,
     acts: Vec<ActNode>,
     /// The course: from act to act.
@@ -78,7 +78,8 @@ const END: &str = "end";
 
 impl Graph {
     /// Of all acts, or of the one at this index alone.
-    pub(crate) fn of(choreography: &Choreography, outline: &Outline, only: Option<usize>) -> Self {
+    #[must_use]
+    pub fn of(choreography: &Choreography, outline: &Outline, only: Option<usize>) -> Self {
         let shown = |index: &usize| only.is_none_or(|only| only == *index);
         let acts = choreography.acts.iter().enumerate().filter(|(index, _)| shown(index));
         let act = |(index, act): (usize, &Act)| {
@@ -95,12 +96,14 @@ impl Graph {
     }
 
     /// For Graphviz.
-    pub(crate) fn dot(&self) -> String {
+    #[must_use]
+    pub fn dot(&self) -> String {
         dot::dot(self)
     }
 
     /// For Mermaid.
-    pub(crate) fn mermaid(&self) -> String {
+    #[must_use]
+    pub fn mermaid(&self) -> String {
         mermaid::mermaid(self)
     }
 
@@ -131,7 +134,7 @@ fn act_node(index: usize, act: &Act, written: &[WrittenCue]) -> ActNode {
         id: act_id(index),
         act: act.name.clone(),
         duration_ms: act.plan.duration(),
-        waits_for: Some(crate::show::waits(&act.wait)).filter(|waits| !waits.is_empty()),
+        waits_for: Some(crate::waits(&act.wait)).filter(|waits| !waits.is_empty()),
         cues: cues.map(cue).collect(),
         relations: relations.filter_map(|told| told.gap.map(|gap| edge(&told.text, gap))).collect(),
     }
@@ -213,7 +216,7 @@ pub(super) mod tests {
     use downbeat_scripts::{Fleet, NoFiles, Source, compile, outline};
 
     /// Marks alone need no robots.
-    pub(in crate::show::graph) fn graph(text: &str) -> Graph {
+    pub(in crate::graph) fn graph(text: &str) -> Graph {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
         let fleet = Fleet::default();
         let compiled = compile(&source, &fleet, &NoFiles);
@@ -265,10 +268,10 @@ acts:
     }
 
     /// A name with everything that means something in DOT, Mermaid or HTML.
-    pub(in crate::show::graph) const HOSTILE: &str =
+    pub(in crate::graph) const HOSTILE: &str =
         r#"a"]; end <script>alert(1)</script> & #quot; `x` \" %% {{ | -->"#;
 
-    pub(in crate::show::graph) fn hostile() -> Graph {
+    pub(in crate::graph) fn hostile() -> Graph {
         let name = serde_json::Value::from(format!("{HOSTILE}\n2"));
         graph(&format!("scenario: {name}\nacts:\n  - {{act: {name}, cues: [{{cue: {name}, at: 0s}}]}}\n"))
     }

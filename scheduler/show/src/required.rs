@@ -1,7 +1,7 @@
 //! What a scenario requires and what became of it, as a table.
 
 use super::table::{Rows, wrapped};
-use crate::requirements::{Judged, Judgement};
+use downbeat_mission::requirements::{Judged, Judgement};
 
 /// A row for each requirement, and below what limits the results. Empty where nothing is required.
 #[must_use]

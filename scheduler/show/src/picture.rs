@@ -16,8 +16,8 @@ use self::cues::Cues;
 use self::head::Kind;
 use self::lanes::Lanes;
 use super::ruler::{Tick, length, ticks};
-use crate::dry_run::Played;
-use crate::report::ActReport;
+use downbeat_mission::report::ActReport;
+use downbeat_rehearsal::dry_run::Played;
 
 /// Pixels to the left and right of the time, for names and ranges.
 const LEFT: f64 = 170.0;

@@ -8,9 +8,9 @@ use urrcp::{DeviceId, Interpolation, RobotId, Span};
 use super::pen::Pen;
 use super::thinned::thinned;
 use super::{Frame, LEFT, NAME_MAX, escaped};
-use crate::dry_run::{Played, act_of};
-use crate::report::ActReport;
-use crate::show::busy::interpolation;
+use crate::busy::interpolation;
+use downbeat_mission::report::ActReport;
+use downbeat_rehearsal::dry_run::{Played, act_of};
 
 const LANE: f64 = 34.0;
 const HEADER: f64 = 22.0;

@@ -3,10 +3,10 @@
 use chrono::{DateTime, Local};
 use urrcp::{Server, Timestamp};
 
-use crate::zone::Zone;
+use downbeat_mission::zone::Zone;
 
 /// The time zone of this machine, or the one that the environment variable `TZ` names.
-pub(crate) const ZONE: Zone =
+pub const ZONE: Zone =
     Zone::new(|at| *DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&Local).offset());
 
 /// The time of day on this machine's clocks: `19:30:00.412`.
