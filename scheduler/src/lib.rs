@@ -38,14 +38,12 @@
 
 pub mod calibrate;
 mod cli;
-mod compare;
-pub mod history;
-pub mod measured;
 mod operations;
-pub mod page;
 pub mod simulation;
 
 pub use downbeat_conformance as conformance;
+use downbeat_history::compare;
+pub use downbeat_history::{history, measured, page};
 pub use downbeat_mission as mission;
 pub use downbeat_mission::{clock, drive, report, requirements, session, zone};
 pub use downbeat_rehearsal::{certificate, dry_run, trials};

@@ -66,6 +66,7 @@ fn no_module_imports_one_that_imports_it() {
         "scheduler/runtime/src",
         "scheduler/rehearsal/src",
         "scheduler/show/src",
+        "scheduler/history/src",
         "scheduler/conformance/src",
         "scheduler/src",
     ] {

@@ -1,4 +1,4 @@
-// The document that the page shows. `scheduler/src/page/` writes it; both sides change together, with `version`.
+// The document that the page shows. `scheduler/history/src/page/` writes it; both sides change together, with `version`.
 //
 // The page holds it as base64 of gzip of: the length of the JSON in bytes (unsigned 32 bits, little-endian), the JSON in UTF-8
 // (a `Mission`), then the columns that the JSON points into. All times are milliseconds by the server's clock.

@@ -1,4 +1,4 @@
-// The document of the page of trials. `scheduler/src/page/tried.rs` writes it in the place of a `Mission`; it has no columns. What
+// The document of the page of trials. `scheduler/history/src/page/tried.rs` writes it in the place of a `Mission`; it has no columns. What
 // `--format json` of the same command prints is here in the same words, without `each`: a page of 100,000 trials is as small as one
 // of a hundred. Times are milliseconds.
 

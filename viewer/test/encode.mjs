@@ -1,4 +1,4 @@
-// Writes missions in the format of the page, as `scheduler/src/page/` does.
+// Writes missions in the format of the page, as `scheduler/history/src/page/` does.
 import { readFile } from "node:fs/promises";
 import { gzipSync } from "node:zlib";
 

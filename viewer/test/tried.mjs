@@ -1,4 +1,4 @@
-// A document of trials, as `scheduler/src/page/tried.rs` writes it.
+// A document of trials, as `scheduler/history/src/page/tried.rs` writes it.
 
 const share = (count, of) => ({
   count,

@@ -5,8 +5,8 @@ use std::ops::Neg;
 
 use urrcp::{Server, Span, Timestamp};
 
-use crate::clock::resolution;
 use crate::history::Exchange;
+use downbeat_mission::clock::resolution;
 
 /// Fastest drift that is looked for, as a fraction: beyond any real clock, and what a simulated one has at most.
 const RATE_MAX: f64 = 0.1;

@@ -5,8 +5,8 @@ use serde_json::Value;
 use urrcp::{Server, Span, Timestamp};
 
 use super::line::{ClockLine, counts_in};
-use crate::clock::{ClockEstimate, ClockSample};
 use crate::history::{Exchange, History};
+use downbeat_mission::clock::{ClockEstimate, ClockSample};
 
 /// A drift is told where zero is not possible, or where it is known this well: half of what any clock may have.
 const DRIFT_KNOWN: f64 = 50e-6;

@@ -12,9 +12,9 @@ use super::{Change, Presence, matched, out_of_order};
 
 /// What differs between two plans.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct PlanDifferences {
+pub struct PlanDifferences {
     /// Whether nothing differs: the hashes are equal.
-    pub(crate) same: bool,
+    pub same: bool,
     /// Of everything that is compared.
     pub(crate) hash: Both<ContentHash>,
     pub(crate) scenario: Option<Change<String>>,
@@ -77,7 +77,7 @@ pub(crate) struct CueDifference {
 }
 
 /// What differs between two plans, each with the fleet for which it was compiled.
-pub(crate) fn plans(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> PlanDifferences {
+pub fn plans(a: (&Choreography, &Fleet), b: (&Choreography, &Fleet)) -> PlanDifferences {
     let hash = Both { a: hash(a.0), b: hash(b.0) };
     let acts = if hash.a == hash.b { Vec::new() } else { acts(a, b) };
     let playing = |choreography: &Choreography| -> Vec<RobotId> {

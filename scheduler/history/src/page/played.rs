@@ -10,10 +10,10 @@ use urrcp::{DeviceId, RobotId, Server, Timestamp};
 use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
 use super::planned::Places;
-use crate::dry_run::{self, act_of};
 use crate::history::{Fate, over};
-use crate::mission::Progress;
-use crate::report::{ActReport, ActRobot, Report};
+use downbeat_mission::Progress;
+use downbeat_mission::report::{ActReport, ActRobot, Report};
+use downbeat_rehearsal::dry_run::{self, act_of};
 
 /// What the operator was told, and when.
 pub type Told = (Timestamp<Server>, Progress);

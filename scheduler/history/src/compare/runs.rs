@@ -13,9 +13,9 @@ use crate::history::History;
 
 /// What differs between two missions that were played.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct RunDifferences {
+pub struct RunDifferences {
     /// Whether nothing differs.
-    pub(crate) same: bool,
+    pub same: bool,
     pub(crate) scenario: Option<Change<Option<String>>>,
     /// How the mission ended; `null` where that is not known.
     pub(crate) outcome: Option<Change<Value>>,
@@ -96,7 +96,7 @@ pub(crate) struct ScriptDifferences {
 }
 
 /// What differs between two missions. Start errors and spreads that differ by at most `within` count as equal.
-pub(crate) fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
+pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     let outcome = |history: &History| history.report()["outcome"].clone();
     let (acts_a, acts_b) = (acts(a), acts(b));
     let pairs = matched(&acts_a, &acts_b, |act| (act.name.as_str(), act.before));

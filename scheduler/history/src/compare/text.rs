@@ -10,13 +10,13 @@ use super::runs::{Figure, RunAct, RunRobot, ScriptDifferences};
 use super::scripts::DeviceDifferences;
 use super::steps::{Largest, ShownStep, StepDifference, StepDifferences};
 use super::{Change, PlanDifferences, Presence, RunDifferences};
-use crate::show::table::{Rows, wrapped};
+use downbeat_show::table::{Rows, wrapped};
 
 /// Rows of each table; what is more is only counted. JSON has everything.
 const ROWS_MAX: usize = 20;
 
 /// Differences of two plans, in lines of at most this many columns.
-pub(crate) fn plan_text(found: &PlanDifferences, columns: usize) -> String {
+pub fn plan_text(found: &PlanDifferences, columns: usize) -> String {
     let hash = |hash: urrcp::ContentHash| hash.to_string()[..12].to_owned();
     if found.same {
         return format!("the same: plan {}\n", hash(found.hash.a));
@@ -35,7 +35,7 @@ pub(crate) fn plan_text(found: &PlanDifferences, columns: usize) -> String {
 }
 
 /// Differences of two missions that were played, in lines of at most this many columns.
-pub(crate) fn run_text(found: &RunDifferences, columns: usize) -> String {
+pub fn run_text(found: &RunDifferences, columns: usize) -> String {
     if found.same {
         return "the same\n".to_owned();
     }

@@ -5,8 +5,8 @@ use serde::Serialize;
 use urrcp::{RobotId, Span};
 
 use super::document::{Kind, VERSION};
-use crate::requirements::Judged;
-use crate::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
+use downbeat_mission::requirements::Judged;
+use downbeat_rehearsal::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
 
 /// Columns of a histogram at most, but for the one of all beyond.
 const COLUMNS_MAX: i64 = 60;

@@ -15,18 +15,18 @@ use crate::history::History;
 
 /// The plan that a page is compared with.
 #[derive(Debug)]
-pub(crate) struct OtherPlan<'a> {
+pub struct OtherPlan<'a> {
     /// Its file.
-    pub(crate) name: String,
+    pub name: String,
     /// What it compiles to.
-    pub(crate) choreography: &'a Choreography,
+    pub choreography: &'a Choreography,
     /// From it to the plan of the page.
-    pub(crate) found: &'a PlanDifferences,
+    pub found: &'a PlanDifferences,
 }
 
 pub(super) fn compared(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>, columns: &mut Columns) -> Compared {
     let own = rehearsed.choreography;
-    let places = planned::places(&crate::fleet::robots_in(rehearsed.fleet, own));
+    let places = planned::places(&downbeat_runtime::fleet::robots_in(rehearsed.fleet, own));
     let difference = |entry: Entry| {
         let plan = own.acts.iter().position(|act| Some(&act.name) == entry.act.as_ref());
         let robot = entry.device.as_ref().and_then(|(robot, _)| places.robot(robot));
@@ -77,13 +77,13 @@ fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
 
 /// The mission with which the page of another one is compared.
 #[derive(Debug)]
-pub(crate) struct OtherRun<'a> {
+pub struct OtherRun<'a> {
     /// Its file.
-    pub(crate) name: String,
+    pub name: String,
     /// What is known of it.
-    pub(crate) history: &'a History,
+    pub history: &'a History,
     /// From it to the mission of the page.
-    pub(crate) found: &'a RunDifferences,
+    pub found: &'a RunDifferences,
 }
 
 pub(super) fn compared_runs(

@@ -12,7 +12,7 @@ use super::columns::{Columns, Points};
 use super::document::{
     Body, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, Plan, Robot, Script, Shape, Source,
 };
-use crate::show::waits;
+use downbeat_show::waits;
 
 /// Where robots and devices are in the document.
 #[derive(Debug, Default)]

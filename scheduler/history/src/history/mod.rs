@@ -13,8 +13,8 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use urrcp::{InitializationBlock, Interpolation, Robot, RobotId, Server, Span, Timestamp};
 
-use crate::journal::{self, Unreadable};
-use crate::mission::promised_name;
+use downbeat_mission::promised_name;
+use downbeat_runtime::journal::{self, Unreadable};
 
 pub use self::fate::fate_text;
 pub(crate) use self::fate::{Fate, over};

@@ -26,11 +26,11 @@ use self::columns::Columns;
 use self::document::{Kind, Mission, VERSION};
 use self::played::Epoch;
 use self::tried::Tried;
-use crate::dry_run;
 use crate::history::History;
-use crate::trials::Results;
+use downbeat_rehearsal::dry_run;
+use downbeat_rehearsal::trials::Results;
 
-pub(crate) use self::compared::{OtherPlan, OtherRun};
+pub use self::compared::{OtherPlan, OtherRun};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};
 
@@ -72,7 +72,7 @@ pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
 ///
 /// # Errors
 /// As for [`of_dry_run`].
-pub(crate) fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Result<String> {
+pub fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mut mission = rehearsed.mission(&mut columns);
     mission.compared = Some(compared::compared(rehearsed, other, &mut columns));
@@ -93,7 +93,7 @@ pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Resul
 ///
 /// # Errors
 /// As for [`of_dry_run`].
-pub(crate) fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<String> {
+pub fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mut mission = history.mission(None, &mut columns);
     mission.compared = Some(compared::compared_runs((history, &mission), other, &mut columns));
@@ -113,7 +113,7 @@ impl Rehearsed<'_> {
     fn mission(&self, columns: &mut Columns) -> Mission {
         let Self { choreography, outline, fleet, findings, played, told } = *self;
         let report = &played.report;
-        let of_mission = crate::fleet::robots_in(fleet, choreography);
+        let of_mission = downbeat_runtime::fleet::robots_in(fleet, choreography);
         let places = planned::places(&of_mission);
         let epoch = Epoch(report.acts.first().map_or(dry_run::BEGIN, |act| act.start));
         let values = events::values(told);

@@ -7,12 +7,12 @@ mod played;
 mod runs;
 mod scripts;
 mod steps;
-pub(crate) mod text;
+pub mod text;
 
 use serde::Serialize;
 
-pub(crate) use acts::{PlanDifferences, plans};
-pub(crate) use runs::{RunDifferences, runs};
+pub use acts::{PlanDifferences, plans};
+pub use runs::{RunDifferences, runs};
 
 /// A value in the first and in the second.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -13,14 +13,14 @@ use super::events;
 use super::planned::{self, Places};
 use super::played::{Epoch, Phases, finished, instant};
 use super::written::Written;
-use crate::dry_run::act_of;
 use crate::history::{Fate, History, HistorySource, KnownRobot, PlannedStep, over};
+use downbeat_rehearsal::dry_run::act_of;
 
 impl History {
     pub(super) fn mission(&self, written: Option<&Written<'_>>, columns: &mut Columns) -> Mission {
         let (places, robots) = match written {
             Some(written) => {
-                let robots = crate::fleet::robots_in(written.fleet, written.choreography);
+                let robots = downbeat_runtime::fleet::robots_in(written.fleet, written.choreography);
                 let places = planned::places(&robots);
                 let robots = planned::robots(&robots, &places);
                 (places, robots)
