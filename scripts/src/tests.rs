@@ -277,6 +277,7 @@ mod names;
 mod numbers;
 mod once;
 mod patterns;
+mod places;
 mod rehearsed;
 mod standing;
 mod told;

@@ -17,6 +17,11 @@ impl Easing {
     pub(crate) const WORDS: [(&'static str, Self); 4] =
         [("linear", Self::Linear), ("smooth", Self::Smooth), ("cubic", Self::Cubic), ("step", Self::Step)];
 
+    /// The easing that has this name.
+    pub(crate) fn named(name: &str) -> Option<Self> {
+        Self::WORDS.iter().find(|(word, _)| *word == name).map(|(_, easing)| *easing)
+    }
+
     pub(crate) fn at(self, s: f64) -> f64 {
         match self {
             Self::Linear => s,
@@ -93,6 +98,11 @@ mod tests {
     fn sampled(easing: Easing) -> (Vec<f64>, f64) {
         let step = 1.0 / f64::from(POINTS);
         ((0..=POINTS).map(|i| easing.at(f64::from(i) * step)).collect(), step)
+    }
+
+    #[test]
+    fn every_word_of_a_row_names_an_easing() {
+        assert!(crate::node::EASES.iter().all(|word| Easing::named(word).is_some()));
     }
 
     #[test]

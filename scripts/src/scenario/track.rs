@@ -225,13 +225,13 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
         Width::One => {
             let knots = rows.iter().enumerate().map(|(index, row)| {
                 checked(index, row.at);
-                let shape = row.ease.map_or(Shape::Own, Shape::Eased);
+                let shape = row.ease.and_then(Easing::named).map_or(Shape::Own, Shape::Eased);
                 Knot { at: row.at, to: row.values[0], shape, item: item(index) }
             });
             Motion::Curve(Curve::new(knots.collect(), Vec::new()))
         }
         Width::List(_) => {
-            let mut vectors = Vectors::with_capacity(rows.len(), rows.len() * rows.width().count());
+            let mut vectors = Vectors::with_capacity(rows.count(), rows.count() * rows.width().count());
             for (index, row) in rows.iter().enumerate() {
                 checked(index, row.at);
                 vectors.push(Vector { at: row.at, values: row.values, item: item(index) });

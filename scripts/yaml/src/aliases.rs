@@ -1,0 +1,123 @@
+//! Aliases stand for values again and again: a few lines of them could fill any memory. Counted before anything is made of
+//! them, by a parser that keeps nothing.
+
+use saphyr_parser::Event;
+
+use crate::events::Events;
+use crate::finding::{Code, Finding};
+use crate::render::line_of;
+use crate::source::Source;
+
+/// Most values that all aliases of a file stand for.
+pub const ALIASED_MAX: usize = 250_000;
+/// Deeper nesting is not looked into.
+const NESTING_MAX: usize = 1_000;
+/// Longest line that a finding carries, in characters.
+const LINE_CHARS_MAX: usize = 1_000;
+
+/// The finding for aliases that stand for too much. The reader finds text that is not YAML.
+pub fn check(source: &Source, text: &str) -> Option<Finding> {
+    if !text.contains('*') || exceeding(text).is_none() {
+        return None;
+    }
+    // The text may be shorter than the file: the place is looked for in the file itself.
+    let (line, column) = exceeding(&source.text)?;
+    let message = format!("the aliases up to here expand to more than {ALIASED_MAX} values");
+    let hint = Some("write the values out, or let several cues use one of `moves`".to_owned());
+    let expected = format!("at most {ALIASED_MAX} values by aliases");
+    let mut finding = Finding::about_file(Code::TooMuch, &source.name, message, &expected, hint);
+    (finding.line, finding.column, finding.width) = (line, column + 1, 1);
+    finding.source_line = line_of(&source.text, line).chars().take(LINE_CHARS_MAX).collect();
+    Some(finding)
+}
+
+/// A collection that is being read: its anchor, and the values in it so far.
+struct Open {
+    anchor: usize,
+    values: usize,
+}
+
+/// Where the aliases exceed what they may stand for.
+fn exceeding(text: &str) -> Option<(usize, usize)> {
+    let mut sizes: Vec<usize> = Vec::new();
+    let mut open: Vec<Open> = Vec::new();
+    let mut aliased = 0usize;
+    let mut place = None;
+    Events::of(text).each(|event, extent| {
+        let (anchor, values) = match event {
+            Event::Scalar(_, _, anchor, _) => (anchor, 1),
+            Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
+                open.push(Open { anchor, values: 1 });
+                // The reader refuses that.
+                return open.len() <= NESTING_MAX;
+            }
+            Event::SequenceEnd | Event::MappingEnd => match open.pop() {
+                Some(Open { anchor, values }) => (anchor, values),
+                None => return true,
+            },
+            Event::Alias(anchor) => {
+                let values = sizes.get(anchor).copied().unwrap_or(1);
+                aliased = aliased.saturating_add(values);
+                if aliased > ALIASED_MAX {
+                    place = Some(extent.start);
+                    return false;
+                }
+                (0, values)
+            }
+            _ => return true,
+        };
+        if let Some(parent) = open.last_mut() {
+            parent.values = parent.values.saturating_add(values);
+        }
+        if anchor > 0 {
+            sizes.resize(sizes.len().max(anchor + 1), 1);
+            sizes[anchor] = values;
+        }
+        true
+    });
+    place
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::node::parse;
+
+    fn found(text: &str) -> Option<Finding> {
+        parse(&Source { name: "s.yaml".into(), text: text.to_owned() }).err()
+    }
+
+    #[test]
+    fn a_long_list_of_aliases_is_refused_where_it_is_too_much() {
+        let text = format!("a: &a {{b: [1, 2, 3], c: x}}\nl:\n{}", "  - *a\n".repeat(1_300_000));
+        let finding = found(&text).unwrap();
+        assert_eq!((finding.code, finding.column), (Code::TooMuch, 5));
+        // Each stands for a map, two keys, a list, three numbers and a text.
+        assert_eq!(finding.line, 2 + ALIASED_MAX / 8 + 1);
+    }
+
+    #[test]
+    fn aliases_of_aliases_count_with_all_that_they_stand_for() {
+        let mut text = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n".to_owned();
+        for level in 1..9 {
+            let before = format!("*a{}, ", level - 1).repeat(9);
+            text.push_str(&format!("a{level}: &a{level} [{before}]\n"));
+        }
+        assert_eq!(found(&text).map(|finding| finding.code), Some(Code::TooMuch));
+    }
+
+    #[test]
+    fn a_long_run_of_keyframes_counts_with_all_its_rows() {
+        let rows = "  - {at: 1s, to: 2}\n".repeat(10_000);
+        let text = |uses: usize| format!("a: &a\n{rows}b: [{}]\n", "*a, ".repeat(uses));
+        assert_eq!(found(&text(2)), None);
+        let finding = found(&text(26)).unwrap();
+        assert_eq!((finding.code, finding.line), (Code::TooMuch, 10_002));
+    }
+
+    #[test]
+    fn as_many_aliases_as_people_write_are_read() {
+        let text = format!("a: &a {{b: 1}}\nl:\n{}", "  - *a\n".repeat(10_000));
+        assert_eq!(found(&text), None);
+    }
+}

@@ -1,0 +1,76 @@
+//! A node of a tree with the way that led to it, from which findings have their places.
+
+use std::sync::Arc;
+
+use crate::finding::{Part, Place, Use};
+use crate::node::Node;
+
+/// A node with the way that led to it.
+#[derive(Clone, Copy)]
+pub struct At<'a> {
+    /// The node.
+    pub node: &'a Node,
+    trail: Trail<'a>,
+}
+
+#[derive(Clone, Copy)]
+enum Trail<'a> {
+    Document(u16, Option<&'a Arc<Use>>),
+    Key(&'a At<'a>, &'a str, usize),
+    Index(&'a At<'a>, usize),
+}
+
+impl<'a> At<'a> {
+    /// The root of a file, counted from 0 for the scenario itself.
+    pub fn document(node: &'a Node, file: u16) -> Self {
+        Self { node, trail: Trail::Document(file, None) }
+    }
+
+    /// The root of a file for what is read of it because of a use.
+    pub fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
+        Self { node, trail: Trail::Document(file, used) }
+    }
+
+    /// Another node at the same place.
+    pub fn with(&self, node: &'a Node) -> At<'a> {
+        At { node, trail: self.trail }
+    }
+
+    /// An item of this list.
+    pub fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
+        At { node, trail: Trail::Index(self, index) }
+    }
+
+    /// The value of a key of this map; `occurrence` counts equal keys from 0.
+    pub fn entry(&'a self, key: &'a str, occurrence: usize, node: &'a Node) -> At<'a> {
+        At { node, trail: Trail::Key(self, key, occurrence) }
+    }
+
+    /// The place of this node.
+    pub fn place(&self) -> Place {
+        let (file, used, path) = self.path();
+        Place { file, path, key: false, within: None, used: used.cloned() }
+    }
+
+    /// The place of the key that leads to it.
+    pub fn key_place(&self) -> Place {
+        let (file, used, path) = self.path();
+        Place { file, path, key: true, within: None, used: used.cloned() }
+    }
+
+    fn path(&self) -> (u16, Option<&'a Arc<Use>>, Vec<Part>) {
+        match self.trail {
+            Trail::Document(file, used) => (file, used, Vec::new()),
+            Trail::Key(parent, key, occurrence) => {
+                let (file, used, mut path) = parent.path();
+                path.push(Part::Key(key.to_owned(), occurrence));
+                (file, used, path)
+            }
+            Trail::Index(parent, index) => {
+                let (file, used, mut path) = parent.path();
+                path.push(Part::Index(index));
+                (file, used, path)
+            }
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! Names in Unicode: of the encodings that one name may have, that in normalization form C (Unicode Standard Annex 15) is compared. File
+//! names of a Macintosh, and texts copied from them, are decomposed.
+//!
+//! Names in scenarios are composed when they are read. Those of robots and devices stay as they are, for robots compare bytes.
+
+use std::borrow::Cow;
+
+use icu_normalizer::ComposingNormalizerBorrowed;
+
+/// A name in normalization form C.
+pub fn composed(name: &str) -> Cow<'_, str> {
+    match name.is_ascii() {
+        true => Cow::Borrowed(name),
+        false => ComposingNormalizerBorrowed::new_nfc().normalize(name),
+    }
+}
+
+/// Whether two names differ in their encoding at most.
+pub fn is_same(a: &str, b: &str) -> bool {
+    a == b || !(a.is_ascii() && b.is_ascii()) && composed(a) == composed(b)
+}
+
+/// Puts a text into normalization form C.
+pub fn compose_text(text: &mut String) {
+    if let Cow::Owned(composed) = composed(text) {
+        *text = composed;
+    }
+}

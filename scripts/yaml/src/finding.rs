@@ -1,0 +1,426 @@
+//! What a user did wrong: a code, a place, what was found and expected, how to fix it.
+
+mod shared_fault;
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+pub use shared_fault::{Affected, SharedFault};
+
+use crate::shown::shortened;
+
+/// How bad it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Nothing can be run.
+    Error,
+    /// It runs, but look at it.
+    Warning,
+}
+
+macro_rules! codes {
+    ($($variant:ident = $text:literal, $severity:ident, $title:literal;)*) => {
+        /// The kinds of findings. Codes are stable: a number is never used again for something else.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[non_exhaustive]
+        pub enum Code {
+            $(#[doc = $title] $variant,)*
+        }
+
+        impl Code {
+            /// All codes, in order.
+            pub const ALL: &[Self] = &[$(Self::$variant,)*];
+
+            /// As it is printed, `DB0007`.
+            #[must_use]
+            pub const fn as_str(self) -> &'static str {
+                match self { $(Self::$variant => $text,)* }
+            }
+
+            /// What it means, in a few words.
+            #[must_use]
+            pub const fn title(self) -> &'static str {
+                match self { $(Self::$variant => $title,)* }
+            }
+
+            /// Whether nothing can be run with it.
+            #[must_use]
+            pub const fn severity(self) -> Severity {
+                match self { $(Self::$variant => Severity::$severity,)* }
+            }
+        }
+    };
+}
+
+codes! {
+    Unreadable = "DB0001", Error, "a file cannot be read";
+    Syntax = "DB0002", Error, "a file is not valid YAML";
+    WrongType = "DB0003", Error, "a value has the wrong type";
+    UnknownKey = "DB0004", Error, "an unknown key";
+    DuplicateKey = "DB0005", Error, "a key appears twice";
+    MissingKey = "DB0006", Error, "a key is missing";
+    BadDuration = "DB0007", Error, "a time cannot be read";
+    UnknownRobot = "DB0008", Error, "no robot or group of this name";
+    UnknownDevice = "DB0009", Error, "the robot has no such device";
+    ControlType = "DB0010", Error, "the device cannot be controlled this way";
+    OutOfRange = "DB0011", Error, "a value lies outside the device's limits";
+    OffGranularity = "DB0012", Error, "a value lies off the device's grid";
+    TooManySteps = "DB0013", Error, "a script is longer than the device takes";
+    TimeOrder = "DB0014", Error, "keyframes are not in order of time";
+    Overlap = "DB0015", Error, "two cues move one device at the same time";
+    NothingToDo = "DB0016", Error, "nothing to do";
+    ListedTwice = "DB0017", Error, "a robot is listed twice";
+    InitializationBlock = "DB0018", Error, "an initialization block is not valid";
+    NameClash = "DB0019", Error, "a group or a role has a name that is taken";
+    UnknownWord = "DB0020", Error, "an unknown word";
+    UnknownBeginning = "DB0021", Error, "a movement without a beginning";
+    UnknownCue = "DB0022", Error, "no cue of this name";
+    UnknownMove = "DB0023", Error, "no move of this name";
+    Variable = "DB0024", Error, "a variable without a value";
+    Music = "DB0025", Error, "beats and bars without a tempo";
+    Conflict = "DB0026", Error, "times that contradict each other";
+    NoOrder = "DB0027", Error, "no order found for cues that exclude each other";
+    UnknownZone = "DB0028", Error, "no zone of this name";
+    Unreachable = "DB0029", Error, "an act that is never reached";
+    DeadEnd = "DB0030", Error, "acts that never come to an end";
+    UnknownAct = "DB0031", Error, "no act of this name";
+    TooFast = "DB0032", Error, "a movement faster than the device";
+    TooSudden = "DB0033", Error, "a movement with more acceleration than the device";
+    Jump = "DB0034", Warning, "a device that has to jump";
+    LeftInMotion = "DB0035", Warning, "a device is left in motion at the end";
+    LeaseTooLong = "DB0036", Warning, "a lease longer than the script that it guards";
+    NoRobot = "DB0037", Error, "a cue without a robot to play it";
+    Snapped = "DB0038", Warning, "a value was moved to the device's grid";
+    QueueTooShort = "DB0039", Error, "more scripts than the device's queue holds";
+    ToleranceTooTight = "DB0040", Error, "an error larger than allowed";
+    BadMotion = "DB0041", Error, "a movement that cannot be made";
+    Include = "DB0042", Error, "an included file that cannot be read";
+    NameTwice = "DB0043", Error, "a name is used twice";
+    UnknownSensor = "DB0044", Error, "the robot has no such sensor";
+    TooMuch = "DB0045", Error, "more than a robot could ever play";
+    BadData = "DB0046", Error, "a data file cannot be used";
+    NoTimeToSend = "DB0047", Error, "no time to send the next script";
+    LittleTimeToSend = "DB0048", Warning, "little time to send the next script";
+    ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
+    OneAddress = "DB0050", Error, "two robots have one address";
+    NeedsHandshake = "DB0051", Error, "a key that needs the handshake";
+    TooClose = "DB0052", Error, "two bodies closer than allowed";
+    OutOfSpace = "DB0053", Error, "a body where it may not be";
+    BodyTooFast = "DB0054", Error, "a body faster than allowed";
+    PlaceUnknown = "DB0055", Warning, "a body whose place is not known";
+    Unmet = "DB0056", Warning, "a requirement that is not met";
+    OutsideProject = "DB0057", Error, "a file outside the project";
+    OpenNetwork = "DB0058", Error, "a robot that anyone on the network can move";
+    StaleLatency = "DB0059", Warning, "a latency of a robot or device that is not there";
+    ImportTable = "DB0060", Error, "a table that does not match its format";
+    ImportNumber = "DB0061", Error, "an imported value is not a finite number";
+    ImportTime = "DB0062", Error, "imported times that do not go forward";
+    TimesCollide = "DB0063", Error, "two imported values at one time";
+    ForeignTag = "DB0064", Error, "a tag of another program";
+    TooManyPieces = "DB0065", Error, "a trajectory has more pieces than the robot holds";
+    ImportShape = "DB0066", Error, "lists of an imported motion that do not fit together";
+    ImportNames = "DB0067", Error, "imported robots, devices or scenes with names that are not allowed";
+    ImportLimit = "DB0068", Error, "an import is larger than its limit";
+    FileExists = "DB0069", Error, "a file exists already";
+    Expression = "DB0070", Error, "an expression without a value";
+    NearPlaces = "DB0071", Warning, "places of a formation too near to each other";
+    NotInGroup = "DB0072", Error, "a robot that cannot move in a group";
+    PlacesCount = "DB0073", Error, "more or fewer robots than places";
+    NoWayPast = "DB0074", Error, "bodies that cannot pass each other";
+    UnknownFormation = "DB0075", Error, "no formation of this name";
+    PlaysItself = "DB0076", Error, "a move, a sequence or a file that leads back to itself";
+    UnknownSequence = "DB0077", Error, "no sequence of this name";
+    WrongKind = "DB0078", Error, "a value of another kind than its parameter";
+    UnknownPath = "DB0079", Error, "no path of this name";
+    CrowdedPlace = "DB0080", Warning, "many robots at one place of a Zenoh network";
+    IgnoredKey = "DB0081", Warning, "a key of a robot's description that is ignored";
+}
+
+impl Code {
+    /// What it means, why it matters and how to fix it: its section of `findings.md`.
+    #[must_use]
+    pub fn explanation(self) -> &'static str {
+        let heading = format!("## {}", self.as_str());
+        let text = EXPLANATIONS;
+        let Some(begin) = text.find(&heading) else { return self.title() };
+        let body = &text[begin + heading.len()..];
+        let body = body.split_once('\n').map_or("", |(_, body)| body);
+        body.split("\n## ").next().unwrap_or(body).trim()
+    }
+}
+
+/// The page that people read is the one that the program shows.
+const EXPLANATIONS: &str = include_str!("findings.md");
+
+impl Serialize for Code {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+/// One thing that is wrong.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// Which kind.
+    pub code: Code,
+    /// How bad.
+    pub severity: Severity,
+    /// The file, as the user named it.
+    pub file: String,
+    /// Line, from 1; 0 where the finding concerns the file as a whole.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+    /// How many characters it concerns.
+    pub width: usize,
+    /// What was found, naming robot, device and step.
+    pub message: String,
+    /// What was expected.
+    pub expected: String,
+    /// How to fix it.
+    pub hint: Option<String>,
+    /// The offending line.
+    pub source_line: String,
+    /// Places that explain it, in the order of the argument; then other places of the same mistake.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub related: Vec<Related>,
+}
+
+/// A place that has to do with a finding, and how.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Related {
+    /// Line, from 1.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+    /// How many characters.
+    pub width: usize,
+    /// What is said there.
+    pub message: String,
+    /// The line.
+    pub source_line: String,
+    /// Whether this place repeats the mistake. The message of the finding already names its line.
+    #[serde(skip)]
+    pub is_repeat: bool,
+}
+
+impl Finding {
+    /// The places that explain it, without other places of the same mistake.
+    pub fn chain(&self) -> impl Iterator<Item = &Related> {
+        self.related.iter().filter(|place| !place.is_repeat)
+    }
+
+    /// Whether a file itself is at fault, not what is written in it: it cannot be read or written, or is in the way.
+    #[must_use]
+    pub fn is_about_access(&self) -> bool {
+        matches!(self.code, Code::Unreadable | Code::Include | Code::OutsideProject | Code::FileExists)
+    }
+
+    /// A finding that concerns a file as a whole.
+    pub fn about_file(code: Code, file: &str, message: String, expected: &str, hint: Option<String>) -> Self {
+        Self {
+            code,
+            severity: code.severity(),
+            file: file.to_owned(),
+            line: 0,
+            column: 0,
+            width: 0,
+            message,
+            expected: expected.to_owned(),
+            hint,
+            source_line: String::new(),
+            related: Vec::new(),
+        }
+    }
+}
+
+/// A finding that knows its place only as a path into the tree.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pending {
+    /// Its kind.
+    pub code: Code,
+    /// Where the user must act.
+    pub place: Place,
+    /// What is wrong.
+    pub message: String,
+    /// What was expected.
+    pub expected: String,
+    /// How to fix it.
+    pub hint: Option<String>,
+    /// The hint for a map or a list that is written in lines, not in brackets. `None` if it is the same hint.
+    pub hint_in_block: Option<String>,
+    /// Other places of the same file.
+    pub related: Vec<(Place, String)>,
+    /// The robots that it concerns, if others may join them.
+    pub affected: Option<Box<Affected>>,
+}
+
+/// A place in a file: a node, or the key that leads to it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Place {
+    /// Which file: 0 for the scenario, then includes in the order of their reading.
+    pub file: u16,
+    /// The steps from the root of the file.
+    pub path: Vec<Part>,
+    /// Whether it is the key that leads to the node, and not the node.
+    pub key: bool,
+    /// Some characters of the text that stands there.
+    pub within: Option<Within>,
+    /// For which use it was read, if it stands in something that is used from elsewhere.
+    pub used: Option<Arc<Use>>,
+}
+
+/// A place at which something is used that stands elsewhere: a move that another plays, a sequence, a file.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Use {
+    /// What is used, as `the move `wave``.
+    pub what: String,
+    /// What uses it, if that has a name.
+    pub by: Option<String>,
+    /// Where; which may itself have been read for a use.
+    pub place: Place,
+}
+
+/// Characters of a text: which ones, and the whole text, by which they are found in the file.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Within {
+    /// The whole text.
+    pub text: Box<str>,
+    /// The first of the characters, counted from 0.
+    pub from: usize,
+    /// How many they are.
+    pub width: usize,
+}
+
+impl Place {
+    /// The place of an entry below this one.
+    pub fn below(&self, part: Part) -> Self {
+        let mut path = self.path.clone();
+        path.push(part);
+        Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
+    }
+
+    /// The place of a key's value below this one.
+    pub fn of_key(&self, key: &str) -> Self {
+        self.below(Part::Key(key.to_owned(), 0))
+    }
+}
+
+/// One step into the tree. Occurrences count equal keys of one map from 0.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Part {
+    /// A key of a map, and its occurrence.
+    Key(String, usize),
+    /// An item of a list, counted from 0.
+    Index(usize),
+}
+
+/// The name most like a wrong one, as a hint: a question, or nothing where none is near.
+pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    nearest(wrong, known, &mut 10_000)
+}
+
+/// The same with this many comparisons left.
+pub fn nearest<'a>(
+    wrong: &str,
+    known: impl IntoIterator<Item = &'a str>,
+    left: &mut usize,
+) -> Option<String> {
+    // Long names are compared by their beginning, so that a huge one costs nothing.
+    let wrong: String = wrong.chars().take(64).collect();
+    let length = wrong.chars().count();
+    // In a short word, every second letter may differ by chance.
+    let near = 1.max(length / 3);
+    let first = wrong.chars().next();
+    let (mut written_out, mut in_other_case) = (None, None);
+    let small = wrong.to_lowercase();
+    let compared = known.into_iter().take(*left).inspect(|name| {
+        *left -= 1;
+        if name.len() <= 4 * wrong.len() && name.to_lowercase() == small {
+            in_other_case.get_or_insert(*name);
+        }
+        if is_short_for(&wrong, name) {
+            written_out.get_or_insert(*name);
+        }
+    });
+    // Names differ by no less than their lengths do.
+    let like = compared.filter(|name| name.len() <= 4 * (length + near));
+    let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
+    let scored = like.map(|name| (strsim::osa_distance(&wrong, name), name));
+    let letters = |name: &str| {
+        let mut letters: Vec<char> = name.chars().collect();
+        letters.sort_unstable();
+        letters
+    };
+    let alike = |name: &str| {
+        let close = name.chars().next() == first || letters(name) == letters(&wrong);
+        if close { near } else { length / 4 }
+    };
+    let like =
+        scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance);
+    let like = like.map(|(_, name)| name);
+    Some(did_you_mean_this(in_other_case.or(like).or(written_out)?))
+}
+
+/// Whether a word, or its singular, is the beginning of a name, as `forms` of `formations`.
+fn is_short_for(word: &str, name: &str) -> bool {
+    let begin = word.strip_suffix('s').unwrap_or(word);
+    begin.chars().count() >= 4 && name.starts_with(begin)
+}
+
+/// Suggests the only name in a file or a sequence that ends like this one: `lib.lift` for `lift`.
+pub fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<String> {
+    let mut ending = known.filter(|known| known.strip_suffix(name).is_some_and(|rest| rest.ends_with('.')));
+    let only = ending.next().filter(|_| ending.next().is_none())?;
+    Some(did_you_mean_this(only))
+}
+
+/// The same hint for a name that is known.
+pub fn did_you_mean_this(name: &str) -> String {
+    format!("did you mean `{name}`?")
+}
+
+/// What is expected where a name is not known.
+pub fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
+    match names(all).as_str() {
+        "none" => "a name, but none is defined".to_owned(),
+        only if !only.contains("`, `") => only.to_owned(),
+        names => format!("one of {names}"),
+    }
+}
+
+/// The same for a name under `moves:`, `zones:` and the like.
+pub fn one_defined<'a>(what: &str, mut all: impl Iterator<Item = &'a str> + Clone) -> String {
+    match all.clone().next() {
+        None => format!("a {what} that is defined under `{what}s`"),
+        Some(_) => one_of(&mut all),
+    }
+}
+
+/// Most robots that a message lists.
+const LISTED_MAX: usize = 5;
+
+/// The robots that a message is about: `` `a`, `b` ``, or `` 12 robots (`a`, `b`, `c` and 9 more) ``.
+pub fn robots_named<'a>(ids: impl ExactSizeIterator<Item = &'a str> + Clone) -> String {
+    let (count, listed) = (ids.len(), ids.map(|id| format!("`{}`", shortened(id))));
+    match count {
+        0..=LISTED_MAX => listed.collect::<Vec<_>>().join(", "),
+        _ => {
+            let first: Vec<_> = listed.take(3).collect();
+            format!("{count} robots ({} and {} more)", first.join(", "), count - first.len())
+        }
+    }
+}
+
+/// A list of names for a message, shortened.
+pub fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
+    let mut all = all.into_iter();
+    let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();
+    match first.len() + all.count() {
+        0 => "none".to_owned(),
+        1..=12 => first.join(", "),
+        n => format!("{} and {} more", first[..10].join(", "), n - 10),
+    }
+}

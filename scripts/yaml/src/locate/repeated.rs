@@ -1,0 +1,223 @@
+//! One cause, one finding: the same mistake at several places of a file, such as a misspelt name.
+
+use std::collections::HashMap;
+
+use crate::finding::{Code, Finding, Related};
+
+/// Most lines that a message lists.
+const LISTED_MAX: usize = 5;
+
+/// The hint for a decimal comma, in numbers and times of any kind.
+const DECIMAL_POINT: &str = "write a decimal point";
+
+/// Joins findings about the same mistake into the first one. Its message names the lines of the others, and its related places list
+/// them for editors. Each finding comes with the uses that led to it, for the end of its message.
+pub(super) fn join(findings: Vec<(Finding, String)>) -> Vec<Finding> {
+    let mut first: HashMap<Mistake, usize> = HashMap::new();
+    let mut joined: Vec<Finding> = Vec::with_capacity(findings.len());
+    for (mut finding, uses) in findings {
+        if let Some(mistake) = Mistake::of(&finding) {
+            if let Some(known) = first.get(&mistake) {
+                joined[*known].related.push(repeat(finding));
+                continue;
+            }
+            first.insert(mistake, joined.len());
+        }
+        finding.message.push_str(&uses);
+        joined.push(finding);
+    }
+    for finding in &mut joined {
+        let repeats = finding.related.iter().filter(|place| place.is_repeat);
+        let lines = repeats.map(|place| place.line).collect();
+        finding.message.push_str(&others(finding.line, lines));
+    }
+    joined
+}
+
+/// The place of a mistake that another finding reports.
+fn repeat(finding: Finding) -> Related {
+    let Finding { line, column, width, source_line, .. } = finding;
+    Related { line, column, width, message: "the same mistake".to_owned(), source_line, is_repeat: true }
+}
+
+/// What equal mistakes have in common.
+#[derive(PartialEq, Eq, Hash)]
+struct Mistake {
+    code: Code,
+    message: String,
+    expected: String,
+    hint: Option<String>,
+    /// Definitions of the variables in the value.
+    definitions: Vec<(usize, usize)>,
+}
+
+impl Mistake {
+    /// Nothing for mistakes that several places make together, and for those that have a cause of their own at each place.
+    fn of(finding: &Finding) -> Option<Self> {
+        let Finding { code, message, expected, hint, .. } = finding;
+        let hint = hint.as_deref();
+        let definitions =
+            || finding.related.iter().skip(1).map(|place| (place.line, place.column)).collect::<Vec<_>>();
+        if hint.is_some_and(|hint| hint.starts_with(DECIMAL_POINT)) {
+            let (message, expected) = (String::new(), String::new());
+            let hint = Some(DECIMAL_POINT.to_owned());
+            return Some(Self { code: Code::WrongType, message, expected, hint, definitions: definitions() });
+        }
+        let (message, hint) = match code {
+            // Two numbers may be wrong for different reasons.
+            Code::WrongType if hint.is_none() => (message.clone(), None),
+            // The way in which a time or a number is written.
+            Code::BadDuration | Code::WrongType => (any_number(message), hint.map(any_number)),
+            Code::UnknownKey if message.starts_with("unknown key") => {
+                (of_no_owner(message).to_owned(), hint.map(any_number))
+            }
+            Code::UnknownKey => (any_number(message), hint.map(any_number)),
+            Code::InitializationBlock => (of_no_owner(message).to_owned(), hint.map(str::to_owned)),
+            Code::OutOfRange | Code::OffGranularity => {
+                (of_any_keyframe(message).to_owned(), hint.map(str::to_owned))
+            }
+            Code::ControlType
+            | Code::UnknownAct
+            | Code::UnknownCue
+            | Code::UnknownDevice
+            | Code::UnknownFormation
+            | Code::UnknownMove
+            | Code::UnknownPath
+            | Code::UnknownRobot
+            | Code::UnknownSensor
+            | Code::UnknownSequence
+            | Code::UnknownWord
+            | Code::UnknownZone
+            | Code::Variable
+            | Code::WrongKind => (message.clone(), hint.map(str::to_owned)),
+            _ => return None,
+        };
+        (finding.line > 0).then(|| Self {
+            code: *code,
+            message,
+            expected: expected.clone(),
+            hint,
+            definitions: definitions(),
+        })
+    }
+}
+
+/// A text with `#` for each number.
+fn any_number(text: &str) -> String {
+    let is_digit = |c: char| c.is_ascii_digit() || c == '.';
+    let mut plain = String::with_capacity(text.len());
+    for c in text.chars() {
+        match is_digit(c) {
+            true if plain.ends_with('#') => {}
+            true => plain.push('#'),
+            false => plain.push(c),
+        }
+    }
+    plain
+}
+
+/// A message without the robot, or the device of an initialization block, that it names at its end.
+fn of_no_owner(message: &str) -> &str {
+    let ends = [" in robot `", ", for `", ", for the device `"];
+    let end = ends.iter().filter_map(|begin| message.find(begin)).min();
+    &message[..end.unwrap_or(message.len())]
+}
+
+/// `keyframe 2: 120 lies outside ...` without the number of the keyframe.
+fn of_any_keyframe(message: &str) -> &str {
+    let rest = message.strip_prefix("keyframe ").and_then(|rest| rest.split_once(": "));
+    rest.map_or(message, |(_, rest)| rest)
+}
+
+/// The other places of the mistake, in order.
+fn others(own: usize, mut lines: Vec<usize>) -> String {
+    let here = lines.iter().filter(|line| **line == own).count();
+    lines.retain(|line| *line != own);
+    lines.dedup();
+    let here = match here {
+        0 => None,
+        1 => Some("again in this line".to_owned()),
+        more => Some(format!("{more} more times in this line")),
+    };
+    let list = |lines: &[usize]| lines.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let elsewhere = match lines.as_slice() {
+        [] => None,
+        [line] => Some(format!("in line {line}")),
+        [all @ .., last] if lines.len() <= LISTED_MAX => Some(format!("in lines {} and {last}", list(all))),
+        lines => Some(format!(
+            "in {} other lines ({} and {} more)",
+            lines.len(),
+            list(&lines[..3]),
+            lines.len() - 3
+        )),
+    };
+    match (here, elsewhere) {
+        (None, None) => String::new(),
+        (Some(only), None) | (None, Some(only)) => format!("; the same mistake {only}"),
+        (Some(here), Some(elsewhere)) => format!("; the same mistake {here} and {elsewhere}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(code: Code, line: usize, message: &str, hint: &str) -> (Finding, String) {
+        let mut finding = Finding::about_file(code, "s.yaml", message.into(), "a name", Some(hint.into()));
+        finding.line = line;
+        (finding, String::new())
+    }
+
+    fn messages(findings: Vec<(Finding, String)>) -> Vec<String> {
+        join(findings).into_iter().map(|finding| finding.message).collect()
+    }
+
+    #[test]
+    fn a_name_that_is_misspelt_again_and_again_is_one_finding_with_all_lines() {
+        let typo = |line| found(Code::UnknownMove, line, "no move `wvae`", "did you mean `wave`?");
+        assert_eq!(messages(vec![typo(3)]), ["no move `wvae`"]);
+        assert_eq!(messages(vec![typo(3), typo(7)]), ["no move `wvae`; the same mistake in line 7"]);
+        let all = vec![typo(3), typo(3), typo(4), typo(4), typo(9)];
+        let expected = "no move `wvae`; the same mistake again in this line and in lines 4 and 9";
+        assert_eq!(messages(all), [expected]);
+        let many = "no move `wvae`; the same mistake in 9 other lines (2, 3, 4 and 6 more)";
+        assert_eq!(messages((1..11).map(typo).collect()), [many]);
+    }
+
+    #[test]
+    fn the_places_of_joined_findings_are_related_to_the_first_one() {
+        let mut first = found(Code::UnknownMove, 3, "no move `wvae`", "did you mean `wave`?");
+        let mut second = found(Code::UnknownMove, 7, "no move `wvae`", "did you mean `wave`?");
+        (first.0.column, second.0.column, second.0.width) = (4, 9, 4);
+        second.0.source_line = "move: wvae".into();
+        let joined = join(vec![first, second]);
+        let expected = Related {
+            line: 7,
+            column: 9,
+            width: 4,
+            message: "the same mistake".into(),
+            source_line: "move: wvae".into(),
+            is_repeat: true,
+        };
+        assert_eq!(joined[0].related, [expected]);
+        let result = &crate::sarif::sarif(&joined)["runs"][0]["results"][0];
+        let region = &result["relatedLocations"][0]["physicalLocation"]["region"];
+        assert_eq!(*region, serde_json::json!({"startLine": 7, "startColumn": 9, "endColumn": 13}));
+        // People read the line in the message: the text shows only the first place.
+        let text = crate::render::render(&joined, false);
+        assert!(text.contains("; the same mistake in line 7") && !text.contains("move: wvae"), "{text}");
+    }
+
+    #[test]
+    fn numbers_written_in_one_wrong_way_are_one_mistake_and_names_are_not() {
+        let time = |line, value| {
+            found(Code::BadDuration, line, &format!("the time {value} has no unit"), &format!("`{value}s`"))
+        };
+        let expected = "the time 0 has no unit; the same mistake in lines 2 and 3";
+        assert_eq!(messages(vec![time(1, "0"), time(2, "1.5"), time(3, "20")]), [expected]);
+        let robot = |line, name| found(Code::UnknownRobot, line, &format!("no robot `{name}`"), "none");
+        assert_eq!(messages(vec![robot(1, "cf1"), robot(2, "cf2")]).len(), 2);
+        let missing = |line| found(Code::MissingKey, line, "a cue has no `robots`", "none");
+        assert_eq!(messages(vec![missing(1), missing(2)]).len(), 2);
+    }
+}

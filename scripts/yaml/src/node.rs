@@ -1,0 +1,200 @@
+//! A YAML document as a tree that keeps what a user may have done wrong: duplicate keys, wrong kinds, foreign tags.
+//! Read by serde_yaml, whose limit on nesting bounds it; `rows` spares it long runs of keyframes, `aliases` bounds aliases.
+
+mod rows;
+
+use std::fmt;
+
+use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
+
+pub use rows::{EASES, Items, Row, Rows, Width};
+
+use crate::aliases;
+use crate::composed::compose_text;
+use crate::finding::{Code, Finding};
+use crate::shown::shortened;
+use crate::source::{BYTE_ORDER_MARK, Source};
+use crate::syntax::syntax_finding;
+
+/// Any YAML value.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Node {
+    /// Nothing.
+    Null,
+    /// `true` or `false`.
+    Bool(bool),
+    /// A number.
+    Number(f64),
+    /// Text.
+    Text(String),
+    /// A list.
+    List(Items),
+    /// A map, in the order of the file; a key may occur more than once.
+    Map(Vec<(String, Node)>),
+    /// A value with this tag, which is not read.
+    Tagged(String),
+}
+
+impl Node {
+    /// What it is, for messages.
+    pub fn kind(&self) -> String {
+        match self {
+            Self::Null => "nothing".into(),
+            Self::Bool(value) => format!("the truth value {value}"),
+            Self::Number(value) => format!("the number {value}"),
+            Self::Text(text) => format!("the text `{}`", shortened(text)),
+            Self::List(_) => "a list".into(),
+            Self::Map(_) => "a map".into(),
+            Self::Tagged(tag) => format!("a value with the tag `{}`", shortened(tag)),
+        }
+    }
+
+    /// Composes all keys and texts of the tree, but for long runs of keyframes, in which there is no name.
+    pub fn compose(&mut self) {
+        match self {
+            Self::Text(text) => compose_text(text),
+            Self::List(items) => items.nodes_mut().iter_mut().for_each(Self::compose),
+            Self::Map(entries) => {
+                for (key, value) in entries {
+                    compose_text(key);
+                    value.compose();
+                }
+            }
+            Self::Null | Self::Bool(_) | Self::Number(_) | Self::Tagged(_) => {}
+        }
+    }
+}
+
+/// Reads a whole file as one document.
+///
+/// # Errors
+/// A finding of kind [`Code::Syntax`] with the place where the text stops being YAML.
+pub fn parse(source: &Source) -> Result<Node, Finding> {
+    let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
+    let says_nothing = |line: &str| ["", "---", "..."].contains(&line) || line.starts_with('#');
+    if text.lines().all(|line| says_nothing(line.trim())) {
+        return Err(empty(source));
+    }
+    let condensed = rows::condense(text);
+    let left = condensed.as_ref().map_or(text, |condensed| condensed.text.as_str());
+    if let Some(finding) = aliases::check(source, left) {
+        return Err(finding);
+    }
+    let root = condensed.and_then(|condensed| {
+        let root = serde_yaml::from_str(&condensed.text).ok()?;
+        condensed.restore(root, aliases::ALIASED_MAX)
+    });
+    root.map_or_else(|| parse_whole(source), Ok)
+}
+
+fn empty(source: &Source) -> Finding {
+    let message = match source.text.contains('#') {
+        true => "the file has comments only",
+        false => "the file is empty",
+    };
+    let hint = "`downbeat init first-show` writes a scenario, a fleet and a robot to begin with".to_owned();
+    Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
+}
+
+/// The same by the library alone.
+pub fn parse_whole(source: &Source) -> Result<Node, Finding> {
+    let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
+    if let Some(finding) = aliases::check(source, text) {
+        return Err(finding);
+    }
+    serde_yaml::from_str(text).map_err(|error| syntax_finding(source, &error))
+}
+
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(NodeVisitor)
+    }
+}
+
+struct NodeVisitor;
+
+#[expect(clippy::cast_precision_loss, reason = "all numbers of the language are doubles")]
+impl<'de> Visitor<'de> for NodeVisitor {
+    type Value = Node;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("any YAML value")
+    }
+
+    fn visit_unit<E: de::Error>(self) -> Result<Node, E> {
+        Ok(Node::Null)
+    }
+
+    fn visit_bool<E: de::Error>(self, value: bool) -> Result<Node, E> {
+        Ok(Node::Bool(value))
+    }
+
+    fn visit_u64<E: de::Error>(self, value: u64) -> Result<Node, E> {
+        Ok(Node::Number(value as f64))
+    }
+
+    fn visit_i64<E: de::Error>(self, value: i64) -> Result<Node, E> {
+        Ok(Node::Number(value as f64))
+    }
+
+    fn visit_u128<E: de::Error>(self, value: u128) -> Result<Node, E> {
+        Ok(Node::Number(value as f64))
+    }
+
+    fn visit_i128<E: de::Error>(self, value: i128) -> Result<Node, E> {
+        Ok(Node::Number(value as f64))
+    }
+
+    fn visit_f64<E: de::Error>(self, value: f64) -> Result<Node, E> {
+        Ok(Node::Number(value))
+    }
+
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<Node, E> {
+        Ok(Node::Text(text.to_owned()))
+    }
+
+    fn visit_string<E: de::Error>(self, text: String) -> Result<Node, E> {
+        Ok(Node::Text(text))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Node, A::Error> {
+        let mut list = Vec::new();
+        while let Some(node) = seq.next_element()? {
+            list.push(node);
+        }
+        Ok(Node::List(Items::Nodes(list)))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Node, A::Error> {
+        let mut entries = Vec::new();
+        while let Some(Key(key)) = map.next_key()? {
+            entries.push((key, map.next_value()?));
+        }
+        Ok(Node::Map(entries))
+    }
+
+    fn visit_enum<A: EnumAccess<'de>>(self, data: A) -> Result<Node, A::Error> {
+        let (tag, content) = data.variant::<String>()?;
+        content.newtype_variant::<de::IgnoredAny>()?;
+        Ok(Node::Tagged(tag))
+    }
+}
+
+/// A key as the text that is there; keys that are no scalars become one that is unknown everywhere.
+struct Key(String);
+
+impl<'de> Deserialize<'de> for Key {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(Self(match Node::deserialize(deserializer)? {
+            Node::Text(text) => text,
+            Node::Number(value) => value.to_string(),
+            Node::Bool(value) => value.to_string(),
+            Node::Null => "null".into(),
+            // `{{ x }}`
+            Node::Map(entries) if matches!(entries.as_slice(), [(_, Node::Null)]) => {
+                format!("{{{}}}", entries[0].0)
+            }
+            other => other.kind(),
+        }))
+    }
+}

@@ -1,0 +1,96 @@
+//! Runs cut out of a text, and put back into the tree of what is left.
+
+use std::sync::Arc;
+
+use super::run::{Run, Start, next_start};
+use super::{Items, Rows};
+use crate::node::Node;
+
+/// Shorter runs are left to the library.
+const ROWS_MIN: usize = 8;
+/// Stands around the number of a run; texts that contain it are left to the library.
+const MARK: char = '\u{e000}';
+
+/// A text without its runs, and the runs.
+pub struct Condensed {
+    pub text: String,
+    runs: Vec<Arc<Rows>>,
+}
+
+/// Cuts the runs out; none if there is nothing to cut.
+pub fn condense(text: &str) -> Option<Condensed> {
+    if text.contains(MARK) {
+        return None;
+    }
+    let mut condensed = Condensed { text: String::new(), runs: Vec::new() };
+    let (mut at, mut kept) = (0, 0);
+    while let Some(start @ Start { from, .. }) = next_start(text, at) {
+        let mut run = Run::new(text, &start);
+        let end = run.read();
+        if run.rows.count() < ROWS_MIN {
+            at = from + 1;
+            continue;
+        }
+        run.rows.shrink();
+        condensed.text.push_str(&text[kept..from]);
+        condensed.text.push_str(&format!("\"{MARK}{}{MARK}\"", condensed.runs.len()));
+        condensed.runs.push(Arc::new(run.rows));
+        (at, kept) = (end, end);
+    }
+    condensed.text.push_str(&text[kept..]);
+    (!condensed.runs.is_empty()).then_some(condensed)
+}
+
+impl Condensed {
+    /// Puts the runs into the tree of the text that is left. None if one of them did not stand where items stand, or aliases
+    /// multiply them to more than this many values more than there are.
+    pub fn restore(&self, mut root: Node, aliased_max: usize) -> Option<Node> {
+        let mut used = vec![0; self.runs.len()];
+        self.put_back(&mut root, &mut used)?;
+        let again = |(run, used): (&Arc<Rows>, &usize)| run.count().saturating_mul(used.saturating_sub(1));
+        let aliased = self.runs.iter().zip(&used).map(again).fold(0, usize::saturating_add);
+        (!used.contains(&0) && aliased <= aliased_max).then_some(root)
+    }
+
+    fn put_back(&self, node: &mut Node, used: &mut [usize]) -> Option<()> {
+        match node {
+            Node::Text(text) | Node::Tagged(text) if text.contains(MARK) => None,
+            Node::Map(entries) => entries.iter_mut().try_for_each(|(key, node)| {
+                (!key.contains(MARK)).then_some(())?;
+                self.put_back(node, used)
+            }),
+            Node::List(Items::Nodes(nodes)) => {
+                if let [only] = nodes.as_slice()
+                    && let Some(run) = self.run(only, used)
+                {
+                    *node = Node::List(Items::Rows(run));
+                    return Some(());
+                }
+                self.put_back_among(nodes, used)
+            }
+            _ => Some(()),
+        }
+    }
+
+    /// Puts back the rows of a list that has other items as well.
+    fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
+        if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
+            let mut all = Vec::with_capacity(nodes.len());
+            for node in std::mem::take(nodes) {
+                match self.run(&node, used) {
+                    Some(run) => all.extend((0..run.count()).map(|row| run.node(row))),
+                    None => all.push(node),
+                }
+            }
+            *nodes = all;
+        }
+        nodes.iter_mut().try_for_each(|node| self.put_back(node, used))
+    }
+
+    fn run(&self, node: &Node, used: &mut [usize]) -> Option<Arc<Rows>> {
+        let Node::Text(text) = node else { return None };
+        let index: usize = text.strip_prefix(MARK)?.strip_suffix(MARK)?.parse().ok()?;
+        *used.get_mut(index)? += 1;
+        Some(self.runs.get(index)?.clone())
+    }
+}

@@ -1,0 +1,166 @@
+//! Long runs of plain keyframes, such as `- {at: 40ms, to: 12.5, ease: smooth}`, read without a tree of the YAML library, which
+//! takes a kilobyte for each.
+//!
+//! Every run is cut out of the text and a marker put in its place. The library reads what is left. A run counts only if its
+//! marker comes back as an item of a list: then the run stood where items stand, and not in a text or a comment. In all
+//! other cases the whole text is read by the library alone, so that nothing is read otherwise than it would be by itself.
+
+mod condense;
+mod run;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Deref;
+use std::sync::{Arc, OnceLock};
+
+use urrcp::Span;
+
+use crate::duration::written;
+use crate::node::Node;
+
+pub use condense::condense;
+
+/// The items of a list. Those of a long run of keyframes become nodes only where they are looked at.
+#[derive(Clone, Debug)]
+pub enum Items {
+    /// As nodes.
+    Nodes(Vec<Node>),
+    /// A long run of keyframes.
+    Rows(Arc<Rows>),
+}
+
+impl Items {
+    /// Its nodes, but for long runs of keyframes, in which there is no name.
+    pub fn nodes_mut(&mut self) -> &mut [Node] {
+        match self {
+            Self::Nodes(nodes) => nodes,
+            Self::Rows(_) => &mut [],
+        }
+    }
+}
+
+impl Deref for Items {
+    type Target = [Node];
+
+    fn deref(&self) -> &[Node] {
+        match self {
+            Self::Nodes(nodes) => nodes,
+            Self::Rows(rows) => {
+                rows.nodes.get_or_init(|| (0..rows.count()).map(|row| rows.node(row)).collect())
+            }
+        }
+    }
+}
+
+impl PartialEq for Items {
+    fn eq(&self, other: &Self) -> bool {
+        **self == **other
+    }
+}
+
+impl<'a> IntoIterator for &'a Items {
+    type Item = &'a Node;
+    type IntoIter = std::slice::Iter<'a, Node>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+/// Words after `ease:` that a row may have. A keyframe with another one is read as an ordinary node, so this list may lack an easing.
+pub const EASES: [&str; 4] = ["linear", "smooth", "cubic", "step"];
+
+/// Keyframes of one device, each with as many values.
+#[derive(Debug, Default)]
+pub struct Rows {
+    times: Vec<Span>,
+    /// Those of each row one after another.
+    pub(super) values: Vec<f64>,
+    pub(super) width: Width,
+    /// The position of the easing of each row in [`EASES`]; empty if no row has one.
+    eases: Vec<Option<u8>>,
+    nodes: OnceLock<Vec<Node>>,
+}
+
+/// How the values of a row are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Width {
+    /// A single number.
+    #[default]
+    One,
+    /// A list of this many.
+    List(usize),
+}
+
+impl Width {
+    /// How many values a row has.
+    pub fn count(self) -> usize {
+        match self {
+            Self::One => 1,
+            Self::List(count) => count,
+        }
+    }
+}
+
+/// One keyframe.
+#[derive(Clone, Copy, Debug)]
+pub struct Row<'a> {
+    /// Its time.
+    pub at: Span,
+    /// Its values.
+    pub values: &'a [f64],
+    /// One of [`EASES`].
+    pub ease: Option<&'static str>,
+}
+
+impl Rows {
+    /// The number of rows.
+    pub fn count(&self) -> usize {
+        self.times.len()
+    }
+
+    /// How the values of its rows are written.
+    pub fn width(&self) -> Width {
+        self.width
+    }
+
+    /// The rows from the first on.
+    pub fn iter(&self) -> impl Iterator<Item = Row<'_>> {
+        (0..self.count()).map(|row| self.row(row))
+    }
+
+    fn row(&self, row: usize) -> Row<'_> {
+        let width = self.width.count();
+        Row {
+            at: self.times[row],
+            values: &self.values[row * width..(row + 1) * width],
+            ease: self.eases.get(row).copied().flatten().map(|ease| EASES[usize::from(ease)]),
+        }
+    }
+
+    pub(super) fn node(&self, row: usize) -> Node {
+        let Row { at, values, ease } = self.row(row);
+        let number = |value: &f64| Node::Number(*value);
+        let to = match self.width {
+            Width::One => number(&values[0]),
+            Width::List(_) => Node::List(Items::Nodes(values.iter().map(number).collect())),
+        };
+        let mut entries = vec![("at".to_owned(), Node::Text(written(at))), ("to".to_owned(), to)];
+        entries.extend(ease.map(|word| ("ease".to_owned(), Node::Text(word.to_owned()))));
+        Node::Map(entries)
+    }
+
+    pub(super) fn push(&mut self, at: Span, ease: Option<u8>) {
+        if ease.is_some() || !self.eases.is_empty() {
+            self.eases.resize(self.times.len(), None);
+            self.eases.push(ease);
+        }
+        self.times.push(at);
+    }
+
+    pub(super) fn shrink(&mut self) {
+        self.times.shrink_to_fit();
+        self.values.shrink_to_fit();
+        self.eases.shrink_to_fit();
+    }
+}

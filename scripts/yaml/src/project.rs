@@ -1,0 +1,243 @@
+//! The project: the folder in which the files lie that scenarios and fleets name. A file that comes from someone else cannot have
+//! others read, nor quoted in findings, by naming them.
+
+use std::ffi::OsStr;
+use std::fs::Metadata;
+use std::io;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use crate::composed::is_same;
+use crate::finding::{Code, Finding};
+use crate::open::open_regular;
+use crate::source::{Source, bytes_of, refused};
+
+/// A folder with everything below it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Project {
+    /// Without links.
+    root: PathBuf,
+}
+
+impl Project {
+    /// The project of a file that the user has named: the nearest folder above it that has `.git`, or else `fleet.yaml`, or
+    /// else its own folder. Folders of other users, folders to which every user can write, and the home folder are no projects
+    /// of files below them.
+    #[must_use]
+    pub fn of(file: &Path) -> Self {
+        Self::of_folder(folder_of(file))
+    }
+
+    /// The project of a folder, found like that of a file in it.
+    #[must_use]
+    pub fn of_folder(folder: &Path) -> Self {
+        let Ok(own) = real(folder) else {
+            // Nothing is found there either.
+            return Self { root: std::path::absolute(folder).unwrap_or_else(|_| folder.to_path_buf()) };
+        };
+        let Ok(owned) = own.metadata() else { return Self { root: own } };
+        let home = std::env::home_dir().and_then(|home| home.canonicalize().ok());
+        let may_hold = |above: &&Path| {
+            let same = |above: Metadata| above.uid() == owned.uid() && above.mode() & 0o002 == 0;
+            **above == own || Some(*above) != home.as_deref() && above.metadata().is_ok_and(same)
+        };
+        let above: Vec<&Path> = own.ancestors().take_while(may_hold).collect();
+        let with = |mark: &str| above.iter().find(|folder| folder.join(mark).symlink_metadata().is_ok());
+        let root = with(".git").or_else(|| with("fleet.yaml")).map(|root| root.to_path_buf());
+        Self { root: root.unwrap_or(own) }
+    }
+
+    /// The project that the user names.
+    ///
+    /// # Errors
+    /// There is no such folder.
+    pub fn within(folder: &Path) -> io::Result<Self> {
+        let root = real(folder)?;
+        match root.is_dir() {
+            true => Ok(Self { root }),
+            false => Err(io::ErrorKind::NotADirectory.into()),
+        }
+    }
+
+    /// Its folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Whether a path leads to something in this folder.
+    #[must_use]
+    pub fn holds(&self, path: &Path) -> bool {
+        path.canonicalize().is_ok_and(|real| real.starts_with(&self.root))
+    }
+
+    /// Reads a file that another file names.
+    ///
+    /// # Errors
+    /// A finding when it lies outside or leads there by links, and when it cannot be read.
+    pub fn read(&self, path: &Path) -> Result<Source, Finding> {
+        Source::of_bytes(&path.display().to_string(), self.read_bytes(path)?)
+    }
+
+    /// The same for a file that need not be text.
+    pub fn read_bytes(&self, path: &Path) -> Result<Vec<u8>, Finding> {
+        let real = self.real(path)?;
+        let file = open_regular(&real).map_err(|error| refused(path, &error))?;
+        bytes_of(path, file)
+    }
+
+    /// Where a path leads without links, if that is in this folder.
+    fn real(&self, path: &Path) -> Result<PathBuf, Finding> {
+        match path.canonicalize() {
+            Ok(real) if real.starts_with(&self.root) => Ok(real),
+            Ok(_) => Err(outside(path)),
+            // What names another folder has are not told either.
+            Err(error) => match existing(path).filter(|existing| existing.starts_with(&self.root)) {
+                Some(folder) => self.respelled(&folder, path).ok_or_else(|| refused(path, &error)),
+                None => Err(outside(path)),
+            },
+        }
+    }
+}
+
+impl Project {
+    /// A file whose name differs in the encoding of its letters alone, in a folder of the project.
+    fn respelled(&self, folder: &Path, path: &Path) -> Option<PathBuf> {
+        let name = path.file_name()?.to_str().filter(|name| !name.is_ascii())?;
+        if path.parent().and_then(|parent| real(parent).ok())? != *folder {
+            return None;
+        }
+        let alike = |entry: &PathBuf| {
+            entry.file_name().and_then(OsStr::to_str).is_some_and(|other| is_same(name, other))
+        };
+        let found = folder.read_dir().ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(alike)?;
+        found.canonicalize().ok().filter(|real| real.starts_with(&self.root))
+    }
+}
+
+/// The folder that a file is named in.
+pub fn folder_of(file: &Path) -> &Path {
+    file.parent().unwrap_or(Path::new(""))
+}
+
+fn real(folder: &Path) -> io::Result<PathBuf> {
+    let here = folder.as_os_str() == OsStr::new("");
+    if here { Path::new(".").canonicalize() } else { folder.canonicalize() }
+}
+
+/// The nearest folder above a path that exists.
+fn existing(path: &Path) -> Option<PathBuf> {
+    path.ancestors().skip(1).find_map(|above| real(above).ok())
+}
+
+fn outside(path: &Path) -> Finding {
+    let name = path.display().to_string();
+    if path.is_dir() || path.as_os_str().is_empty() {
+        let message = "this is a folder".to_owned();
+        return Finding::about_file(Code::OutsideProject, &name, message, "the name of a file", None);
+    }
+    let message = "this file is outside the project".to_owned();
+    let hint = "move it into the project, or name a folder that holds both with `--project DIR`".to_owned();
+    Finding::about_file(Code::OutsideProject, &name, message, EXPECTED, Some(hint))
+}
+
+/// What a project is, for messages.
+const EXPECTED: &str = "a file below the nearest folder with `.git`, or else with `fleet.yaml`, or else in the folder of this file";
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    use super::*;
+
+    struct Stage(tempfile::TempDir);
+
+    impl Stage {
+        /// These files, each with its name as its text; names with a slash at the end are folders.
+        fn of(names: &[&str]) -> Self {
+            let stage = Self(tempfile::tempdir().unwrap());
+            for name in names {
+                let path = stage.0.path().join(name);
+                match name.ends_with('/') {
+                    true => std::fs::create_dir_all(path).unwrap(),
+                    false => {
+                        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                        std::fs::write(path, name).unwrap();
+                    }
+                }
+            }
+            stage
+        }
+
+        fn path(&self, name: &str) -> PathBuf {
+            self.0.path().canonicalize().unwrap().join(name)
+        }
+
+        #[track_caller]
+        fn check(&self, file: &str, root: &str) {
+            let root = self.path(root).components().collect::<PathBuf>();
+            assert_eq!(Project::of(&self.path(file)).root(), root);
+        }
+    }
+
+    #[test]
+    fn a_repository_is_a_project_or_else_the_folder_of_a_fleet_or_else_the_folder_of_the_file() {
+        let stage = Stage::of(&[
+            "a/fleet.yaml",
+            "a/shows/x.yaml",
+            "b/.git/",
+            "b/c/fleet.yaml",
+            "b/c/d/x.yaml",
+            "e/f/x.yaml",
+        ]);
+        stage.check("a/shows/x.yaml", "a");
+        stage.check("b/c/d/x.yaml", "b");
+        stage.check("e/f/x.yaml", "e/f");
+    }
+
+    #[test]
+    fn a_folder_to_which_every_user_writes_is_no_project_of_those_below() {
+        let stage = Stage::of(&["t/.git/", "t/show/x.yaml"]);
+        stage.check("t/show/x.yaml", "t");
+        std::fs::set_permissions(stage.path("t"), std::fs::Permissions::from_mode(0o1777)).unwrap();
+        stage.check("t/show/x.yaml", "t/show");
+    }
+
+    #[test]
+    fn the_folder_of_another_user_is_no_project() {
+        let stage = Stage::of(&["t/.git/", "t/show/x.yaml"]);
+        if !rustix::process::geteuid().is_root() {
+            // Only root can give a folder away.
+            return;
+        }
+        std::os::unix::fs::chown(stage.path("t"), Some(65_534), None).unwrap();
+        stage.check("t/show/x.yaml", "t/show");
+    }
+
+    #[test]
+    fn what_leads_outside_is_not_read_whether_it_exists_or_not() {
+        let stage = Stage::of(&["in/x.yaml", "in/deep/y.yaml", "out/secret"]);
+        symlink(stage.path("out/secret"), stage.path("in/link")).unwrap();
+        symlink(stage.path("out"), stage.path("in/folder")).unwrap();
+        symlink("deep/y.yaml", stage.path("in/inner")).unwrap();
+        let project = Project::of(&stage.path("in/x.yaml"));
+        let code = |name: &str| project.read(&stage.path(name)).map_err(|finding| finding.code);
+        for name in [
+            "out/secret",
+            "in/../out/secret",
+            "in/link",
+            "in/folder/secret",
+            "out/none",
+            "in/folder/none",
+            "in/../none",
+        ] {
+            assert_eq!(code(name).unwrap_err(), Code::OutsideProject, "{name}");
+        }
+        assert_eq!(code("in/inner").unwrap().text, "in/deep/y.yaml");
+        assert_eq!(code("in/deep/../x.yaml").unwrap().text, "in/x.yaml");
+        assert_eq!(code("in/none").unwrap_err(), Code::Unreadable);
+        assert_eq!(code("in/none/none").unwrap_err(), Code::Unreadable);
+        let wide = Project::within(&stage.path("")).unwrap();
+        assert_eq!(wide.read(&stage.path("in/link")).unwrap().text, "out/secret");
+    }
+}

@@ -1,0 +1,150 @@
+//! Files as they are read: bounded in size, UTF-8.
+
+use std::fs::File;
+use std::io::{self, ErrorKind, Read};
+use std::path::Path;
+
+use crate::finding::{Code, Finding, did_you_mean};
+use crate::formats;
+use crate::open::open;
+use crate::refusal::{Attempt, Refusal};
+
+/// Largest file that is read, in bytes: 64 MiB.
+pub const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
+
+/// Names of a folder that are compared with one that is not there.
+const SIMILAR_MAX: usize = 1_000;
+
+/// The character with which some editors begin a file.
+pub const BYTE_ORDER_MARK: char = '\u{feff}';
+const BYTE_ORDER_MARK_BYTES: &[u8] = &[0xef, 0xbb, 0xbf];
+
+/// The text of a file with the name by which the user knows it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Source {
+    /// For messages.
+    pub name: String,
+    /// The text.
+    pub text: String,
+}
+
+impl Source {
+    /// Reads a file of at most 64 MiB that the user has named: a regular file, or a pipe of the user's shell.
+    ///
+    /// # Errors
+    /// A finding when it cannot be read, is larger, or is not UTF-8 text.
+    pub fn read(path: &Path) -> Result<Self, Finding> {
+        Self::of_bytes(&path.display().to_string(), read_bytes(path)?)
+    }
+
+    /// The text that some bytes are.
+    ///
+    /// # Errors
+    /// A finding when they are not UTF-8 text.
+    pub fn of_bytes(name: &str, mut bytes: Vec<u8>) -> Result<Self, Finding> {
+        // Some editors begin a file with a mark of its byte order, which says nothing here.
+        if bytes.starts_with(BYTE_ORDER_MARK_BYTES) {
+            bytes.drain(..BYTE_ORDER_MARK_BYTES.len());
+        }
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let valid = error.utf8_error().valid_up_to();
+            not_text(name, error.as_bytes(), valid)
+        })?;
+        Ok(Self { name: name.to_owned(), text })
+    }
+}
+
+/// A file whose bytes are text up to here only.
+fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
+    let in_excel = if name.ends_with(".csv") { "; in Excel, as `CSV UTF-8`" } else { "" };
+    let save = || format!("save the file with the encoding UTF-8{in_excel}");
+    let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
+    let (message, hint) = match formats::binary(bytes) {
+        Some(what) => {
+            let hint = formats::importing(name).unwrap_or_else(|| "name a text file".to_owned());
+            (format!("this is {what}, not a text file"), hint)
+        }
+        None if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") => {
+            ("the encoding of this file is UTF-16".to_owned(), save())
+        }
+        None if bytes.contains(&0) => {
+            // A CSV would be text.
+            let import = formats::importing(name).filter(|_| !name.ends_with(".csv"));
+            ("this is not a text file".to_owned(), import.unwrap_or_else(|| "name a text file".to_owned()))
+        }
+        None => (format!("line {line} has a character that is not encoded in UTF-8"), save()),
+    };
+    Finding::about_file(Code::Unreadable, name, message, "a text file in UTF-8", Some(hint))
+}
+
+/// The file of the same folder that was probably meant.
+fn similar(path: &Path) -> Option<String> {
+    let wanted = path.file_name()?.to_str()?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).ok()?.take(SIMILAR_MAX).filter_map(Result::ok);
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    names.sort();
+    let with_ending =
+        names.iter().find(|name| Path::new(name).file_stem().is_some_and(|stem| stem == wanted));
+    match with_ending {
+        Some(name) => Some(format!("did you mean `{}`?", path.with_file_name(name).display())),
+        None => {
+            let question = did_you_mean(wanted, names.iter().map(String::as_str))?;
+            let name = question.split('`').nth(1)?;
+            Some(format!("did you mean `{}`?", path.with_file_name(name).display()))
+        }
+    }
+}
+
+/// The bytes of a file of at most 64 MiB that the user has named, or a finding when it cannot be read or is larger.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
+    bytes_of(path, open(path).map_err(|error| refused(path, &error))?)
+}
+
+/// The bytes of a file of at most 64 MiB. `path` is for messages.
+pub fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
+    let refused = |error| refused(path, &error);
+    let size = file.metadata().map_err(refused)?.len();
+    let too_large = |size: u64| {
+        let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
+        unreadable(path, message, Some("split it into several files".to_owned()))
+    };
+    if size > FILE_BYTES_MAX {
+        return Err(too_large(size));
+    }
+    let mut bytes = Vec::new();
+    // A pipe has no size to ask for beforehand.
+    file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(refused)?;
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        return Err(too_large(bytes.len() as u64));
+    }
+    Ok(bytes)
+}
+
+/// The finding for a file that cannot be opened or read.
+pub fn refused(path: &Path, error: &io::Error) -> Finding {
+    if error.kind() == ErrorKind::IsADirectory {
+        let hint = Some("name a file in it".to_owned());
+        return unreadable(path, "this is a folder, not a file".to_owned(), hint);
+    }
+    let Refusal { reason, remedy } = Refusal::of(Attempt::Read(path), error);
+    let hint = remedy.or_else(|| similar(path).filter(|_| error.kind() == ErrorKind::NotFound));
+    unreadable(path, reason, hint)
+}
+
+fn unreadable(path: &Path, message: String, hint: Option<String>) -> Finding {
+    Finding::about_file(Code::Unreadable, &path.display().to_string(), message, "a readable file", hint)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_order_mark_is_no_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("show.yaml");
+        std::fs::write(&path, "\u{feff}scenario: show\n").unwrap();
+        assert_eq!(Source::read(&path).unwrap().text, "scenario: show\n");
+    }
+}

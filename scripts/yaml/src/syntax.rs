@@ -1,0 +1,275 @@
+//! Where a text stops being YAML, in words for people who do not know the grammar of YAML.
+
+use crate::finding::{Code, Finding};
+use crate::render::{line_of, line_starts};
+use crate::shown::shortened;
+use crate::source::{BYTE_ORDER_MARK, Source};
+
+/// The finding for a text that the YAML library refuses.
+pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
+    let whole = error.to_string();
+    let end = whole.find(" at line ").unwrap_or(whole.len());
+    let message = shortened_to(&whole[..end], 300);
+    let mut finding = Finding::about_file(Code::Syntax, &source.name, message, "one YAML document", None);
+    if let Some(at) = error.location() {
+        (finding.line, finding.column) = line_and_column(&source.text, at.index());
+        finding.width = 1;
+        explain(&mut finding, &whole, &source.text);
+        finding.source_line = line_of(&source.text, finding.line).to_owned();
+    }
+    if let Some(hint) = slip(source, &mut finding) {
+        finding.hint = Some(hint);
+    } else if whole.contains("repetition limit") {
+        finding.hint = Some("the aliases stand for too much: use fewer of them".into());
+    } else if whole.contains("recursion limit") {
+        finding.hint = Some("nothing here nests deeper than a handful of levels".into());
+    } else if whole.contains("more than one document") {
+        several_documents(source, &mut finding);
+    }
+    finding
+}
+
+/// The second document is where the first `---` after anything else is.
+fn several_documents(source: &Source, finding: &mut Finding) {
+    "the file has more than one document".clone_into(&mut finding.message);
+    finding.hint = Some("keep one document per file: remove the `---` between them".into());
+    let says_nothing =
+        |line: &str| line.trim().is_empty() || line.starts_with(['#', '%']) || line.starts_with("---");
+    let mut lines = source.text.lines().enumerate().skip_while(|(_, line)| says_nothing(line));
+    if let Some((index, line)) = lines.find(|(_, line)| line.starts_with("---")) {
+        (finding.line, finding.column, finding.width) = (index + 1, 1, 3);
+        line.clone_into(&mut finding.source_line);
+    }
+}
+
+/// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
+fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
+    let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
+    if marked {
+        let hint = "a byte order mark stands within the file, as where two files were joined: remove it";
+        return Some(hint.to_owned());
+    }
+    let place = finding.line;
+    let near = || {
+        [place, place.saturating_sub(1)]
+            .into_iter()
+            .filter(|line| *line > 0)
+            .map(|line| line_of(&source.text, line))
+    };
+    let indented = |line: &str| line[..line.len() - line.trim_start().len()].contains('\t');
+    if near().any(indented) {
+        "a tab indents this line".clone_into(&mut finding.message);
+        "spaces".clone_into(&mut finding.expected);
+        return Some("YAML is indented by spaces: replace each tab by some".to_owned());
+    }
+    if near().any(|line| line.contains(NO_BREAK_SPACE)) {
+        "this line has a no-break space, as web pages do".clone_into(&mut finding.message);
+        "spaces of the keyboard".clone_into(&mut finding.expected);
+        return Some("type the spaces of this line again".to_owned());
+    }
+    if let Some(name) = near().find_map(braced) {
+        "braces around the name of a variable".clone_into(&mut finding.message);
+        "a variable such as `$a`".clone_into(&mut finding.expected);
+        return Some(format!("write `${name}`"));
+    }
+    let entry = |line: &'_ str| line.trim_start().trim_start_matches("- ").to_owned();
+    if let Some(hint) = near().find_map(|line| without_space_at_all(&entry(line))) {
+        if finding.message == NO_COLON {
+            "there is no space after the colon".clone_into(&mut finding.message);
+        }
+        return Some(hint);
+    }
+    let line = entry(line_of(&source.text, place.max(1)));
+    let (key, value) = line.split_once(' ').filter(|_| finding.message == NO_COLON)?;
+    let value = value.trim_start_matches(['=', ':', ' ']);
+    Some(format!("write a colon after the key: `{}: {}`", shortened(key), shortened(value.trim())))
+}
+
+const NO_BREAK_SPACE: char = '\u{a0}';
+
+/// The name in `${name}`.
+fn braced(line: &str) -> Option<&str> {
+    let (_, rest) = line.split_once("${")?;
+    let name = &rest[..rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len())];
+    (!name.is_empty()).then_some(name)
+}
+
+/// A hint for `at:0s`, which YAML reads as one word.
+pub fn without_space(key: &str, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(':')?;
+    known.contains(&name.trim()).then(|| spaced(name, rest))
+}
+
+/// A hint for the key `to 30` without a value, where the colon is missing.
+pub fn without_colon(key: &str, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(' ')?;
+    known
+        .contains(&name)
+        .then(|| format!("write a colon after the key: `{name}: {}`", shortened(rest.trim())))
+}
+
+/// The same where any word may be the key.
+pub fn without_space_at_all(text: &str) -> Option<String> {
+    let (name, rest) = text.split_once(':')?;
+    let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
+    let joined = rest.starts_with(|c: char| !c.is_whitespace());
+    (word && joined).then(|| spaced(name, rest))
+}
+
+fn spaced(name: &str, rest: &str) -> String {
+    let value = rest.split_whitespace().next().unwrap_or_default();
+    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
+}
+
+/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
+fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
+    let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
+    let (line, start) =
+        line_starts(text).take_while(|start| *start <= byte).enumerate().last().unwrap_or((0, 0));
+    (line + 1, text[start..byte].chars().count() + 1)
+}
+
+fn shortened_to(text: &str, chars: usize) -> String {
+    text.chars().take(chars).collect()
+}
+
+const NO_COLON: &str = "this line has no colon";
+
+/// Where the parser began to read what it could not finish: `while parsing a flow sequence at line 8 column 17`.
+struct Begun<'a> {
+    what: &'a str,
+    line: usize,
+    column: usize,
+}
+
+impl<'a> Begun<'a> {
+    fn of(whole: &'a str, text: &str) -> Option<Self> {
+        let (_, context) = whole.rsplit_once(", while ")?;
+        let (what, place) = context.split_once(" at line ")?;
+        let (line, column) = place.split_once(" column ")?;
+        let byte = byte_of(text, line.parse().ok()?, column.parse().ok()?);
+        let (line, column) = line_and_column(text, byte);
+        Some(Self { what, line, column })
+    }
+}
+
+/// The byte offset of a position that the parser reports. The parser ends lines at more characters than editors do.
+fn byte_of(text: &str, line: usize, column: usize) -> usize {
+    let ends = |c: char| matches!(c, '\n' | '\r' | '\u{85}' | '\u{2028}' | '\u{2029}');
+    let mut start = 0;
+    for _ in 1..line {
+        let Some(at) = text[start..].find(ends) else { break };
+        let rest = &text[start + at..];
+        start +=
+            at + if rest.starts_with("\r\n") { 2 } else { rest.chars().next().map_or(0, char::len_utf8) };
+    }
+    let ahead = text[start..].chars().take(column.saturating_sub(1)).map(char::len_utf8);
+    start + ahead.sum::<usize>()
+}
+
+/// The key of the line above, and its column from 1, if that has a value already and this line is indented deeper.
+fn deeper_than(text: &str, number: usize) -> Option<(&str, usize)> {
+    let indented = |line: &str| line.chars().take_while(|c| *c == ' ').count();
+    let line = line_of(text, number);
+    let above = (1..number).rev().map(|above| line_of(text, above)).find(|above| !above.trim().is_empty())?;
+    let entry = above.trim_start_matches([' ', '-']);
+    let column = above.len() - entry.len();
+    let (key, value) = entry.split_once(": ")?;
+    let is_plain = !value.trim().is_empty() && !value.trim_start().starts_with(['|', '>', '#', '&', '!']);
+    (is_plain && indented(line) > column).then_some((key, column + 1))
+}
+
+fn too_deep(finding: &mut Finding, line: &str, key: &str, column: usize) {
+    let key = shortened(key);
+    finding.message = format!("this line is indented deeper than `{key}`, which has a value already");
+    finding.expected = format!("{} ahead of it", crate::render::counted(column - 1, "space"));
+    finding.hint = Some(format!("indent it as far as `{key}`"));
+    finding.column = line.len() - line.trim_start().len() + 1;
+}
+
+/// A colon within a value, or a map that begins on the line of its key.
+fn second_colon(finding: &mut Finding, line: &str) {
+    "a second colon in one line".clone_into(&mut finding.message);
+    "one key and its value".clone_into(&mut finding.expected);
+    let entry = line.trim_start().trim_start_matches("- ");
+    let Some((key, value)) = entry.split_once(": ") else { return };
+    let inner = value.trim();
+    let is_map = inner.ends_with(':') || inner.contains(": [") || inner.contains(": {");
+    finding.hint = Some(match is_map {
+        true => format!("begin a new line after `{key}:`, and indent it deeper"),
+        false => format!("write the value in quotation marks: `{key}: \"{}\"`", shortened(inner)),
+    });
+}
+
+/// What begins with an asterisk is an alias.
+fn unknown_alias(finding: &mut Finding, line: &str) {
+    "an asterisk begins the name of an alias, and nothing has this name".clone_into(&mut finding.message);
+    "a value that begins with another character".clone_into(&mut finding.expected);
+    let rest = line.split_once('*').map_or("", |(_, rest)| rest);
+    let name = rest.split([',', ']', '}', '#']).next().unwrap_or_default().trim();
+    finding.hint = Some(match name {
+        "" => "name each robot or group, as in `[left, right]`".to_owned(),
+        name => format!("write `{0}`, or `\"*{0}\"` if the asterisk belongs to it", shortened(name)),
+    });
+}
+
+/// Puts the parser's complaint at the place to be corrected, in plain words with a hint.
+fn explain(finding: &mut Finding, whole: &str, text: &str) {
+    let line = line_of(text, finding.line);
+    if whole.starts_with("mapping values are not allowed") {
+        return match deeper_than(text, finding.line) {
+            Some((key, column)) => too_deep(finding, line, key, column),
+            None => second_colon(finding, line),
+        };
+    }
+    if whole.starts_with("unknown anchor") || whole.contains("while scanning an alias") {
+        return unknown_alias(finding, line);
+    }
+    let Some(begun) = Begun::of(whole, text) else { return };
+    let opened = match begun.what {
+        "parsing a flow sequence" => Some(("[", "]")),
+        "parsing a flow mapping" => Some(("{", "}")),
+        _ => None,
+    };
+    let (message, expected, hint) = if let Some((open, close)) = opened {
+        if begun.line == finding.line {
+            let hint = format!("separate entries by commas, and close the bracket with `{close}`");
+            finding.message = format!("an entry within `{open}` does not end here");
+            (None, format!("`,` or `{close}`"), hint)
+        } else {
+            let message = format!("the bracket `{open}` is never closed");
+            (
+                Some(message),
+                format!("a `{close}` that closes it"),
+                format!("add `{close}` where the list ends"),
+            )
+        }
+    } else if begun.what == "scanning a quoted scalar" {
+        let message = "the quotation mark is never closed".to_owned();
+        (
+            Some(message),
+            "a second quotation mark".to_owned(),
+            "add the quotation mark at the end of the text".to_owned(),
+        )
+    } else if begun.what == "scanning a simple key" {
+        let message = NO_COLON.to_owned();
+        (
+            Some(message),
+            "a key, a colon and a value".to_owned(),
+            "write the key, a colon, a space and the value".to_owned(),
+        )
+    } else if begun.what.starts_with("parsing a block") {
+        let message = "this line is not indented like the lines to which it belongs".to_owned();
+        let hint = "indent it like the line above, or deeper if it belongs to that line".to_owned();
+        finding.message = message;
+        (None, "the indentation of its neighbours".to_owned(), hint)
+    } else {
+        return;
+    };
+    if let Some(message) = message {
+        finding.message = message;
+        (finding.line, finding.column) = (begun.line, begun.column);
+    }
+    finding.expected = expected;
+    finding.hint = Some(hint);
+}
