@@ -13,7 +13,7 @@
 //! The modules are layers: none imports one above it. From the bottom:
 //!
 //! 1. `downbeat-yaml`, a crate: trees, places and findings.
-//! 2. `exact`, `music`, `expression`, `fit`, `motion`: values, and the steps of movements.
+//! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
 //! 3. `space`, `formation`, `transit`: bodies, places, and ways between them.
 //! 4. `scope`, `fields`: reads values of a tree, with `slips` for hints.
 //! 5. `init`, `import`, `fleet`: robots, and files of other tools.
@@ -23,15 +23,11 @@
 
 mod address;
 mod approach;
-mod chance;
 mod clock_time;
 mod compile;
 mod ensemble;
-mod exact;
 pub mod export;
-mod expression;
 mod fields;
-pub mod fit;
 mod fleet;
 mod formation;
 mod home;
@@ -41,8 +37,6 @@ mod inventory;
 mod keys;
 #[cfg(test)]
 mod known;
-mod motion;
-mod music;
 mod plan;
 mod refill;
 mod rehearse;
@@ -56,6 +50,8 @@ mod space;
 mod transit;
 mod world;
 
+pub use downbeat_motion::fit;
+use downbeat_motion::{chance, exact, expression, motion, music};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{

@@ -62,6 +62,7 @@ fn no_module_imports_one_that_imports_it() {
         "protocol/src",
         "robot/src",
         "scripts/yaml/src",
+        "scripts/motion/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

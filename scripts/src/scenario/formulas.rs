@@ -31,7 +31,7 @@ pub(super) fn moved(
     let exact = positive_time(reader, &length)?;
     let formula = formula?;
     let length = reader.music.start.lay(exact);
-    if !reader.evaluations.take(formula.len().saturating_mul(LOOKS)) {
+    if !reader.evaluations.take(formula.steps().saturating_mul(LOOKS)) {
         return None;
     }
     match pieces(&formula, length) {

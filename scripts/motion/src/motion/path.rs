@@ -31,7 +31,7 @@ const GAUSS: [(f64, f64); 5] = [
 /// interpolation): it neither stops nor has corners. It is then divided finely, and each part is the cubic with the same places
 /// and directions at its ends, as a function of the distance along the path. Open ones are straight at both ends.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Path {
+pub struct Path {
     /// What it goes through, x, y and z in metres: it follows from that, and from whether it is closed.
     points: Vec<[f64; 3]>,
     closed: bool,
@@ -48,9 +48,12 @@ pub(crate) struct Path {
 
 /// What a path moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Along {
+pub enum Along {
+    /// The first coordinate.
     X,
+    /// The second coordinate.
     Y,
+    /// The third coordinate.
     Z,
     /// The direction over the ground, in turns from x to y; of a closed path it goes on from lap to lap.
     Heading,
@@ -58,8 +61,8 @@ pub(crate) enum Along {
 
 /// A path that would turn back on the spot at one of its points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct TurnsBack {
-    pub(crate) point: usize,
+pub struct TurnsBack {
+    pub point: usize,
 }
 
 impl Path {
@@ -67,7 +70,7 @@ impl Path {
     ///
     /// # Errors
     /// The path would turn back on the spot.
-    pub(crate) fn through(points: &[[f64; 3]], closed: bool) -> Result<Self, TurnsBack> {
+    pub fn through(points: &[[f64; 3]], closed: bool) -> Result<Self, TurnsBack> {
         let (around, pieces) = if closed { (AROUND, points.len()) } else { (0, points.len() - 1) };
         let count = points.len();
         let all: Vec<[f64; 3]> = match closed {
@@ -95,32 +98,32 @@ impl Path {
     }
 
     /// In metres; of a closed path that of a lap.
-    pub(crate) fn length(&self) -> f64 {
+    pub fn length(&self) -> f64 {
         self.far.last().copied().unwrap_or(0.0)
     }
 
     /// How far along the path a point of it is, in metres.
-    pub(crate) fn far_of(&self, point: usize) -> f64 {
+    pub fn far_of(&self, point: usize) -> f64 {
         self.far.get(point * PARTS).copied().unwrap_or_else(|| self.length())
     }
 
     /// What it goes through, x, y and z in metres.
-    pub(crate) fn points(&self) -> &[[f64; 3]] {
+    pub fn points(&self) -> &[[f64; 3]] {
         &self.points
     }
 
     /// Whether it leads back to its first point.
-    pub(crate) const fn is_closed(&self) -> bool {
+    pub const fn is_closed(&self) -> bool {
         self.closed
     }
 
     /// Whether it is nowhere so steep that it has no direction over the ground.
-    pub(crate) const fn has_heading(&self) -> bool {
+    pub const fn has_heading(&self) -> bool {
         self.has_heading
     }
 
     /// The value so far along the path, and its first two derivatives by metres. A closed path goes on in laps.
-    pub(crate) fn jet(&self, along: Along, metres: f64) -> [f64; 3] {
+    pub fn jet(&self, along: Along, metres: f64) -> [f64; 3] {
         let length = self.length();
         let laps = if self.closed { (metres / length).floor() } else { 0.0 };
         let metres = metres - laps * length;
@@ -140,7 +143,7 @@ impl Path {
     }
 
     /// Bounds of the first two derivatives by metres.
-    pub(crate) const fn bounds(&self, along: Along) -> (f64, f64) {
+    pub const fn bounds(&self, along: Along) -> (f64, f64) {
         self.bounds[along as usize]
     }
 

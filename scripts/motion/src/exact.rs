@@ -16,59 +16,62 @@ const COARSE_BITS: u32 = 20;
 ///
 /// Sums whose fractions exceed 128 bits are off by less than a millionth of a nanosecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Exact(Ratio<i128>);
+pub struct Exact(Ratio<i128>);
 
 /// Any other number, as a fraction.
-pub(crate) type Fraction = Ratio<i128>;
+pub type Fraction = Ratio<i128>;
 
 impl Exact {
-    pub(crate) const ZERO: Self = Self(Ratio::ZERO);
+    /// Nothing.
+    pub const ZERO: Self = Self(Ratio::ZERO);
 
     /// So many times a length.
-    pub(crate) fn times(self, count: Fraction) -> Self {
+    pub fn times(self, count: Fraction) -> Self {
         let approximate = || near(to_f64(self.0) * to_f64(count));
         Self(self.0.checked_mul(&count).unwrap_or_else(approximate))
     }
 
     /// How many lengths of another make this one. None if the other is zero.
-    pub(crate) fn divided_by(self, other: Self) -> Option<Fraction> {
+    pub fn divided_by(self, other: Self) -> Option<Fraction> {
         let approximate = || near(to_f64(self.0) / to_f64(other.0));
         (other != Self::ZERO).then(|| self.0.checked_div(&other.0).unwrap_or_else(approximate))
     }
 
-    pub(crate) fn plus(self, other: Self) -> Self {
+    /// The sum.
+    pub fn plus(self, other: Self) -> Self {
         if self.0.is_integer() && other.0.is_integer() {
             return Self(Ratio::from_integer(self.0.numer().saturating_add(*other.0.numer())));
         }
         Self(sum(self.0, other.0))
     }
 
-    pub(crate) fn minus(self, other: Self) -> Self {
+    /// The difference.
+    pub fn minus(self, other: Self) -> Self {
         self.plus(Self(-other.0))
     }
 
     /// So many nanoseconds.
-    pub(crate) const fn of_nanos(nanos: Fraction) -> Self {
+    pub const fn of_nanos(nanos: Fraction) -> Self {
         Self(nanos)
     }
 
     /// In nanoseconds.
-    pub(crate) const fn nanos(self) -> Fraction {
+    pub const fn nanos(self) -> Fraction {
         self.0
     }
 
     /// In seconds.
-    pub(crate) fn seconds(self) -> f64 {
+    pub fn seconds(self) -> f64 {
         to_f64(self.0) / 1e9
     }
 
     /// The last whole nanosecond that is no later.
-    pub(crate) fn rounded_down(self) -> Span {
+    pub fn rounded_down(self) -> Span {
         Span::from_nanos(saturated(self.0.numer().div_euclid(*self.0.denom())))
     }
 
     /// The nearest whole nanosecond, of two the later.
-    pub(crate) fn rounded(self) -> Span {
+    pub fn rounded(self) -> Span {
         self.plus(Self(Ratio::new_raw(1, 2))).rounded_down()
     }
 }
@@ -84,11 +87,11 @@ impl From<Span> for Exact {
 /// From a start that is known they end on the nearest nanosecond of the exact time, so that bars end where the next ones
 /// begin. From an unknown one they are rounded down: any number of lengths one after another ends no later than their sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Beginning(pub(crate) Option<Exact>);
+pub struct Beginning(pub Option<Exact>);
 
 impl Beginning {
     /// The time from the start until this much later.
-    pub(crate) fn lay(self, length: Exact) -> Span {
+    pub fn lay(self, length: Exact) -> Span {
         match self.0 {
             Some(start) if !length.0.is_integer() => start.plus(length).rounded() - start.rounded(),
             _ => length.rounded_down(),
@@ -98,19 +101,21 @@ impl Beginning {
 
 /// Equal lengths one after another, such as the turns of a movement that is repeated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Laps {
-    pub(crate) length: Exact,
-    pub(crate) from: Beginning,
+pub struct Laps {
+    /// The length of each.
+    pub length: Exact,
+    /// When the first one begins, where that is fixed.
+    pub from: Beginning,
 }
 
 impl Laps {
     /// When the lap of this number begins, counted from 0.
-    pub(crate) fn begin(&self, lap: u32) -> Span {
+    pub fn begin(&self, lap: u32) -> Span {
         self.within(lap, Exact::ZERO)
     }
 
     /// So much later than a lap begins.
-    pub(crate) fn within(&self, lap: u32, later: Exact) -> Span {
+    pub fn within(&self, lap: u32, later: Exact) -> Span {
         self.from.lay(self.length.times(Ratio::from_integer(i128::from(lap))).plus(later))
     }
 }
@@ -123,7 +128,7 @@ impl From<Span> for Laps {
 }
 
 /// A decimal number as written, such as `104.5`. None if it is anything else, is negative or has very many digits.
-pub(crate) fn decimal(text: &str) -> Option<Fraction> {
+pub fn decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
     if whole.len() + part.len() == 0 || !digits(whole) || !digits(part) || whole.len() > DECIMALS_MAX {
@@ -135,31 +140,31 @@ pub(crate) fn decimal(text: &str) -> Option<Fraction> {
 }
 
 /// A number of the language as it was written: doubles are shown by the shortest text that reads as the same one.
-pub(crate) fn fraction(value: f64) -> Fraction {
+pub fn fraction(value: f64) -> Fraction {
     decimal(&value.to_string()).unwrap_or_else(|| near(value))
 }
 
 /// The same of any sign; of very small and large numbers the nearest millionth.
-pub(crate) fn near_fraction(value: f64) -> Fraction {
+pub fn near_fraction(value: f64) -> Fraction {
     let size = decimal(&value.abs().to_string()).unwrap_or_else(|| near(value.abs()));
     if value < 0.0 { -size } else { size }
 }
 
 /// Whether a fraction lies within bounds.
-pub(crate) fn within(value: Fraction, least: i128, most: i128) -> bool {
+pub fn within(value: Fraction, least: i128, most: i128) -> bool {
     value.cmp(&Ratio::from_integer(least)) != Ordering::Less
         && value.cmp(&Ratio::from_integer(most)) != Ordering::Greater
 }
 
 /// As a double.
 #[expect(clippy::cast_precision_loss, reason = "rounded as doubles are")]
-pub(crate) fn to_f64(value: Fraction) -> f64 {
+pub fn to_f64(value: Fraction) -> f64 {
     let (whole, rest) = (value.numer() / value.denom(), value.numer() % value.denom());
     whole as f64 + rest as f64 / *value.denom() as f64
 }
 
 /// The sum, off by less than a millionth where it is too long for 128 bits.
-pub(crate) fn sum(a: Fraction, b: Fraction) -> Fraction {
+pub fn sum(a: Fraction, b: Fraction) -> Fraction {
     a.checked_add(&b).unwrap_or_else(|| coarse(a) + coarse(b))
 }
 

@@ -12,32 +12,38 @@ mod pieces;
 mod unit;
 
 use crate::exact::Fraction;
-use crate::finding::Code;
+use downbeat_yaml::finding::Code;
 
-pub(crate) use evaluate::{Known, evaluate};
-pub(crate) use formula::Formula;
-pub(crate) use grammar::{Expression, FUNCTIONS, Span, parse};
-pub(crate) use number::Num;
-pub(crate) use pieces::{Piece, Trouble, pieces, seconds_of};
-pub(crate) use unit::Unit;
+pub use evaluate::{Known, evaluate};
+pub use formula::Formula;
+pub use grammar::{Expression, FUNCTIONS, Span, parse};
+pub use number::Num;
+pub use pieces::{Piece, Trouble, pieces, seconds_of};
+pub use unit::Unit;
 
 /// What a written number is cut at; it has as many digits as a number may have.
 const DIGITS: i128 = 10i128.pow(17);
 
 /// What an expression may amount to.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Quantity {
+pub enum Quantity {
+    /// Whether something is true.
     Truth(bool),
+    /// A number with its unit.
     Amount(Amount),
 }
 
 /// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts as well.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Amount {
-    pub(crate) number: Num,
-    pub(crate) bars: Num,
-    pub(crate) beats: Num,
-    pub(crate) unit: Unit,
+pub struct Amount {
+    /// Everything but the musical parts.
+    pub number: Num,
+    /// Bars of a time.
+    pub bars: Num,
+    /// Beats of a time.
+    pub beats: Num,
+    /// The unit.
+    pub unit: Unit,
 }
 
 impl PartialEq for Amount {
@@ -51,15 +57,18 @@ impl PartialEq for Amount {
 }
 
 impl Amount {
-    pub(crate) const fn of(number: Num, unit: Unit) -> Self {
+    /// A number in a unit, without musical parts.
+    pub const fn of(number: Num, unit: Unit) -> Self {
         Self { number, bars: Num::ZERO, beats: Num::ZERO, unit }
     }
 
-    pub(crate) const fn musical(bars: Num, beats: Num) -> Self {
+    /// A musical time.
+    pub const fn musical(bars: Num, beats: Num) -> Self {
         Self { number: Num::ZERO, bars, beats, unit: Unit::TIME }
     }
 
-    pub(crate) fn is_musical(&self) -> bool {
+    /// Whether it has bars or beats.
+    pub fn is_musical(&self) -> bool {
         !self.bars.is_zero() || !self.beats.is_zero()
     }
 
@@ -69,7 +78,7 @@ impl Amount {
     }
 
     /// As an expression that amounts to the same.
-    pub(crate) fn written(&self) -> String {
+    pub fn written(&self) -> String {
         match self.unit {
             Unit::TIME => {}
             Unit::PERCENT => return format!("{} * 100%", fraction(self.number.as_fraction())),
@@ -89,7 +98,8 @@ impl Amount {
     }
 }
 
-pub(crate) fn fraction(value: Fraction) -> String {
+/// A fraction as an expression that is read as this fraction again.
+pub fn fraction(value: Fraction) -> String {
     let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
     match size.is_integer() {
         true => format!("({sign}{})", whole(*size.numer())),
@@ -107,40 +117,49 @@ fn whole(value: i128) -> String {
 
 /// What is wrong with an expression, and at which of its characters.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Fault {
-    pub(crate) span: Span,
-    pub(crate) code: Code,
-    pub(crate) message: String,
-    pub(crate) expected: String,
-    pub(crate) hint: Option<String>,
+pub struct Fault {
+    /// The characters at fault.
+    pub span: Span,
+    /// The kind of the finding.
+    pub code: Code,
+    /// What is wrong.
+    pub message: String,
+    /// What was expected.
+    pub expected: String,
+    /// How to fix it.
+    pub hint: Option<String>,
 }
 
 impl Fault {
-    pub(crate) fn new(span: Span, message: impl Into<String>, expected: impl Into<String>) -> Self {
+    /// A fault of the kind of expressions, without a hint.
+    pub fn new(span: Span, message: impl Into<String>, expected: impl Into<String>) -> Self {
         Self { span, code: Code::Expression, message: message.into(), expected: expected.into(), hint: None }
     }
 
     /// That something is wrong elsewhere, where it is told.
-    pub(crate) fn told(span: Span) -> Self {
+    pub fn told(span: Span) -> Self {
         Self::new(span, "", "")
     }
 
-    pub(crate) fn is_told(&self) -> bool {
+    /// Whether the fault is reported elsewhere.
+    pub fn is_told(&self) -> bool {
         self.message.is_empty()
     }
 
-    pub(crate) fn hint(self, hint: impl Into<String>) -> Self {
+    /// The same with a hint.
+    pub fn hint(self, hint: impl Into<String>) -> Self {
         Self { hint: Some(hint.into()), ..self }
     }
 
-    pub(crate) fn hint_or(self, hint: Option<String>) -> Self {
+    /// The same with this hint, or none.
+    pub fn hint_or(self, hint: Option<String>) -> Self {
         Self { hint, ..self }
     }
 }
 
 /// Whether a text is meant as an expression where a number, a time or a truth value is wanted: it has a variable, an operator or
 /// a bracket, or names a constant.
-pub(crate) fn is_one(text: &str) -> bool {
+pub fn is_one(text: &str) -> bool {
     let text = text.trim();
     let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'));
     let minus = text.get(1..).is_some_and(|rest| rest.contains('-'));
@@ -153,7 +172,7 @@ pub(crate) fn is_one(text: &str) -> bool {
 
 /// Whether the value of a variable or a parameter is an expression that has to be found at once, because it names others. Texts
 /// that only contain a `$` are texts.
-pub(crate) fn names_variables(text: &str) -> bool {
+pub fn names_variables(text: &str) -> bool {
     let text = text.trim();
     let names = text
         .match_indices('$')

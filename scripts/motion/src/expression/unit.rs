@@ -2,24 +2,30 @@
 
 /// A product of powers of time and angle, or a percentage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Unit {
-    pub(crate) time: i8,
+pub struct Unit {
+    /// The power of time.
+    pub time: i8,
     /// Of half turns: `pi`. Angles in degrees are plain numbers.
-    pub(crate) angle: i8,
-    pub(crate) percent: bool,
+    pub angle: i8,
+    /// Whether it is a percentage.
+    pub percent: bool,
 }
 
 /// Highest power of a time or an angle on the way to a result.
 const POWER_MAX: i8 = 8;
 
 impl Unit {
-    pub(crate) const PLAIN: Self = Self { time: 0, angle: 0, percent: false };
-    pub(crate) const TIME: Self = Self { time: 1, ..Self::PLAIN };
-    pub(crate) const ANGLE: Self = Self { angle: 1, ..Self::PLAIN };
-    pub(crate) const PERCENT: Self = Self { percent: true, ..Self::PLAIN };
+    /// A plain number.
+    pub const PLAIN: Self = Self { time: 0, angle: 0, percent: false };
+    /// Nanoseconds.
+    pub const TIME: Self = Self { time: 1, ..Self::PLAIN };
+    /// Half turns.
+    pub const ANGLE: Self = Self { angle: 1, ..Self::PLAIN };
+    /// A percentage, in parts of one.
+    pub const PERCENT: Self = Self { percent: true, ..Self::PLAIN };
 
     /// What it is, for messages.
-    pub(crate) const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match (self.time, self.angle, self.percent) {
             (0, 0, false) => "a plain number",
             (_, _, true) => "a percentage",
@@ -34,7 +40,7 @@ impl Unit {
     }
 
     /// Of a product. None where the powers become too high.
-    pub(crate) fn times(self, other: Self) -> Option<Self> {
+    pub fn times(self, other: Self) -> Option<Self> {
         match (self.percent, other.percent) {
             (true, _) => Some(other),
             (_, true) => Some(self),
@@ -43,7 +49,7 @@ impl Unit {
     }
 
     /// Of a quotient.
-    pub(crate) fn over(self, other: Self) -> Option<Self> {
+    pub fn over(self, other: Self) -> Option<Self> {
         match (self.percent, other.percent) {
             (true, true) => Some(Self::PLAIN),
             (true, false) if other == Self::PLAIN => Some(self),
@@ -57,7 +63,7 @@ impl Unit {
     }
 
     /// Why two cannot be added or compared, as a hint.
-    pub(crate) fn hint_of_two(self, other: Self) -> Option<&'static str> {
+    pub fn hint_of_two(self, other: Self) -> Option<&'static str> {
         let is = |unit: Self| self == unit || other == unit;
         match () {
             () if is(Self::PERCENT) => Some("a percentage is taken of something: `50% * 90`"),

@@ -1,7 +1,7 @@
 //! Cubic splines through points: one that begins and ends at rest, and the natural one.
 
 /// The polynomials between the points, each in s from 0 to 1: c0 + c1 s + c2 s^2 + c3 s^3.
-pub(crate) type Cubic = [f64; 4];
+pub type Cubic = [f64; 4];
 
 /// How a spline begins and ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,7 +16,7 @@ enum Ends {
 /// it has the least integral of the squared acceleration (de Boor, A Practical Guide to Splines, chapter IV). Slopes m_i
 /// at the points solve m_{i-1}/h_i + 2 m_i (1/h_i + 1/h_{i+1}) + m_{i+1}/h_{i+1} = 3 (d_i/h_i + d_{i+1}/h_{i+1}), with
 /// h the lengths of the intervals and d their mean slopes.
-pub(crate) fn spline(times: &[f64], values: &[f64]) -> Vec<Cubic> {
+pub fn spline(times: &[f64], values: &[f64]) -> Vec<Cubic> {
     between(times, values, &slopes(times, values, Ends::Rest))
 }
 

@@ -9,14 +9,16 @@ use crate::exact::{Exact, Laps};
 
 /// One length that becomes another, and everything in it with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Stretch {
-    pub(crate) from: Span,
-    pub(crate) to: Span,
+pub struct Stretch {
+    /// The length before.
+    pub from: Span,
+    /// The length after.
+    pub to: Span,
 }
 
 impl Stretch {
     /// To the nearest nanosecond, so that the whole length becomes exactly the other.
-    pub(crate) fn of(self, at: Span) -> Span {
+    pub fn of(self, at: Span) -> Span {
         let (from, to) = (i128::from(self.from.as_nanos()), i128::from(self.to.as_nanos()));
         if from == to || from <= 0 {
             return at;
@@ -28,30 +30,34 @@ impl Stretch {
 
 /// A movement over time, counted from its cue's start.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Curve {
+pub struct Curve {
     /// In order of time; two at one time are a jump.
-    pub(crate) knots: Vec<Knot>,
+    pub knots: Vec<Knot>,
     /// What [`Shape::Function`] refers to.
-    pub(crate) functions: Arc<[Function]>,
+    pub functions: Arc<[Function]>,
 }
 
 /// A value at a time, and the way there.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Knot {
-    pub(crate) at: Span,
-    pub(crate) to: f64,
-    pub(crate) shape: Shape,
+pub struct Knot {
+    /// Its time.
+    pub at: Span,
+    /// Its value.
+    pub to: f64,
+    /// The way to it.
+    pub shape: Shape,
     /// Which item of the list in the file it comes from.
-    pub(crate) item: u32,
+    pub item: u32,
 }
 
 /// The way to a knot from the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Shape {
+pub enum Shape {
     /// As the device moves by itself: linearly, or not at all until the knot's time.
     Own,
     /// The same backwards: a device that holds takes the knot's value at once.
     OwnReversed,
+    /// By an easing.
     Eased(Easing),
     /// The new value at once.
     Early,
@@ -61,20 +67,25 @@ pub(crate) enum Shape {
     Meets,
     /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
     Function {
+        /// Which of the functions of the curve.
         index: u32,
+        /// What the function is multiplied by.
         gain: f64,
+        /// What is added.
         offset: f64,
+        /// Whether s runs from 1 to 0.
         reversed: bool,
     },
 }
 
 /// The way between two samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Between {
+pub enum Between {
     /// As the device moves by itself.
     Own,
     /// The same backwards.
     OwnReversed,
+    /// Linearly.
     Linear,
     /// The old value until the next sample.
     Step,
@@ -96,12 +107,12 @@ impl Between {
 
 impl Shape {
     /// Whether the value at its end is in the file, or follows from one by scaling and mirroring.
-    pub(crate) fn is_written(self) -> bool {
+    pub fn is_written(self) -> bool {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }
 
     /// Whether devices need it to be fitted, more or less all of them.
-    pub(crate) fn is_fitted(self) -> bool {
+    pub fn is_fitted(self) -> bool {
         match self {
             Self::Function { .. } | Self::Sampled(_) => true,
             Self::Eased(easing) => !matches!(easing, Easing::Linear | Easing::Step),
@@ -150,26 +161,27 @@ impl Knot {
 
 impl Curve {
     /// Knots with the functions that they refer to.
-    pub(crate) fn new(knots: Vec<Knot>, functions: Vec<Function>) -> Self {
+    pub fn new(knots: Vec<Knot>, functions: Vec<Function>) -> Self {
         Self { knots, functions: functions.into() }
     }
 
     /// How much memory it takes, in knots.
-    pub(crate) fn size(&self) -> usize {
+    pub fn size(&self) -> usize {
         let coefficients = |function: &Function| match function {
             Function::Polynomial(coefficients) => coefficients.len(),
             Function::Sine { .. } | Function::Swept(_) => 0,
-            Function::Formula(part) => part.formula.len(),
+            Function::Formula(part) => part.formula.steps(),
         };
         self.knots.len() + self.functions.iter().map(|function| 1 + coefficients(function) / 6).sum::<usize>()
     }
 
-    pub(crate) fn length(&self) -> Span {
+    /// The time of the last knot.
+    pub fn length(&self) -> Span {
         self.knots.last().map_or(Span::ZERO, |knot| knot.at)
     }
 
     /// value = about + factor * (value - about)
-    pub(crate) fn scale(&mut self, about: f64, factor: f64) {
+    pub fn scale(&mut self, about: f64, factor: f64) {
         let shift = about - factor * about;
         for knot in &mut self.knots {
             knot.to = factor * knot.to + shift;
@@ -178,7 +190,7 @@ impl Curve {
     }
 
     /// All times of a curve that begins at `starts`, so that one length becomes another.
-    pub(crate) fn stretch(&mut self, stretch: Stretch, starts: Span) {
+    pub fn stretch(&mut self, stretch: Stretch, starts: Span) {
         let begin = stretch.of(starts);
         for knot in &mut self.knots {
             knot.at = stretch.of(starts + knot.at) - begin;
@@ -187,7 +199,7 @@ impl Curve {
 
     /// Several movements one after another, each with the time from which its own times count and the number of its first item.
     /// Until the next one begins the last value stays; where two do not meet, there is a jump.
-    pub(crate) fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
+    pub fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
         let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
         for (curve, begin, item) in parts {
             let Some(first) = curve.knots.first() else { continue };
@@ -213,7 +225,7 @@ impl Curve {
     }
 
     /// Backwards within a time of `length`, which is no shorter than the movement.
-    pub(crate) fn reverse(&mut self, length: Span) {
+    pub fn reverse(&mut self, length: Span) {
         let shapes: Vec<_> = self.knots.iter().map(|knot| knot.shape).collect();
         self.knots.reverse();
         for (index, knot) in self.knots.iter_mut().enumerate() {
@@ -227,7 +239,7 @@ impl Curve {
 
     /// The movement, which lasts `length` before it is laid on the clock, `times` times, a new one every lap. Where it does not end as
     /// it begins, it jumps.
-    pub(crate) fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
+    pub fn repeat(&mut self, times: u32, laps: &Laps, length: Exact) {
         let cycle = laps.begin(1);
         let once = self.knots.clone();
         let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
@@ -254,7 +266,7 @@ impl Curve {
     }
 
     /// How many knots repeating adds.
-    pub(crate) fn added_by_repeating(&self, times: u32, cycle: Span) -> usize {
+    pub fn added_by_repeating(&self, times: u32, cycle: Span) -> usize {
         let (Some(first), Some(last)) = (self.knots.first(), self.knots.last()) else { return 0 };
         let (waits, joined) = Self::seam(first, last, cycle);
         let turn = self.knots.len() - 1 + usize::from(waits) + usize::from(!joined);
@@ -268,7 +280,7 @@ impl Curve {
     }
 
     /// The largest speed and acceleration on the way to a knot, in units a second and a second squared, as bounds.
-    pub(crate) fn rates(&self, index: usize) -> (f64, f64) {
+    pub fn rates(&self, index: usize) -> (f64, f64) {
         let (Some(before), Some(knot)) =
             (index.checked_sub(1).and_then(|i| self.knots.get(i)), self.knots.get(index))
         else {
@@ -292,13 +304,13 @@ impl Curve {
     }
 
     /// The largest derivatives of each function, which many knots may share.
-    pub(crate) fn peaks(&self) -> Vec<(f64, f64)> {
+    pub fn peaks(&self) -> Vec<(f64, f64)> {
         self.functions.iter().map(Function::peak_rates).collect()
     }
 
     /// The largest speed and acceleration on the way to a knot, in units a second and a second squared: of easings exactly,
     /// of functions, whose [`Self::peaks`] are given, the largest of many samples.
-    pub(crate) fn peak_rates(&self, index: usize, peaks: &[(f64, f64)]) -> (f64, f64) {
+    pub fn peak_rates(&self, index: usize, peaks: &[(f64, f64)]) -> (f64, f64) {
         let Some(knot) = self.knots.get(index) else { return (0.0, 0.0) };
         let Shape::Function { index: function, gain, .. } = knot.shape else { return self.rates(index) };
         let (Some(before), Some((slope, curvature))) =
@@ -311,7 +323,7 @@ impl Curve {
     }
 
     /// The value on the way to a knot, s of the way there in time.
-    pub(crate) fn value(&self, index: usize, s: f64) -> f64 {
+    pub fn value(&self, index: usize, s: f64) -> f64 {
         let knot = &self.knots[index];
         let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);
         let change = knot.to - from;

@@ -7,18 +7,18 @@ struct Ranges(Vec<(f64, f64)>);
 
 /// A value that is held from one level on.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Run {
+pub struct Run {
     /// Index of the first level that it serves.
-    pub(crate) first: usize,
-    pub(crate) values: Vec<f64>,
+    pub first: usize,
+    pub values: Vec<f64>,
     /// The largest distance from a level.
-    pub(crate) worst: f64,
+    pub worst: f64,
 }
 
 /// The fewest runs. A level that no value on the grid is close enough to is a run of its own.
 ///
 /// Levels are lists of as many values each, `grid` is the nearest value that the device can take.
-pub(crate) fn runs<'l>(
+pub fn runs<'l>(
     levels: impl Iterator<Item = &'l [f64]>,
     grid: impl Fn(f64) -> f64,
     tolerance: f64,

@@ -8,7 +8,7 @@ use crate::chance::share;
 use crate::exact::Fraction;
 
 /// What an expression needs to know of the place where it stands.
-pub(crate) trait Known {
+pub trait Known {
     /// The value of a variable.
     fn variable(&mut self, name: &str, span: Span) -> Result<Quantity, Fault>;
 
@@ -19,7 +19,7 @@ pub(crate) trait Known {
 type Found = Result<Quantity, Fault>;
 
 /// Finds the value.
-pub(crate) fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
+pub fn evaluate(expression: &Expression, known: &mut dyn Known) -> Found {
     let mut stack: Vec<Found> = Vec::with_capacity(8);
     for (step, span) in &expression.steps {
         let mut pop = || stack.pop().unwrap_or_else(|| Err(incomplete(*span)));

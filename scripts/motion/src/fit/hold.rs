@@ -17,7 +17,7 @@ const PRECISION: f64 = 1e-6;
 const LEAST_ERROR: f64 = 0.01;
 
 /// A movement as a device that holds is to follow it, in nanoseconds from its beginning.
-pub(crate) struct Movement<'a> {
+pub struct Movement<'a> {
     /// The value of a smooth part at a time within it.
     value: &'a dyn Fn(usize, i64) -> f64,
     tolerance: f64,
@@ -27,9 +27,11 @@ pub(crate) struct Movement<'a> {
 
 /// Bounds of the first two derivatives, by seconds.
 #[derive(Clone, Copy)]
-pub(crate) struct Rates {
-    pub(crate) slope: f64,
-    pub(crate) curvature: f64,
+pub struct Rates {
+    /// The largest first derivative.
+    pub slope: f64,
+    /// The largest second derivative.
+    pub curvature: f64,
 }
 
 /// A time in which the value rises, falls or stays; it ends where the following one begins.
@@ -73,12 +75,12 @@ struct Question<'a> {
 
 impl<'a> Movement<'a> {
     /// `value`: that of a smooth part at a time.
-    pub(crate) fn new(value: &'a dyn Fn(usize, i64) -> f64, tolerance: f64) -> Self {
+    pub fn new(value: &'a dyn Fn(usize, i64) -> f64, tolerance: f64) -> Self {
         Self { value, tolerance, pieces: Vec::new(), end: 0 }
     }
 
     /// The value stays at a level until this time.
-    pub(crate) fn stay(&mut self, level: f64, until: i64) {
+    pub fn stay(&mut self, level: f64, until: i64) {
         if self.pieces.last().is_none_or(|last| last.part.is_some() || last.to != level) {
             self.pieces.push(Piece { begin: self.end, from: level, to: level, part: None });
         }
@@ -86,7 +88,7 @@ impl<'a> Movement<'a> {
     }
 
     /// The value follows a smooth part until this time. The part is halved until the value turns in none of its pieces.
-    pub(crate) fn follow(&mut self, part: usize, until: i64, rates: Rates) {
+    pub fn follow(&mut self, part: usize, until: i64, rates: Rates) {
         let sample = |at: i64| (at, (self.value)(part, at));
         let mut samples = vec![sample(self.end), sample(until)];
         loop {
@@ -134,13 +136,7 @@ impl<'a> Movement<'a> {
     ///
     /// # Errors
     /// The smallest tolerance that can be met with any number of steps.
-    pub(crate) fn fewest(
-        &self,
-        grid: Option<&Grid>,
-        ends: Ends,
-        written: f64,
-        most: usize,
-    ) -> Result<Fit, f64> {
+    pub fn fewest(&self, grid: Option<&Grid>, ends: Ends, written: f64, most: usize) -> Result<Fit, f64> {
         let lattice = grid.map(Lattice::new).transpose().map_err(|_| f64::INFINITY)?;
         let values = self.pieces.iter().flat_map(|piece| [piece.from, piece.to]);
         let values = values.chain(ends.first).chain(ends.last).chain([written]).map(f64::abs);

@@ -22,44 +22,49 @@ const SAMPLES_MIN: f64 = 16.0;
 
 /// The device as far as motion is concerned.
 #[derive(Clone, Copy)]
-pub(crate) struct Actuator<'a> {
-    pub(crate) interpolation: Interpolation,
-    pub(crate) control_type: ControlType,
-    pub(crate) limits: Option<&'a Limits>,
+pub struct Actuator<'a> {
+    /// How it moves between two steps.
+    pub interpolation: Interpolation,
+    /// What its steps set.
+    pub control_type: ControlType,
+    /// Its limits.
+    pub limits: Option<&'a Limits>,
     /// With more steps than this a movement is given up.
-    pub(crate) room: usize,
+    pub room: usize,
 }
 
 /// A value that a step sets, counted from the cue's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Value {
-    pub(crate) at: Span,
-    pub(crate) to: f64,
+pub struct Value {
+    /// The time of the step.
+    pub at: Span,
+    /// The value.
+    pub to: f64,
 }
 
 /// The steps of one movement on one device.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Fitted {
-    pub(crate) steps: Vec<Value>,
+pub struct Fitted {
+    pub steps: Vec<Value>,
     interpolation: Interpolation,
     /// The error of the last step, which may be taken back.
     last_off: f64,
     /// The largest difference from the movement as written, and when.
-    pub(crate) worst: f64,
-    pub(crate) worst_at: Span,
+    pub worst: f64,
+    pub worst_at: Span,
     /// No way of placing steps needs fewer.
-    pub(crate) at_least: usize,
+    pub at_least: usize,
     /// Where no steps keep to the tolerance, the least that could be kept to.
-    pub(crate) needed: Option<f64>,
+    pub needed: Option<f64>,
 }
 
 /// What has been fitted before: repeated movements are fitted once.
 #[derive(Default)]
-pub(crate) struct Fits(HashMap<Vec<u64>, Arc<Result<Fit, f64>>>);
+pub struct Fits(HashMap<Vec<u64>, Arc<Result<Fit, f64>>>);
 
 impl Fits {
     /// With what has been fitted elsewhere.
-    pub(crate) fn extend(&mut self, other: Self) {
+    pub fn extend(&mut self, other: Self) {
         self.0.extend(other.0);
     }
 }
@@ -84,14 +89,16 @@ enum Means {
 }
 
 /// A movement, and what the device is set to at its knots.
-pub(crate) struct Played<'a> {
-    pub(crate) curve: &'a Curve,
+pub struct Played<'a> {
+    /// The movement.
+    pub curve: &'a Curve,
     /// For each knot; empty if that is what is written.
     set: Vec<f64>,
 }
 
 impl<'a> Played<'a> {
-    pub(crate) fn new(curve: &'a Curve, set: Vec<f64>) -> Self {
+    /// A movement; `set` is empty if the device is set to what is written.
+    pub fn new(curve: &'a Curve, set: Vec<f64>) -> Self {
         Self { curve, set }
     }
 
@@ -100,7 +107,7 @@ impl<'a> Played<'a> {
     }
 
     /// The movement through what the device is set to.
-    pub(crate) fn as_set(&self) -> Cow<'a, Curve> {
+    pub fn as_set(&self) -> Cow<'a, Curve> {
         if self.set.is_empty() {
             return Cow::Borrowed(self.curve);
         }
@@ -119,12 +126,7 @@ struct Tracked<'a> {
 
 impl<'a> Actuator<'a> {
     /// `limits`: what its scripts can set.
-    pub(crate) fn new(
-        device: &Device,
-        control_type: ControlType,
-        limits: Option<&'a Limits>,
-        room: usize,
-    ) -> Self {
+    pub fn new(device: &Device, control_type: ControlType, limits: Option<&'a Limits>, room: usize) -> Self {
         Self { interpolation: device.interpolation, control_type, limits, room }
     }
 
@@ -133,7 +135,7 @@ impl<'a> Actuator<'a> {
     }
 
     /// Whether the first knot is reached by moving from wherever the device is.
-    pub(crate) fn moves_from_anywhere(&self, curve: &Curve) -> bool {
+    pub fn moves_from_anywhere(&self, curve: &Curve) -> bool {
         let first = curve.knots.first();
         first.is_some_and(|first| {
             first.at > Span::ZERO
@@ -143,7 +145,7 @@ impl<'a> Actuator<'a> {
     }
 
     /// Whether the first knot needs a value to begin from, and has none.
-    pub(crate) fn lacks_beginning(&self, curve: &Curve) -> bool {
+    pub fn lacks_beginning(&self, curve: &Curve) -> bool {
         let Some(first) = curve.knots.first() else { return false };
         let waits = match first.shape {
             Shape::Eased(Easing::Step) => true,
@@ -154,19 +156,13 @@ impl<'a> Actuator<'a> {
     }
 
     /// The error that is allowed by default: max_error, or one granularity if that is more.
-    pub(crate) fn tolerance(&self) -> f64 {
+    pub fn tolerance(&self) -> f64 {
         self.limits.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity))
     }
 
     /// The fewest steps within the tolerance. Keyframes that the device can play as they are stay as they are, unless
     /// `thinned` allows to leave some out.
-    pub(crate) fn steps(
-        &self,
-        played: &Played<'_>,
-        tolerance: f64,
-        thinned: bool,
-        fits: &mut Fits,
-    ) -> Fitted {
+    pub fn steps(&self, played: &Played<'_>, tolerance: f64, thinned: bool, fits: &mut Fits) -> Fitted {
         let knots = &played.curve.knots;
         let track = Tracked { played, tolerance, thinned };
         let mut fitted = Fitted::new(self.interpolation, knots.len().min(self.room));
@@ -276,7 +272,7 @@ impl<'a> Actuator<'a> {
 
     /// The smallest error with at most `most` steps, no smaller than the tolerance, by bisecting it; and that tolerance.
     /// With too few steps for anything, the fewest there can be.
-    pub(crate) fn least_error(
+    pub fn least_error(
         &self,
         played: &Played<'_>,
         tolerance: f64,
@@ -470,7 +466,7 @@ fn tidy_scale(granularity: f64) -> f64 {
 
 /// The nearest value to which a device can be set, in as few digits as it is sent; beyond the limits the nearest multiple of the
 /// granularity.
-pub(crate) fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
+pub fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
     let nearest = if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) };
     tidy(nearest, tidy_scale(limits.granularity))
 }

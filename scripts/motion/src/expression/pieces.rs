@@ -24,24 +24,28 @@ const VALUE_MAX: f64 = 1e12;
 
 /// A part of a formula from one time to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Piece {
-    pub(crate) begin: Span,
-    pub(crate) end: Span,
+pub struct Piece {
+    /// When it begins.
+    pub begin: Span,
+    /// When it ends.
+    pub end: Span,
     /// Largest slope in units a second, and its largest slope. None of a nanosecond or two with a corner or a jump.
-    pub(crate) rates: Option<(f64, f64)>,
+    pub rates: Option<(f64, f64)>,
     /// Bounds of its values.
     values: (f64, f64),
 }
 
 /// Why a formula is no movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Trouble {
+pub enum Trouble {
+    /// It has no value at this time.
     NoValue(Span),
+    /// It has more pieces than are tried.
     TooMany,
 }
 
 /// The pieces one after another.
-pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
+pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
     let whole = length.as_nanos();
     let mut done: Vec<Piece> = Vec::new();
     let mut left = vec![(0, whole)];
@@ -154,13 +158,13 @@ fn seconds(nanos: i64) -> f64 {
 }
 
 /// The same for all that looks at a formula: a time that is off by a rounding may lie behind a jump.
-pub(crate) fn seconds_of(time: Span) -> f64 {
+pub fn seconds_of(time: Span) -> f64 {
     seconds(time.as_nanos())
 }
 
 impl Formula {
     /// The largest slope a second and its slope at many places between two times in seconds.
-    pub(crate) fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
+    pub fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
         let at = |part: u32| {
             let time = from + (to - from) * f64::from(part) / 256.0;
             jet(self, (time, time)).map_or((0.0, 0.0), |jet| (jet.slope.largest(), jet.curvature.largest()))

@@ -2,7 +2,7 @@
 
 /// How a value is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Easing {
+pub enum Easing {
     /// s
     Linear,
     /// Minimum jerk, 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan, J. Neurosci. 5, 1985).
@@ -14,15 +14,17 @@ pub(crate) enum Easing {
 }
 
 impl Easing {
-    pub(crate) const WORDS: [(&'static str, Self); 4] =
+    /// The easings with their names in a scenario.
+    pub const WORDS: [(&'static str, Self); 4] =
         [("linear", Self::Linear), ("smooth", Self::Smooth), ("cubic", Self::Cubic), ("step", Self::Step)];
 
     /// The easing that has this name.
-    pub(crate) fn named(name: &str) -> Option<Self> {
+    pub fn named(name: &str) -> Option<Self> {
         Self::WORDS.iter().find(|(word, _)| *word == name).map(|(_, easing)| *easing)
     }
 
-    pub(crate) fn at(self, s: f64) -> f64 {
+    /// Its value at s.
+    pub fn at(self, s: f64) -> f64 {
         match self {
             Self::Linear => s,
             Self::Smooth => s * s * s * (10.0 + s * (6.0 * s - 15.0)),
@@ -32,7 +34,7 @@ impl Easing {
     }
 
     /// When [`Self::Smooth`] has a value from 0 to 1: by halving.
-    pub(crate) fn smooth_time(value: f64) -> f64 {
+    pub fn smooth_time(value: f64) -> f64 {
         let (mut early, mut late) = (0.0, 1.0);
         for _ in 0..50 {
             let middle = f64::midpoint(early, late);
@@ -42,7 +44,7 @@ impl Easing {
     }
 
     /// Largest slope for s from 0 to 1: at s = 1/2.
-    pub(crate) fn slope_max(self) -> f64 {
+    pub fn slope_max(self) -> f64 {
         match self {
             Self::Linear => 1.0,
             Self::Smooth => 1.875,
@@ -52,7 +54,7 @@ impl Easing {
     }
 
     /// Largest second derivative: of smooth 10/sqrt(3), at s = 1/2 +- sqrt(3)/6; of cubic 6, at the ends.
-    pub(crate) fn curvature_max(self) -> f64 {
+    pub fn curvature_max(self) -> f64 {
         match self {
             Self::Linear | Self::Step => 0.0,
             Self::Smooth => 10.0 / 1.732_050_807_568_877_2,
@@ -102,7 +104,7 @@ mod tests {
 
     #[test]
     fn every_word_of_a_row_names_an_easing() {
-        assert!(crate::node::EASES.iter().all(|word| Easing::named(word).is_some()));
+        assert!(downbeat_yaml::node::EASES.iter().all(|word| Easing::named(word).is_some()));
     }
 
     #[test]

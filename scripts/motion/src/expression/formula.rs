@@ -11,7 +11,7 @@ use crate::chance::share;
 
 /// A formula of the time in seconds since its track began.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Formula {
+pub struct Formula {
     pub(super) steps: Arc<[Operation]>,
 }
 
@@ -46,12 +46,12 @@ impl Kind {
 
 impl Formula {
     /// Whether chance has a part in it.
-    pub(crate) fn is_random(&self) -> bool {
+    pub fn is_random(&self) -> bool {
         self.steps.iter().any(|step| matches!(step, Operation::Random(_)))
     }
 
     /// With its variables put in.
-    pub(crate) fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
+    pub fn new(expression: &Expression, known: &mut dyn Known) -> Result<Self, Fault> {
         let mut maker = Maker { steps: Vec::with_capacity(expression.steps.len() + 1), kinds: Vec::new() };
         for (step, span) in &expression.steps {
             match step {
@@ -94,7 +94,7 @@ impl Formula {
     }
 
     /// The value after so many seconds; not a number where there is none.
-    pub(crate) fn at(&self, seconds: f64) -> f64 {
+    pub fn at(&self, seconds: f64) -> f64 {
         let mut stack: Vec<f64> = Vec::with_capacity(8);
         for step in self.steps.iter() {
             let mut pop = || stack.pop().unwrap_or(f64::NAN);
@@ -134,7 +134,7 @@ impl Formula {
     }
 
     /// Everything that it depends on.
-    pub(crate) fn key(&self) -> impl Iterator<Item = u64> {
+    pub fn key(&self) -> impl Iterator<Item = u64> {
         self.steps.iter().flat_map(|step| match *step {
             Operation::Constant(value) => [0, value.to_bits()],
             Operation::Time => [1, 0],
@@ -146,7 +146,8 @@ impl Formula {
         })
     }
 
-    pub(crate) fn len(&self) -> usize {
+    /// The number of steps of its evaluation.
+    pub fn steps(&self) -> usize {
         self.steps.len()
     }
 }

@@ -17,12 +17,12 @@ const fn mix(z: u64) -> u64 {
 
 /// One number for all of these: of a single one what SplitMix64 gives first with it as seed, of several that of the result for
 /// all but the last, plus the last.
-pub(crate) fn drawn(from: &[f64]) -> u64 {
+pub fn drawn(from: &[f64]) -> u64 {
     from.iter().fold(0, |state: u64, number| mix(state.wrapping_add(bits(*number)).wrapping_add(GAMMA)))
 }
 
 /// The same as a part of one, in units of 2^-53: from 0 to below 1.
-pub(crate) fn share(from: &[f64]) -> (u64, u64) {
+pub fn share(from: &[f64]) -> (u64, u64) {
     (drawn(from) >> (u64::BITS - DRAWN_BITS), 1 << DRAWN_BITS)
 }
 

@@ -11,10 +11,10 @@ mod held;
 mod path;
 mod spline;
 
-pub(crate) use actuator::{Actuator, Fits, Played, Value, nearest_on_grid};
-pub(crate) use curve::{Between, Curve, Knot, Shape, Stretch};
-pub(crate) use easing::Easing;
-pub(crate) use function::{Carried, FormulaPart, Function, Swept};
-pub(crate) use held::runs;
-pub(crate) use path::{Along, Path};
-pub(crate) use spline::spline;
+pub use actuator::{Actuator, Fits, Played, Value, nearest_on_grid};
+pub use curve::{Between, Curve, Knot, Shape, Stretch};
+pub use easing::Easing;
+pub use function::{Carried, FormulaPart, Function, Swept};
+pub use held::runs;
+pub use path::{Along, Path};
+pub use spline::spline;

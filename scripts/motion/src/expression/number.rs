@@ -11,28 +11,34 @@ const BITS_MAX: u32 = 110;
 
 /// A number.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Num {
+pub enum Num {
+    /// A fraction, without rounding.
     Exact(Fraction),
+    /// A rounded number.
     Real(f64),
 }
 
 impl Num {
-    pub(crate) const ZERO: Self = Self::Exact(Fraction::ZERO);
-    pub(crate) const ONE: Self = Self::Exact(Fraction::ONE);
+    /// Zero.
+    pub const ZERO: Self = Self::Exact(Fraction::ZERO);
+    /// One.
+    pub const ONE: Self = Self::Exact(Fraction::ONE);
 
     /// As it is written: doubles are shown by the shortest text that reads as the same one.
-    pub(crate) fn of(value: f64) -> Self {
+    pub fn of(value: f64) -> Self {
         match decimal(&value.abs().to_string()) {
             Some(size) => Self::Exact(if value < 0.0 { -size } else { size }),
             None => Self::Real(value),
         }
     }
 
-    pub(crate) fn whole(value: i128) -> Self {
+    /// A whole number.
+    pub fn whole(value: i128) -> Self {
         Self::kept(Fraction::from_integer(value))
     }
 
-    pub(crate) fn fraction(value: Fraction) -> Self {
+    /// A fraction.
+    pub fn fraction(value: Fraction) -> Self {
         Self::kept(value)
     }
 
@@ -46,7 +52,7 @@ impl Num {
 
     /// The nearest double.
     #[expect(clippy::cast_precision_loss, reason = "both are below 2^53, or rounded as doubles are")]
-    pub(crate) fn f64(self) -> f64 {
+    pub fn f64(self) -> f64 {
         match self {
             Self::Real(value) => value,
             Self::Exact(value) => {
@@ -60,21 +66,23 @@ impl Num {
     }
 
     /// As a fraction, of doubles the nearest one that is written with few digits.
-    pub(crate) fn as_fraction(self) -> Fraction {
+    pub fn as_fraction(self) -> Fraction {
         match self {
             Self::Exact(value) => value,
             Self::Real(value) => near_fraction(value),
         }
     }
 
-    pub(crate) fn is_zero(self) -> bool {
+    /// Whether it is zero.
+    pub fn is_zero(self) -> bool {
         match self {
             Self::Exact(value) => value.is_zero(),
             Self::Real(value) => value == 0.0,
         }
     }
 
-    pub(crate) fn is_finite(self) -> bool {
+    /// Whether it is finite.
+    pub fn is_finite(self) -> bool {
         self.f64().is_finite()
     }
 
@@ -92,52 +100,59 @@ impl Num {
         Self::Real(real(self.f64(), other.f64()))
     }
 
-    pub(crate) fn plus(self, other: Self) -> Self {
+    /// The sum.
+    pub fn plus(self, other: Self) -> Self {
         self.both(other, CheckedAdd::checked_add, |a, b| a + b)
     }
 
-    pub(crate) fn minus(self, other: Self) -> Self {
+    /// The difference.
+    pub fn minus(self, other: Self) -> Self {
         self.both(other, CheckedSub::checked_sub, |a, b| a - b)
     }
 
-    pub(crate) fn times(self, other: Self) -> Self {
+    /// The product.
+    pub fn times(self, other: Self) -> Self {
         self.both(other, CheckedMul::checked_mul, |a, b| a * b)
     }
 
     /// None if the other is zero.
-    pub(crate) fn over(self, other: Self) -> Option<Self> {
+    pub fn over(self, other: Self) -> Option<Self> {
         (!other.is_zero()).then(|| self.both(other, CheckedDiv::checked_div, |a, b| a / b))
     }
 
     /// What is left of it after as many whole others as fit, with the sign of the other. None if that is zero.
-    pub(crate) fn modulo(self, other: Self) -> Option<Self> {
+    pub fn modulo(self, other: Self) -> Option<Self> {
         Some(self.minus(other.times(self.over(other)?.floor())))
     }
 
-    pub(crate) fn negated(self) -> Self {
+    /// The number with the opposite sign.
+    pub fn negated(self) -> Self {
         Self::ZERO.minus(self)
     }
 
-    pub(crate) fn floor(self) -> Self {
+    /// The largest whole number that is not above it.
+    pub fn floor(self) -> Self {
         match self {
             Self::Exact(value) => Self::kept(value.floor()),
             Self::Real(value) => Self::Real(value.floor()),
         }
     }
 
-    pub(crate) fn ceil(self) -> Self {
+    /// The smallest whole number that is not below it.
+    pub fn ceil(self) -> Self {
         self.negated().floor().negated()
     }
 
     /// To the nearest whole number; halves away from zero.
-    pub(crate) fn round(self) -> Self {
+    pub fn round(self) -> Self {
         match self {
             Self::Exact(value) => Self::kept(value.round()),
             Self::Real(value) => Self::Real(value.round()),
         }
     }
 
-    pub(crate) fn compared(self, other: Self) -> Ordering {
+    /// The order of two numbers; by [`f64::total_cmp`] unless both are exact.
+    pub fn compared(self, other: Self) -> Ordering {
         match (self, other) {
             (Self::Exact(a), Self::Exact(b)) => a.cmp(&b),
             _ => self.f64().total_cmp(&other.f64()),
@@ -145,7 +160,7 @@ impl Num {
     }
 
     /// Exactly where the square root is a fraction.
-    pub(crate) fn square_root(self) -> Self {
+    pub fn square_root(self) -> Self {
         let root = self.f64().sqrt();
         let exact = Self::of(root);
         if exact.times(exact).compared(self).is_eq() { exact } else { Self::Real(root) }
@@ -153,7 +168,7 @@ impl Num {
 }
 
 /// The sine of an angle in degrees: exact where it is 0, a half or 1.
-pub(crate) fn sine(degrees: Num) -> Num {
+pub fn sine(degrees: Num) -> Num {
     let turn = Num::whole(360);
     let Some(within) = degrees.modulo(turn) else { return Num::ZERO };
     if let Num::Exact(value) = within

@@ -13,16 +13,18 @@ const MINUTE: Span = Span::from_millis(60_000);
 
 /// Tempo and time signature from some bar on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Section {
+pub struct Section {
     /// In bars from the beginning, 0 for bar 1.
-    pub(crate) bar: u32,
-    pub(crate) beats_a_minute: Fraction,
-    pub(crate) beats_a_bar: u8,
+    pub bar: u32,
+    /// The tempo.
+    pub beats_a_minute: Fraction,
+    /// The time signature.
+    pub beats_a_bar: u8,
 }
 
 /// The tempo of a whole act.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Tempo(Vec<Anchored>);
+pub struct Tempo(Vec<Anchored>);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchored {
@@ -46,7 +48,7 @@ impl Section {
 
 impl Tempo {
     /// From sections in order of their bars, the first at bar 1.
-    pub(crate) fn new(sections: &[Section]) -> Self {
+    pub fn new(sections: &[Section]) -> Self {
         let mut anchored: Vec<Anchored> = Vec::with_capacity(sections.len());
         for &section in sections {
             let (beat, at) = anchored.last().map_or((Fraction::ZERO, Exact::ZERO), |last| {
@@ -93,22 +95,27 @@ fn whole(number: u32) -> Fraction {
 
 /// How beats are counted at the place that is being read.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Music {
-    pub(crate) tempo: Option<Arc<Tempo>>,
+pub struct Music {
+    /// The tempo, where the scenario has one.
+    pub tempo: Option<Arc<Tempo>>,
     /// When the cue begins, where that is fixed.
-    pub(crate) start: Beginning,
+    pub start: Beginning,
 }
 
 /// Why a musical time has no length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Unmusical {
+pub enum Unmusical {
+    /// The scenario has no tempo.
     WithoutTempo,
+    /// The cue begins at a time that is not fixed.
     StartNotFixed,
+    /// It is a position in the music, not a length.
     Position,
 }
 
 impl Unmusical {
-    pub(crate) fn message(self, text: &str) -> String {
+    /// The message of the finding.
+    pub fn message(self, text: &str) -> String {
         match self {
             Self::WithoutTempo => format!("`{text}` is musical time, and the scenario has no tempo"),
             Self::StartNotFixed => format!("how long `{text}` lasts depends on when the cue begins"),
@@ -116,7 +123,8 @@ impl Unmusical {
         }
     }
 
-    pub(crate) const fn hint(self) -> &'static str {
+    /// How to fix it.
+    pub const fn hint(self) -> &'static str {
         match self {
             Self::WithoutTempo => "add `tempo: 120` (beats per minute) at the top of the scenario",
             Self::StartNotFixed => {
@@ -129,7 +137,7 @@ impl Unmusical {
 
 impl Music {
     /// A length such as `4 beats` or `1 bar 2 beats`; `None` if the text is nothing of the kind.
-    pub(crate) fn span(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
+    pub fn span(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         if position(text).is_some() {
             return Some(Err(Unmusical::Position));
         }
@@ -138,7 +146,7 @@ impl Music {
     }
 
     /// How long so many bars and beats last from here on.
-    pub(crate) fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
+    pub fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
         let tempo = self.tempo.as_ref().ok_or(Unmusical::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
             (Some(start), _) => start,
@@ -157,7 +165,7 @@ impl Music {
     }
 
     /// If the bar of a position does not have its beat: the number of beats in the bar, and the equivalent position in a later bar.
-    pub(crate) fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
+    pub fn beyond_bar(&self, text: &str) -> Option<(u8, String)> {
         let (written, mut beat) = position(text)?;
         let tempo = self.tempo.as_ref()?;
         let beats = |bar: u32| tempo.section(|s| s.section.bar, bar).map(|s| s.section.beats_a_bar);
@@ -174,7 +182,7 @@ impl Music {
     }
 
     /// A position such as `bar 3 beat 2`, as time from the beginning; `None` if the text is no position.
-    pub(crate) fn position(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
+    pub fn position(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         let (bar, beat) = position(text)?;
         let Some(tempo) = self.tempo.as_ref() else { return Some(Err(Unmusical::WithoutTempo)) };
         Some(Ok(tempo.position(bar, beat).unwrap_or(Exact::ZERO)))
@@ -182,7 +190,7 @@ impl Music {
 }
 
 /// `bar 3 beat 2` or `bar 3`, as bars and beats from 0.
-pub(crate) fn position(text: &str) -> Option<(u32, Fraction)> {
+pub fn position(text: &str) -> Option<(u32, Fraction)> {
     let words: Vec<_> = text.split_whitespace().collect();
     let (bar, beat) = match words.as_slice() {
         ["bar", bar] => (bar.parse::<u32>().ok()?, whole(1)),

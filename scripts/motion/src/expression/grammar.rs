@@ -20,10 +20,10 @@
 use super::number::Num;
 use super::unit::Unit;
 use super::{Amount, Fault};
-use crate::duration::{self, parse_duration};
 use crate::exact::decimal;
-use crate::finding::did_you_mean;
-use crate::shown::shortened;
+use downbeat_yaml::duration::{self, parse_duration};
+use downbeat_yaml::finding::did_you_mean;
+use downbeat_yaml::shown::shortened;
 
 /// Longest text, in characters.
 const LENGTH_MAX: usize = 2_000;
@@ -31,11 +31,11 @@ const LENGTH_MAX: usize = 2_000;
 const DEPTH_MAX: usize = 48;
 
 /// From which to which character.
-pub(crate) type Span = (usize, usize);
+pub type Span = (usize, usize);
 
 /// One step: it takes the values of those before, and leaves one.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Step {
+pub enum Step {
     Amount(Amount),
     Truth(bool),
     Variable(String),
@@ -48,7 +48,7 @@ pub(crate) enum Step {
 
 /// What is done with two values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Two {
+pub enum Two {
     Plus,
     Minus,
     Times,
@@ -66,7 +66,7 @@ pub(crate) enum Two {
 
 /// What has a name and arguments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Function {
+pub enum Function {
     Sin,
     Cos,
     Tan,
@@ -83,7 +83,7 @@ pub(crate) enum Function {
 }
 
 /// Each with its fewest and most arguments.
-pub(crate) const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
+pub const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
     ("sin", Function::Sin, 1, 1),
     ("cos", Function::Cos, 1, 1),
     ("tan", Function::Tan, 1, 1),
@@ -103,13 +103,14 @@ const VALUE: &str = "a number, a time, a variable such as `$a`, a function or a 
 
 /// A text that has been understood.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Expression {
-    pub(crate) steps: Vec<(Step, Span)>,
+pub struct Expression {
+    /// The steps of its evaluation, each with the characters it comes from.
+    pub steps: Vec<(Step, Span)>,
 }
 
 impl Expression {
     /// The variables that it names, with the places of their names.
-    pub(crate) fn variables(&self) -> impl Iterator<Item = (&str, Span)> {
+    pub fn variables(&self) -> impl Iterator<Item = (&str, Span)> {
         self.steps.iter().filter_map(|(step, span)| match step {
             Step::Variable(name) => Some((name.as_str(), *span)),
             _ => None,
@@ -118,7 +119,7 @@ impl Expression {
 }
 
 /// Reads a text; `known` tells which names of variables there are.
-pub(crate) fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expression, Fault> {
+pub fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expression, Fault> {
     let chars: Vec<char> = text.chars().take(LENGTH_MAX + 1).collect();
     if chars.len() > LENGTH_MAX {
         let message = format!("an expression of more than {LENGTH_MAX} characters");

@@ -9,15 +9,19 @@ use crate::expression::Formula;
 
 /// A function of s from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Function {
+pub enum Function {
     /// c0 + c1 s + c2 s^2 + ...
     Polynomial(Box<[f64]>),
     /// sin(2 pi (cycles s + phase)); the phase in turns.
     Sine {
+        /// How many periods it has from 0 to 1.
         cycles: f64,
+        /// Where it begins, in turns.
         phase: f64,
     },
+    /// A part of a formula of the time.
     Formula(Box<FormulaPart>),
+    /// A coordinate of a body that moves with a group.
     Swept(Box<Swept>),
 }
 
@@ -32,30 +36,34 @@ const PEAK: f64 = 1.875;
 /// One coordinate of a body that is moved with a group: along a line or a parabola, about a centre, away from it; or all of these
 /// together, as a function of u, the minimum jerk law of s.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Swept {
+pub struct Swept {
     /// Coefficients of 1, u and u^2.
-    pub(crate) line: [f64; 3],
+    pub line: [f64; 3],
     /// Coefficients of 1 and u of the radius.
-    pub(crate) radius: [f64; 2],
+    pub radius: [f64; 2],
     /// The angle in turns at u = 0, and how many turns it gains: its sine counts.
-    pub(crate) phase: f64,
-    pub(crate) turns: f64,
+    pub phase: f64,
+    /// Turns that the angle gains until u is 1.
+    pub turns: f64,
     /// A path along which it is carried besides.
-    pub(crate) carried: Option<Carried>,
+    pub carried: Option<Carried>,
 }
 
 /// A part of a path along which a coordinate is carried: from where it is when u is 0.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Carried {
-    pub(crate) path: Arc<Path>,
-    pub(crate) along: Along,
+pub struct Carried {
+    /// The path.
+    pub path: Arc<Path>,
+    /// What the path moves.
+    pub along: Along,
     /// Units in a metre.
-    pub(crate) gain: f64,
+    pub gain: f64,
     /// How far along the path it begins, and how far it goes, in metres.
-    pub(crate) from: f64,
-    pub(crate) length: f64,
+    pub from: f64,
+    /// How far it goes along the path, in metres.
+    pub length: f64,
     /// Whether the angle changes with the heading of the path.
-    pub(crate) turning: bool,
+    pub turning: bool,
 }
 
 impl Carried {
@@ -125,7 +133,7 @@ impl Swept {
     }
 
     /// Whether nothing moves.
-    pub(crate) fn is_still(&self) -> bool {
+    pub fn is_still(&self) -> bool {
         self.bounds().0 == 0.0
     }
 
@@ -150,7 +158,7 @@ impl Swept {
     }
 
     /// The same of a body with this as one coordinate, in other units: `offset + scale * value` is what it is now.
-    pub(crate) fn in_units(&self, scale: f64, offset: f64) -> Self {
+    pub fn in_units(&self, scale: f64, offset: f64) -> Self {
         let [a, b, c] = self.line;
         Self {
             line: [(a - offset) / scale, b / scale, c / scale],
@@ -162,7 +170,7 @@ impl Swept {
 
     /// The largest speed and acceleration of a point with these coordinates, by s: no less than they are, and with turns up to a
     /// thirtieth of a percent more. Along a path they are the largest where its parts end, or of many samples.
-    pub(crate) fn together(axes: &[Self]) -> (f64, f64) {
+    pub fn together(axes: &[Self]) -> (f64, f64) {
         let turns = axes.iter().map(|axis| axis.turns.abs()).fold(0.0, f64::max);
         let carried = axes.iter().find_map(|axis| axis.carried.as_ref());
         let samples = (SAMPLES + IN_TURN * PEAK * turns).ceil();
@@ -198,14 +206,17 @@ impl Swept {
 
 /// What lies between two times of a formula.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct FormulaPart {
-    pub(crate) formula: Formula,
-    /// In seconds.
-    pub(crate) from: f64,
-    pub(crate) to: f64,
-    /// Bounds of its first two derivatives, a second.
-    pub(crate) slope_max: f64,
-    pub(crate) curvature_max: f64,
+pub struct FormulaPart {
+    /// The formula.
+    pub formula: Formula,
+    /// When the part begins, in seconds.
+    pub from: f64,
+    /// When the part ends, in seconds.
+    pub to: f64,
+    /// Bound of its first derivative, a second.
+    pub slope_max: f64,
+    /// Bound of its second derivative, a second squared.
+    pub curvature_max: f64,
 }
 
 impl FormulaPart {
@@ -215,7 +226,8 @@ impl FormulaPart {
 }
 
 impl Function {
-    pub(crate) fn at(&self, s: f64) -> f64 {
+    /// Its value at s.
+    pub fn at(&self, s: f64) -> f64 {
         match self {
             Self::Polynomial(coefficients) => horner(coefficients, s),
             Self::Sine { cycles, phase } => (TAU * (cycles * s + phase)).sin(),
@@ -227,7 +239,7 @@ impl Function {
     }
 
     /// A bound of the first derivative. For polynomials the sum of |k c_k|, which may exceed the largest slope.
-    pub(crate) fn slope_max(&self) -> f64 {
+    pub fn slope_max(&self) -> f64 {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k),
             Self::Sine { cycles, .. } => TAU * cycles,
@@ -237,7 +249,7 @@ impl Function {
     }
 
     /// The largest first and second derivative: of a polynomial where it is, of a formula among many samples, of a wave its bounds.
-    pub(crate) fn peak_rates(&self) -> (f64, f64) {
+    pub fn peak_rates(&self) -> (f64, f64) {
         if let Self::Formula(part) = self {
             let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
             return (slope * part.length(), curvature * part.length().powi(2));
@@ -252,7 +264,7 @@ impl Function {
     }
 
     /// A bound of the second derivative.
-    pub(crate) fn curvature_max(&self) -> f64 {
+    pub fn curvature_max(&self) -> f64 {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k * (k - 1.0)),
             Self::Sine { cycles, .. } => (TAU * cycles).powi(2),

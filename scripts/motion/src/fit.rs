@@ -19,7 +19,7 @@ mod unfit;
 
 use urrcp::Limits;
 
-pub(crate) use hold::{Movement, Rates};
+pub use hold::{Movement, Rates};
 use problem::Problem;
 use tube::Tubes;
 pub use unfit::Unfit;
@@ -66,7 +66,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    pub(crate) fn of(limits: &Limits) -> Self {
+    /// The grid of a device with these limits.
+    pub fn of(limits: &Limits) -> Self {
         Self { min: limits.min_value, max: limits.max_value, granularity: limits.granularity }
     }
 }
@@ -106,13 +107,13 @@ pub struct Fit {
 /// [`Fit::at_least`] tells how many steps fewer another fit could have.
 ///
 /// ```
-/// use downbeat_scripts::fit::{Ends, Grid, Samples, fewest};
+/// use downbeat_motion::fit::{Ends, Grid, Samples, fewest};
 ///
 /// let curve = Samples { times: &[0.0, 10.0, 20.0, 30.0], values: &[0.0, 5.2, 9.8, 0.0], slack: 0.0, gaps: &[] };
 /// let grid = Grid { min: 0.0, max: 10.0, granularity: 1.0 };
 /// let fit = fewest(&curve, &grid, 0.5, Ends::default())?;
 /// assert_eq!(fit.steps, [(0.0, 0.0), (20.0, 10.0), (30.0, 0.0)]);
-/// # Ok::<(), downbeat_scripts::fit::Unfit>(())
+/// # Ok::<(), downbeat_motion::fit::Unfit>(())
 /// ```
 ///
 /// # Errors
