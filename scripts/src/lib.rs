@@ -14,7 +14,7 @@
 //!
 //! 1. `downbeat-yaml`, a crate: trees, places and findings.
 //! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
-//! 3. `space`, `formation`, `transit`: bodies, places, and ways between them.
+//! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
 //! 4. `scope`, `fields`: reads values of a tree, with `slips` for hints.
 //! 5. `init`, `import`, `fleet`: robots, and files of other tools.
 //! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
@@ -29,7 +29,6 @@ mod ensemble;
 pub mod export;
 mod fields;
 mod fleet;
-mod formation;
 mod home;
 pub mod import;
 mod init;
@@ -46,12 +45,11 @@ mod schema;
 mod scope;
 mod sensor_range;
 mod slips;
-mod space;
-mod transit;
 mod world;
 
 pub use downbeat_motion::fit;
 use downbeat_motion::{chance, exact, expression, motion, music};
+use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
@@ -64,6 +62,12 @@ pub use approach::Approach;
 pub use compile::poses::Positions;
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
+};
+#[doc(hidden)]
+pub use downbeat_space::formation::tried as try_formation;
+pub use downbeat_space::space::{
+    Body, BodyUse, Closest, Coordinate, Drive, DrivenPath, DrivenPoint, InSpace, Joint, JointKind, Shape,
+    Space, Steering, Volume,
 };
 pub use downbeat_yaml::duration::parse_duration;
 pub use downbeat_yaml::files::{Files, Folder, NoFiles};
@@ -82,8 +86,6 @@ pub use fleet::{
     SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
     read_fleet_to_measure, read_fleet_within, read_latency_file,
 };
-#[doc(hidden)]
-pub use formation::tried as try_formation;
 pub use init::{init_of, init_text, read_init};
 pub use inventory::{Offer, Parameter, inventory};
 pub use plan::{
@@ -94,10 +96,6 @@ pub use plan::{
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, schema};
-pub use space::{
-    Body, BodyUse, Closest, Coordinate, Drive, DrivenPath, DrivenPoint, InSpace, Joint, JointKind, Shape,
-    Space, Steering, Volume,
-};
 pub use world::{
     Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
     SensorWorld, Trouble, World, read_world,

@@ -63,6 +63,7 @@ fn no_module_imports_one_that_imports_it() {
         "robot/src",
         "scripts/yaml/src",
         "scripts/motion/src",
+        "scripts/space/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

@@ -143,7 +143,6 @@ fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     let shape = match body.shape {
         scripts::Shape::Box { size } => Shape::Box(size),
         scripts::Shape::Ball { radius } => Shape::Ball(radius),
-        _ => Shape::Ball(0.0),
     };
     let joint = |joint: &scripts::Joint| Joint {
         name: joint.name.clone(),
@@ -175,7 +174,6 @@ fn coordinate(coordinate: &scripts::Coordinate, robot: usize, places: &Places) -
             Coordinate { device: places.device(robot, device), scale: *scale, offset: *offset }
         }
         scripts::Coordinate::Fixed(value) => Coordinate { device: None, scale: 0.0, offset: *value },
-        _ => Coordinate { device: None, scale: 0.0, offset: 0.0 },
     }
 }
 

@@ -4,13 +4,13 @@ use super::{Point, middle_of};
 
 /// Two places, by their indices, and how far apart they are in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Pair {
-    pub(crate) places: [usize; 2],
-    pub(crate) distance: f64,
+pub struct Pair {
+    pub places: [usize; 2],
+    pub distance: f64,
 }
 
 /// The two places that are nearest to each other; none if there are fewer than two.
-pub(crate) fn nearest_pair(places: &[Point]) -> Option<Pair> {
+pub fn nearest_pair(places: &[Point]) -> Option<Pair> {
     let (axis, order) = along_longest_axis(places);
     let mut best: Option<Pair> = None;
     for (index, &a) in order.iter().enumerate() {
@@ -33,7 +33,7 @@ pub(crate) fn nearest_pair(places: &[Point]) -> Option<Pair> {
 }
 
 /// Every two points that are nearer to each other than `reach` metres, by their indices.
-pub(crate) fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize, usize)> {
+pub fn pairs_within(points: &[Point], reach: f64) -> impl Iterator<Item = (usize, usize)> {
     let (axis, order) = along_longest_axis(points);
     (0..order.len()).flat_map(move |index| {
         let a = order[index];
@@ -53,7 +53,7 @@ fn along_longest_axis(points: &[Point]) -> (usize, Vec<usize>) {
 }
 
 /// Metres between two points.
-pub(crate) fn distance(a: Point, b: Point) -> f64 {
+pub fn distance(a: Point, b: Point) -> f64 {
     let square = |axis: usize| (a[axis] - b[axis]).powi(2);
     (square(0) + square(1) + square(2)).sqrt()
 }

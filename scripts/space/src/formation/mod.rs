@@ -2,14 +2,14 @@
 //!
 //! What a scenario says of them is read by `scenario::formations`; which body takes which place is decided elsewhere.
 
-pub(crate) mod cloud;
+pub mod cloud;
 mod crowd;
 mod placing;
 mod shapes;
 mod spread;
 mod strokes;
-pub(crate) mod svg;
-pub(crate) mod text;
+pub mod svg;
+pub mod text;
 mod tried;
 
 #[cfg(test)]
@@ -17,59 +17,70 @@ mod tests;
 
 use std::sync::Arc;
 
-pub(crate) use crowd::{distance as metres_between, nearest_pair, pairs_within};
-pub(crate) use placing::{Placing, middle_of};
-pub(crate) use shapes::{Ball, Grid, Line, Ring, Vee};
-pub(crate) use spread::Triangle;
-pub(crate) use strokes::Strokes;
+pub use crowd::{distance as metres_between, nearest_pair, pairs_within};
+pub use placing::{Placing, middle_of};
+pub use shapes::{Ball, Grid, Line, Ring, Vee};
+pub use spread::Triangle;
+pub use strokes::Strokes;
 pub use tried::tried;
 
 /// Most places of a formation.
-pub(crate) const PLACES_MAX: usize = 10_000;
+pub const PLACES_MAX: usize = 10_000;
 
 /// Places that are nearer to each other, in metres, count as one.
-pub(crate) const SAME: f64 = 1e-6;
+pub const SAME: f64 = 1e-6;
 /// Metres by which two places may seem nearer than they are.
-pub(crate) const ROUNDING: f64 = 1e-9;
+pub const ROUNDING: f64 = 1e-9;
 
 /// A place, or a vector: x, y, z in metres.
-pub(crate) type Point = [f64; 3];
+pub type Point = [f64; 3];
 
 /// A set of places, for as many bodies as take part.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Formation {
-    pub(crate) shape: Shape,
-    pub(crate) placing: Placing,
+pub struct Formation {
+    /// Where the places are.
+    pub shape: Shape,
+    /// How they are turned and moved.
+    pub placing: Placing,
 }
 
 /// Where the places are, before they are turned and moved.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Shape {
+pub enum Shape {
     /// These places.
     Points(Arc<[Point]>),
+    /// On a line.
     Line(Line),
+    /// On a circle.
     Circle(Ring),
+    /// On a grid.
     Grid(Grid),
+    /// On the two sides of a V.
     Vee(Vee),
+    /// On a sphere.
     Sphere(Ball),
     /// Along these lines.
     Strokes(Arc<Strokes>),
     /// Some of these points, as far from each other as possible.
     Cloud(Arc<[Point]>),
+    /// Spread over these triangles.
     Surface(Arc<[Triangle]>),
 }
 
 /// A file that is not what it should be.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Unfit {
-    pub(crate) message: String,
-    pub(crate) expected: &'static str,
+pub struct Unfit {
+    /// What is wrong.
+    pub message: String,
+    /// What was expected.
+    pub expected: &'static str,
 }
 
 /// More places than a formation may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct TooManyPlaces {
-    pub(crate) count: usize,
+pub struct TooManyPlaces {
+    /// How many places it would have.
+    pub count: usize,
 }
 
 impl Formation {
@@ -78,7 +89,7 @@ impl Formation {
     ///
     /// # Errors
     /// There are more than [`PLACES_MAX`].
-    pub(crate) fn places(&self, count: usize) -> Result<Vec<Point>, TooManyPlaces> {
+    pub fn places(&self, count: usize) -> Result<Vec<Point>, TooManyPlaces> {
         let count = self.own_count().unwrap_or(count);
         if count > PLACES_MAX {
             return Err(TooManyPlaces { count });
@@ -98,7 +109,7 @@ impl Formation {
     }
 
     /// How many places it has, if that does not follow from the number of bodies.
-    pub(crate) fn own_count(&self) -> Option<usize> {
+    pub fn own_count(&self) -> Option<usize> {
         match &self.shape {
             Shape::Points(points) => Some(points.len()),
             _ => None,

@@ -27,7 +27,7 @@ const EXPECTED: &str = "an SVG drawing with at least one path that is seen";
 ///
 /// # Errors
 /// It is no SVG, has no paths, or too many.
-pub(crate) fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
+pub fn read(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     if bytes.len() > BYTES_MAX {
         let message = format!("the drawing has {} bytes", bytes.len());
         return Err(Unfit { message, expected: "an SVG drawing of at most 16 MiB" });

@@ -2,16 +2,16 @@
 
 /// The coordinates of a body.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Place {
+pub struct Place {
     /// x, y, z and yaw.
-    pub(crate) base: [f64; 4],
+    pub base: [f64; 4],
     /// In radians, or in metres where a joint slides; none for a body without joints.
-    pub(crate) joints: Box<[f64]>,
+    pub joints: Box<[f64]>,
 }
 
 impl Place {
     /// Of a body without joints.
-    pub(crate) fn of(base: [f64; 4]) -> Self {
+    pub fn of(base: [f64; 4]) -> Self {
         Self { base, joints: Box::default() }
     }
 

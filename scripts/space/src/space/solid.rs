@@ -13,7 +13,7 @@ const FAR: f64 = 1e5;
 
 /// A body without its place.
 #[derive(Clone, Debug)]
-pub(crate) struct Solid {
+pub struct Solid {
     /// None where all of the body is its arm.
     base: Option<Shape>,
     chain: Chain,
@@ -23,14 +23,14 @@ pub(crate) struct Solid {
 
 impl Solid {
     /// `margin`: how far all of it may be off from its path, in metres; it counts as so much larger.
-    pub(crate) fn of(body: &Body, margin: f64) -> Self {
+    pub fn of(body: &Body, margin: f64) -> Self {
         let is_nothing = matches!(body.shape, Shape::Ball { radius } if radius <= 0.0);
         let base = Some(body.shape).filter(|_| !is_nothing || body.joints.is_empty());
         Self { base, chain: Chain::of(&body.joints, body.tip), margin }
     }
 
     /// A volume as a body that stays where it is.
-    pub(crate) fn of_volume(volume: &Volume) -> (Self, Place) {
+    pub fn of_volume(volume: &Volume) -> (Self, Place) {
         let least = volume.least.map(|side| side.max(-FAR));
         let most = volume.most.map(|side| side.min(FAR));
         let size = std::array::from_fn(|i| most[i] - least[i]);
@@ -58,7 +58,7 @@ impl Solid {
 
     /// How far its cores are from the vertical line through its middle at most, in metres, if no joint goes further than these
     /// values, either way.
-    pub(crate) fn lever(&self, largest: &[f64]) -> f64 {
+    pub fn lever(&self, largest: &[f64]) -> f64 {
         self.base.map_or(0.0, Shape::lever).max(self.chain.reach(largest))
     }
 

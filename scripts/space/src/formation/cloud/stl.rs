@@ -13,7 +13,7 @@ const TRIANGLE: usize = 50;
 
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
     let unfit = |message: String| Format::Stl.unfit(message);
-    let failed = |error: std::io::Error| unfit(crate::shown::shortened(&error.to_string()));
+    let failed = |error: std::io::Error| unfit(downbeat_yaml::shown::shortened(&error.to_string()));
     let mut bytes = Cow::Borrowed(bytes);
     match is_binary(&bytes) {
         // Some binary files begin with the word that begins those of text.

@@ -3,8 +3,8 @@
 use super::approach::{Approach, SLACK, closest, may_meet, meet};
 use super::assignment::{Assignment, Cheapest, Least, Price, Ways};
 use super::way::{CURVATURE, SLOPE, Way};
-use crate::budget::Budget;
 use crate::formation::{Point, ROUNDING, metres_between, pairs_within};
+use downbeat_yaml::budget::Budget;
 
 /// Prices that are tried one after another, as powers of the ways: sixteenths by which the exponents are above 1. The least sum of squares keeps straight ways apart if
 /// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
@@ -31,11 +31,11 @@ const DUST: f64 = 1e-9;
 
 /// How fast a body may be, in metres a second and a second squared; infinite if there is no limit.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Limits {
+pub struct Limits {
     /// Speed and acceleration along x, y and z.
-    pub(crate) axes: [[f64; 2]; 3],
+    pub axes: [[f64; 2]; 3],
     /// In all directions together.
-    pub(crate) body: [f64; 2],
+    pub body: [f64; 2],
 }
 
 impl Limits {
@@ -55,23 +55,25 @@ impl Limits {
 
 /// A body that takes part.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Body {
-    pub(crate) from: Point,
+pub struct Body {
+    /// Where it begins, in metres.
+    pub from: Point,
     /// The distance that another body keeps from its middle, in metres: half of what is required between both, and its own radius.
-    pub(crate) keep: f64,
+    pub keep: f64,
     /// By how much its steps may be off, in metres.
-    pub(crate) error: f64,
+    pub error: f64,
     /// By how much the grids of its devices may move its last place, in metres.
-    pub(crate) rounding: f64,
+    pub rounding: f64,
     /// When its time begins, in seconds.
-    pub(crate) begin: f64,
-    pub(crate) limits: Limits,
+    pub begin: f64,
+    /// How fast it may be.
+    pub limits: Limits,
     /// Between which heights it can fly an arc; none if it cannot change its height.
-    pub(crate) heights: Option<[f64; 2]>,
+    pub heights: Option<[f64; 2]>,
 }
 
 /// Where bodies go.
-pub(crate) enum Goals<'a> {
+pub enum Goals<'a> {
     /// Each to the place with its own index.
     Own(&'a [Point]),
     /// Each to one of these; bodies that are left over go to their place in the second list.
@@ -79,23 +81,31 @@ pub(crate) enum Goals<'a> {
 }
 
 /// What is asked.
-pub(crate) struct Crossing<'a> {
-    pub(crate) bodies: &'a [Body],
-    pub(crate) goals: Goals<'a>,
-    pub(crate) least: Least,
+pub struct Crossing<'a> {
+    /// The bodies that take part.
+    pub bodies: &'a [Body],
+    /// Where they go.
+    pub goals: Goals<'a>,
+    /// What is to be as small as possible.
+    pub least: Least,
     /// How long each body has, in seconds.
-    pub(crate) over: f64,
+    pub over: f64,
 }
 
 /// The distance that two bodies have to keep, in metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Required {
+pub enum Required {
     /// With what their steps may be off.
     Apart(f64),
     /// As far apart as where they begin or end, which is less than that.
     AsAtEnds(f64),
-    /// They end closer than they may be at all: how far apart they end, and may be.
-    AtEnd { end: f64, least: f64 },
+    /// They end closer than they may be at all.
+    AtEnd {
+        /// How far apart they end.
+        end: f64,
+        /// How far apart they have to be.
+        least: f64,
+    },
 }
 
 impl Required {
@@ -108,27 +118,30 @@ impl Required {
 
 /// Two bodies for which there is no way past each other.
 #[derive(Clone, Debug)]
-pub(crate) struct Blocked {
+pub struct Blocked {
     /// Their indices.
-    pub(crate) pair: [usize; 2],
+    pub pair: [usize; 2],
     /// When they are closest, in seconds.
-    pub(crate) at: f64,
+    pub at: f64,
     /// From middle to middle, in metres.
-    pub(crate) distance: f64,
+    pub distance: f64,
     /// What is required between them, in metres.
-    pub(crate) required: Required,
+    pub required: Required,
     /// How many pairs come too close.
-    pub(crate) pairs: usize,
+    pub pairs: usize,
 }
 
 /// Why there are no ways.
 #[derive(Clone, Debug)]
-pub(crate) enum Refused {
+pub enum Refused {
     /// The shortest time that would do for all bodies, and the body that needs it.
     TooShort {
+        /// Its index.
         body: usize,
+        /// The time, in seconds.
         seconds: f64,
     },
+    /// Two bodies cannot pass each other.
     Blocked(Blocked),
 }
 
@@ -138,16 +151,16 @@ const ENOUGH: f64 = 1.0 + 1e-9;
 /// Ways that keep all bodies apart, and by how much the steps of each may be off, in metres: by less than its error where two bodies
 /// begin or end close to each other.
 #[derive(Clone, Debug)]
-pub(crate) struct Crossed {
-    pub(crate) ways: Vec<Way>,
-    pub(crate) errors: Vec<f64>,
+pub struct Crossed {
+    pub ways: Vec<Way>,
+    pub errors: Vec<f64>,
 }
 
 /// Finds ways that keep all bodies apart, in their order.
 ///
 /// # Errors
 /// There is too little time, or there are bodies for which no way past each other is found.
-pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
+pub fn cross(crossing: &Crossing<'_>) -> Result<Crossed, Refused> {
     let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
     let mut needed = (0, f64::INFINITY);
     for goals in crossing.candidates() {

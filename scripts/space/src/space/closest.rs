@@ -17,16 +17,16 @@ const DEPTH_MAX: u32 = 12;
 
 /// The closest of something.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Approach {
+pub struct Approach {
     /// In seconds from the act's start.
-    pub(crate) at: f64,
+    pub at: f64,
     /// In metres.
-    pub(crate) distance: f64,
+    pub distance: f64,
 }
 
 /// A body that moves, with the boxes that hold its parts.
 #[derive(Clone, Debug)]
-pub(crate) struct Mover {
+pub struct Mover {
     path: Path,
     solid: Solid,
     /// In the order of a heap: 1 is the root, 2n and 2n + 1 are the halves of n. Empty where nothing is known.
@@ -76,13 +76,13 @@ impl Held {
 }
 
 /// How deep trees are for paths of so many knots. All bodies of an act have trees of one depth.
-pub(crate) fn depth(knots: usize) -> u32 {
+pub fn depth(knots: usize) -> u32 {
     (knots / LEAF).max(1).ilog2().min(DEPTH_MAX)
 }
 
 impl Mover {
     /// Over an act that lasts until `ends`, in seconds.
-    pub(crate) fn new(path: Path, solid: Solid, ends: f64, depth: u32) -> Self {
+    pub fn new(path: Path, solid: Solid, ends: f64, depth: u32) -> Self {
         let leaves = 1_usize << depth;
         let mut boxes = vec![Held::NOTHING; 2 * leaves];
         for leaf in 0..leaves {
@@ -117,7 +117,7 @@ fn time(leaf: usize, leaves: usize, ends: f64) -> f64 {
 }
 
 /// The closest that two bodies come, if that is less than `below`. Both have trees of one depth.
-pub(crate) fn closest(a: &Mover, b: &Mover, below: f64) -> Option<Approach> {
+pub fn closest(a: &Mover, b: &Mover, below: f64) -> Option<Approach> {
     debug_assert_eq!((a.depth, a.ends), (b.depth, b.ends));
     let best = Best { approach: Approach { at: f64::NAN, distance: below }, found: false };
     let mut search = Search { a, b, best };
@@ -173,7 +173,7 @@ fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> 
 }
 
 /// When two bodies first touch, in seconds; a graze by less than a tenth of a millimetre may be missed.
-pub(crate) fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
+pub fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
     contact_in(a, b, 1)
 }
 

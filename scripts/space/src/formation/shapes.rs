@@ -6,7 +6,7 @@ use super::Point;
 
 /// Along the x axis, from left to right.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Line {
+pub enum Line {
     /// Metres between neighbours.
     Spacing(f64),
     /// Metres from the first to the last.
@@ -15,7 +15,7 @@ pub(crate) enum Line {
 
 /// Around the middle, from the x axis on and counterclockwise as seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Ring {
+pub enum Ring {
     /// Metres from the middle.
     Radius(f64),
     /// Metres between neighbours, in a straight line.
@@ -24,29 +24,29 @@ pub(crate) enum Ring {
 
 /// Row by row along the x axis, the rows along the y axis, layers of full rows along the z axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Grid {
+pub struct Grid {
     /// Metres between columns, rows and layers.
-    pub(crate) spacing: Point,
+    pub spacing: Point,
     /// By default as many as make the grid a square.
-    pub(crate) columns: Option<u32>,
+    pub columns: Option<u32>,
     /// By default all that are needed, in one layer.
-    pub(crate) rows: Option<u32>,
+    pub rows: Option<u32>,
 }
 
 /// Two arms of equal length that meet at the tip, which is at 0; they open along the y axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Vee {
+pub struct Vee {
     /// Metres between neighbours on an arm.
-    pub(crate) spacing: f64,
+    pub spacing: f64,
     /// Degrees between the arms.
-    pub(crate) angle: f64,
+    pub angle: f64,
 }
 
 /// All around the middle, from the top to the bottom.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Ball {
+pub struct Ball {
     /// Metres from the middle.
-    pub(crate) radius: f64,
+    pub radius: f64,
 }
 
 /// Steps of the numbers from 0 that lie around 0: -1, 0, 1 of three, -0.5, 0.5 of two.

@@ -10,7 +10,7 @@ use crate::formation::{Point, metres_between};
 
 /// What of the ways is made small.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Least {
+pub enum Least {
     /// Their sum.
     #[default]
     Total,
@@ -19,25 +19,25 @@ pub(crate) enum Least {
 }
 
 /// The place of each start; none for a start that is left over if there are fewer places.
-pub(crate) type Assignment = Vec<Option<usize>>;
+pub type Assignment = Vec<Option<usize>>;
 
 /// An assignment, and the share of its sum that no other is below.
-pub(crate) struct Cheapest {
-    pub(crate) assignment: Assignment,
-    pub(crate) proven: f64,
+pub struct Cheapest {
+    pub assignment: Assignment,
+    pub proven: f64,
 }
 
 /// Powers of the ways, the sum of which is made small.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Price {
+pub struct Price {
     /// By how much the exponent is above 1, in sixteenths: up to 16.
-    pub(crate) sixteenths: u8,
+    pub sixteenths: u8,
     /// Longer ways are not taken, in metres.
-    pub(crate) longest: f64,
+    pub longest: f64,
 }
 
 /// The ways among which some are taken.
-pub(crate) struct Ways<'a> {
+pub struct Ways<'a> {
     /// The starts, and behind them those that take the places that are left free.
     rows: Vec<Row>,
     places: &'a [Point],
@@ -49,7 +49,7 @@ pub(crate) struct Ways<'a> {
 impl<'a> Ways<'a> {
     /// Each start gets a place, and each place a start, as far as there are both. Starts that are left over go to their place in
     /// `spare`, in the order of `starts`.
-    pub(crate) fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
+    pub fn between(starts: &[Point], places: &'a [Point], spare: &[Point]) -> Self {
         let row = |(start, spare): (&Point, &Point)| Row {
             at: Some(*start),
             left_over: if starts.len() > places.len() { metres_between(*start, *spare) } else { 0.0 },
@@ -66,7 +66,7 @@ impl<'a> Ways<'a> {
     }
 
     /// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
-    pub(crate) fn cheapest(&self, price: Price) -> Cheapest {
+    pub fn cheapest(&self, price: Price) -> Cheapest {
         self.cheapest_within(price, COMPARED_MAX)
     }
 
@@ -102,7 +102,7 @@ impl<'a> Ways<'a> {
     }
 
     /// The least length, in metres, such that there is an assignment without a longer way.
-    pub(crate) fn shortest_longest(&self) -> f64 {
+    pub fn shortest_longest(&self) -> f64 {
         if self.rows.is_empty() {
             return 0.0;
         }

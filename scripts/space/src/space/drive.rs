@@ -17,25 +17,28 @@ const POINTS_MAX: f64 = 200_000.0;
 
 /// Where a driven body is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Pose {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
-    pub(crate) yaw: f64,
+pub struct Pose {
+    /// In metres.
+    pub x: f64,
+    /// In metres.
+    pub y: f64,
+    /// The heading, in radians.
+    pub yaw: f64,
     /// What x and y may be off, in metres.
-    pub(crate) drift: f64,
+    pub drift: f64,
 }
 
 /// How a driven body moves in an act.
 #[derive(Clone, Debug)]
-pub(crate) struct Driven {
+pub struct Driven {
     /// x, y and yaw.
-    pub(crate) axes: [Axis; 3],
+    pub axes: [Axis; 3],
     /// How far a point of the body may be off from them, in metres.
-    pub(crate) margin: f64,
+    pub margin: f64,
     /// Where it is in the end; `None` if it still moves.
-    pub(crate) end: Option<Pose>,
+    pub end: Option<Pose>,
     /// The largest speed and the largest acceleration of its middle.
-    pub(crate) peaks: [Option<Peak>; 2],
+    pub peaks: [Option<Peak>; 2],
 }
 
 /// Ahead in m/s, and to the left in rad/s.
@@ -60,7 +63,7 @@ struct Leg {
 
 impl Pose {
     /// x and y in metres, yaw in radians.
-    pub(crate) const fn at([x, y, yaw]: [f64; 3]) -> Self {
+    pub const fn at([x, y, yaw]: [f64; 3]) -> Self {
         Self { x, y, yaw, drift: 0.0 }
     }
 }
@@ -78,7 +81,7 @@ impl Drive {
 
     /// The path from a pose until `ends`, in seconds. `signals`: both devices, from 0 on, in m/s and rad/s. `lever`: how far
     /// the points of the body are from its middle at most. `None` where the path is beyond all numbers.
-    pub(crate) fn path(&self, start: Pose, signals: &[Axis; 2], ends: f64, lever: f64) -> Option<Driven> {
+    pub fn path(&self, start: Pose, signals: &[Axis; 2], ends: f64, lever: f64) -> Option<Driven> {
         let (legs, rests) = self.legs(signals, ends);
         let wanted: f64 = legs.iter().map(|leg| leg.parts(ends, lever)).sum();
         let share = (POINTS_MAX / wanted).min(1.0);

@@ -16,7 +16,7 @@ const ROUNDING: f64 = 5e-7;
 ///
 /// Between two looks a body that turns may stand out further than at both, by no more than [`EXACT`]: an eighth of the second
 /// derivative of its points' ways, times the time squared.
-pub(crate) fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
+pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     let mut worst = Approach { at: 0.0, distance: 0.0 };
     let mut note = |at: f64, place: &Place| {
         let distance = out(mover.solid(), place, volume);

@@ -1,42 +1,46 @@
 //! The way of one body: straight with one time law, or over the others in an arc.
 
 use crate::formation::Point;
-use crate::motion::Easing;
+use downbeat_motion::motion::Easing;
 
 /// The largest slope of the time law: minimum jerk.
-pub(crate) const SLOPE: f64 = 1.875;
+pub const SLOPE: f64 = 1.875;
 /// Its largest second derivative, 10/sqrt(3).
-pub(crate) const CURVATURE: f64 = 5.773_502_691_896_258;
+pub const CURVATURE: f64 = 5.773_502_691_896_258;
 
 /// from + (to - from) u + lift 4 u (1 - u) upwards, where u is the time law of the time since the beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Way {
-    pub(crate) from: Point,
-    pub(crate) to: Point,
+pub struct Way {
+    /// Where it begins, in metres.
+    pub from: Point,
+    /// Where it ends, in metres.
+    pub to: Point,
     /// In seconds.
-    pub(crate) begin: f64,
+    pub begin: f64,
     /// In seconds, above 0.
-    pub(crate) length: f64,
+    pub length: f64,
     /// How high the arc is in its middle, in metres; below 0 it leads downwards.
-    pub(crate) lift: f64,
+    pub lift: f64,
 }
 
 impl Way {
-    pub(crate) const fn straight(from: Point, to: Point, begin: f64, length: f64) -> Self {
+    /// A way without an arc; times in seconds.
+    pub const fn straight(from: Point, to: Point, begin: f64, length: f64) -> Self {
         Self { from, to, begin, length, lift: 0.0 }
     }
 
-    pub(crate) fn end(&self) -> f64 {
+    /// When it ends, in seconds.
+    pub fn end(&self) -> f64 {
         self.begin + self.length
     }
 
     /// Metres from its beginning to its end, along x, y and z.
-    pub(crate) fn vector(&self) -> Point {
+    pub fn vector(&self) -> Point {
         std::array::from_fn(|axis| self.to[axis] - self.from[axis])
     }
 
     /// Where the body is at a time in seconds.
-    pub(crate) fn at(&self, time: f64) -> Point {
+    pub fn at(&self, time: f64) -> Point {
         let u = Easing::Smooth.at(((time - self.begin) / self.length).clamp(0.0, 1.0));
         let vector = self.vector();
         let mut at: Point = std::array::from_fn(|axis| self.from[axis] + vector[axis] * u);
@@ -45,7 +49,7 @@ impl Way {
     }
 
     /// How far the body moves at most for a whole unit of the time law, in metres.
-    pub(crate) fn reach(&self) -> f64 {
+    pub fn reach(&self) -> f64 {
         let [x, y, z] = self.vector();
         x.hypot(y).hypot(z.abs() + 4.0 * self.lift.abs())
     }

@@ -9,7 +9,7 @@ const COMPARISONS_MAX: usize = 200_000_000;
 const SAMPLES: (usize, usize, usize) = (32, 2_000, 100_000);
 
 /// A triangle of a surface.
-pub(crate) type Triangle = [Point; 3];
+pub type Triangle = [Point; 3];
 
 /// This many of the points: one after another that is furthest from all those chosen before. No two are nearer to each other than
 /// half of what is possible (Gonzalez, Theor. Comput. Sci. 38, 1985).
@@ -71,7 +71,7 @@ fn samples(surface: &[Triangle], count: usize) -> Vec<Point> {
 }
 
 /// In square metres.
-pub(crate) fn area([a, b, c]: &Triangle) -> f64 {
+pub fn area([a, b, c]: &Triangle) -> f64 {
     let side = |to: &Point| -> Point { std::array::from_fn(|axis| to[axis] - a[axis]) };
     let (p, q) = (side(b), side(c));
     let cross = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];

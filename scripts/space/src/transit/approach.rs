@@ -2,25 +2,25 @@
 
 use super::way::Way;
 use crate::formation::{Point, metres_between};
-use crate::motion::Easing;
+use downbeat_motion::motion::Easing;
 
 /// Metres by which a distance may be larger than stated, if it is not found by a formula.
-pub(crate) const SLACK: f64 = 1e-3;
+pub const SLACK: f64 = 1e-3;
 /// Most times at which two ways are looked at.
 const LOOKS_MAX: u32 = 50_000;
 
 /// The middles of two bodies at their closest.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Approach {
+pub struct Approach {
     /// In metres; the true distance is no smaller.
-    pub(crate) distance: f64,
+    pub distance: f64,
     /// In seconds.
-    pub(crate) at: f64,
+    pub at: f64,
 }
 
 /// The closest approach of two ways if it is below `enough`, in metres. If it is not found, the ways are no closer than that but for
 /// [`SLACK`].
-pub(crate) fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
         return None;
     }
@@ -31,7 +31,7 @@ pub(crate) fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
 }
 
 /// Whether [`closest`] can find an approach, at little expense; certain of straight ways with one time law.
-pub(crate) fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
+pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
     match a.is_even_with(b) {
         true => Line::between(a, b).nearest().0 < enough,
         false => apart(&a.bounds(), &b.bounds()) < enough,
@@ -39,7 +39,7 @@ pub(crate) fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
 }
 
 /// Whether [`closest`] finds an approach; sooner than that if it does.
-pub(crate) fn meet(a: &Way, b: &Way, enough: f64) -> bool {
+pub fn meet(a: &Way, b: &Way, enough: f64) -> bool {
     if a.is_even_with(b) || !may_meet(a, b, enough) {
         return may_meet(a, b, enough);
     }

@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::spread::Triangle;
 use super::{Point, Unfit};
-use crate::formats;
+use downbeat_yaml::formats;
 
 /// Most points or triangles of a file.
 const ITEMS_MAX: usize = 1_000_000;
@@ -17,8 +17,10 @@ const FURTHEST: f64 = 1e12;
 
 /// What a file holds.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Cloud {
+pub enum Cloud {
+    /// Points.
     Points(Vec<Point>),
+    /// The triangles of a surface.
     Surface(Vec<Triangle>),
 }
 
@@ -36,7 +38,7 @@ const FORMATS: [(&str, Format); 3] = [("ply", Format::Ply), ("stl", Format::Stl)
 ///
 /// # Errors
 /// It is of no known format, not what its name says, damaged, empty or too large.
-pub(crate) fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
+pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
     let end = Path::new(name).extension().and_then(|end| end.to_str()).unwrap_or("").to_ascii_lowercase();
     let Some((_, format)) = FORMATS.iter().find(|(known, _)| *known == end) else {
         let message = "the name does not say what the file is".to_owned();

@@ -10,7 +10,7 @@ type Point = (f64, f64);
 
 /// One coordinate over an act.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// In order of time, at least one.
     points: Vec<Point>,
     /// Largest error of a value: the steps may be off by it from the movement as written.
@@ -18,16 +18,17 @@ pub(crate) struct Axis {
 }
 
 /// What one device does in an act.
-pub(crate) struct Played<'a> {
+pub struct Played<'a> {
     /// Each with its start, from the act's start.
-    pub(crate) scripts: &'a [(Millis, &'a Script)],
+    pub scripts: &'a [(Millis, &'a Script)],
     /// What its values are: all of its steps have to be of this type.
-    pub(crate) control_type: ControlType,
-    pub(crate) interpolation: Interpolation,
+    pub control_type: ControlType,
+    /// How the device moves between two steps.
+    pub interpolation: Interpolation,
     /// Where it is at the act's start, if that is known.
-    pub(crate) begin: Option<f64>,
+    pub begin: Option<f64>,
     /// Largest difference of its steps from the movement as written.
-    pub(crate) error: f64,
+    pub error: f64,
 }
 
 /// Nothing, by position.
@@ -40,7 +41,7 @@ impl Default for Played<'_> {
 
 impl Axis {
     /// Its largest value, whatever the sign.
-    pub(crate) fn largest(&self) -> f64 {
+    pub fn largest(&self) -> f64 {
         self.points.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max)
     }
 
@@ -50,7 +51,7 @@ impl Axis {
     }
 
     /// `None` if it is nowhere known: nothing says where the device is, or it is driven by another control type.
-    pub(crate) fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
+    pub fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
         let (scale, offset) = match coordinate {
             Coordinate::Fixed(value) => return Some(Self { points: vec![(0.0, *value)], error: 0.0 }),
             Coordinate::Device { scale, offset, .. } => (*scale, *offset),
@@ -134,16 +135,17 @@ fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
 
 /// The largest speed or acceleration of a body's middle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Peak {
+pub struct Peak {
     /// From when to when, in seconds from the act's start.
-    pub(crate) from: f64,
-    pub(crate) to: f64,
+    pub from: f64,
+    /// When it ends, in seconds from the act's start.
+    pub to: f64,
     /// What it is at least: steps are off from the movement as written, and may add to a rate.
-    pub(crate) rate: f64,
+    pub rate: f64,
 }
 
 /// The largest speed and the largest acceleration in x, y and z together.
-pub(crate) fn peaks(axes: &[Axis]) -> [Option<Peak>; 2] {
+pub fn peaks(axes: &[Axis]) -> [Option<Peak>; 2] {
     let speeds: [Vec<Stretch>; 3] = std::array::from_fn(|i| axes[i].speeds());
     let accelerations = speeds.each_ref().map(|speeds| changes(speeds));
     [largest(&speeds), largest(&accelerations)]
@@ -192,14 +194,16 @@ pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64
 
 /// Where a body is at a time.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Knot {
-    pub(crate) at: f64,
-    pub(crate) place: Place,
+pub struct Knot {
+    /// In seconds from the act's start.
+    pub at: f64,
+    /// The place of the body.
+    pub place: Place,
 }
 
 /// Where a body is from the moment at which all its coordinates are known.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Path {
+pub struct Path {
     /// In order of time, at least one; two at one time are a jump.
     knots: Vec<Knot>,
 }
@@ -207,7 +211,7 @@ pub(crate) struct Path {
 impl Path {
     /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a
     /// jump from there is a way, too.
-    pub(crate) fn of(axes: &[Axis], sure: bool) -> Self {
+    pub fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();
         moments(axes, from, |at, values| {
@@ -224,20 +228,22 @@ impl Path {
     }
 
     /// Of a body that stays where it is.
-    pub(crate) fn resting(place: Place, ends: f64) -> Self {
+    pub fn resting(place: Place, ends: f64) -> Self {
         Self { knots: vec![Knot { at: 0.0, place: place.clone() }, Knot { at: ends, place }] }
     }
 
     /// From when on it is known, in seconds.
-    pub(crate) fn known_from(&self) -> f64 {
+    pub fn known_from(&self) -> f64 {
         self.knots[0].at
     }
 
-    pub(crate) fn ends(&self) -> f64 {
+    /// The time of the last knot.
+    pub fn ends(&self) -> f64 {
         self.knots[self.knots.len() - 1].at
     }
 
-    pub(crate) fn knots(&self) -> &[Knot] {
+    /// The knots in order of time.
+    pub fn knots(&self) -> &[Knot] {
         &self.knots
     }
 

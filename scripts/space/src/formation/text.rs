@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::LazyLock;
 
 /// Height of a capital letter, in the unit of the letters.
-pub(crate) const LETTER_HEIGHT: f64 = 6.0;
+pub const LETTER_HEIGHT: f64 = 6.0;
 /// Between two letters.
 const GAP: f64 = 2.0;
 /// Of a space.
@@ -14,7 +14,7 @@ const SPACE: f64 = 3.0;
 const LINE_HEIGHT: f64 = 10.0;
 
 /// A stroke on the plane: the points of a polyline.
-pub(crate) type FlatStroke = Vec<[f64; 2]>;
+pub type FlatStroke = Vec<[f64; 2]>;
 
 struct Letter {
     width: f64,
@@ -39,7 +39,7 @@ fn letter(line: &str) -> Option<(char, Letter)> {
 }
 
 /// Every character that has strokes, in order.
-pub(crate) fn letters() -> String {
+pub fn letters() -> String {
     let mut all: Vec<char> = LETTERS.keys().copied().collect();
     all.sort_unstable();
     all.into_iter().collect()
@@ -49,7 +49,7 @@ pub(crate) fn letters() -> String {
 ///
 /// # Errors
 /// The first character that has no strokes.
-pub(crate) fn strokes_of(text: &str) -> Result<Vec<FlatStroke>, char> {
+pub fn strokes_of(text: &str) -> Result<Vec<FlatStroke>, char> {
     let mut strokes = Vec::new();
     let mut top = 0.0;
     for line in text.lines() {

@@ -4,7 +4,7 @@ use super::Point;
 
 /// From a shape's own frame to the stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Placing {
+pub struct Placing {
     /// The point of the shape that is scaled and turned about.
     middle: Point,
     /// Where the middle goes, in metres.
@@ -21,17 +21,17 @@ impl Default for Placing {
 
 impl Placing {
     /// A shape of which this point stays where it is.
-    pub(crate) fn about(middle: Point) -> Self {
+    pub fn about(middle: Point) -> Self {
         Self { middle, at: middle, ..Self::default() }
     }
 
     /// With its middle there, in metres.
-    pub(crate) fn moved(self, at: Point) -> Self {
+    pub fn moved(self, at: Point) -> Self {
         Self { at, ..self }
     }
 
     /// Scaled by a factor, and turned: roll, pitch and yaw about fixed axes in degrees, as in URDF.
-    pub(crate) fn turned(self, rpy: Point, factor: f64) -> Self {
+    pub fn turned(self, rpy: Point, factor: f64) -> Self {
         let ([sr, sp, sy], [cr, cp, cy]) = (rpy.map(sine), rpy.map(cosine));
         let rows = [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
@@ -42,17 +42,17 @@ impl Placing {
     }
 
     /// Scaled by a factor about the same middle.
-    pub(crate) fn scaled(self, factor: f64) -> Self {
+    pub fn scaled(self, factor: f64) -> Self {
         Self { rows: self.rows.map(|row| row.map(|part| part * factor)), ..self }
     }
 
     /// Where the middle is, in metres.
-    pub(crate) const fn middle_on_stage(&self) -> Point {
+    pub const fn middle_on_stage(&self) -> Point {
         self.at
     }
 
     /// Where a point of the shape is on the stage.
-    pub(crate) fn of(&self, point: Point) -> Point {
+    pub fn of(&self, point: Point) -> Point {
         let from_middle: Point = std::array::from_fn(|axis| point[axis] - self.middle[axis]);
         std::array::from_fn(|axis| {
             let row = &self.rows[axis];
@@ -78,7 +78,7 @@ fn cosine(degrees: f64) -> f64 {
 }
 
 /// The middle of the smallest box around points, and the lengths of its sides.
-pub(crate) fn middle_of(points: &[Point]) -> (Point, Point) {
+pub fn middle_of(points: &[Point]) -> (Point, Point) {
     let extreme = |axis: usize, pick: fn(f64, f64) -> f64| {
         points.iter().map(|point| point[axis]).reduce(pick).unwrap_or(0.0)
     };

@@ -22,7 +22,7 @@ const SAMPLES: usize = 16;
 
 /// Strokes, cut where they meet.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Strokes {
+pub struct Strokes {
     /// Ends and meeting points.
     knots: Vec<Point>,
     parts: Vec<Part>,
@@ -45,7 +45,7 @@ struct Open {
 
 impl Strokes {
     /// Of polylines; those that end where they begin are closed, those of one point are dots.
-    pub(crate) fn of(lines: &[Vec<Point>]) -> Self {
+    pub fn of(lines: &[Vec<Point>]) -> Self {
         let points: Vec<Point> = lines.iter().flatten().copied().collect();
         let (_, sides) = super::middle_of(&points);
         let near = sides.into_iter().fold(0.0, f64::max) * SAME;

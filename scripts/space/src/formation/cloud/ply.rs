@@ -84,5 +84,5 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
 
 /// The first line of what a library says, shortened.
 fn shown(text: &str) -> String {
-    crate::shown::shortened(text.lines().next().unwrap_or(""))
+    downbeat_yaml::shown::shortened(text.lines().next().unwrap_or(""))
 }

@@ -21,11 +21,11 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Span};
 
-pub(crate) use closest::{Mover, closest, depth, first_contact};
-pub(crate) use drive::Pose;
-pub(crate) use path::{Axis, Knot, Path, Peak, Played, peaks};
-pub(crate) use solid::Solid;
-pub(crate) use volume::furthest_out;
+pub use closest::{Mover, closest, depth, first_contact};
+pub use drive::Pose;
+pub use path::{Axis, Knot, Path, Peak, Played, peaks};
+pub use solid::Solid;
+pub use volume::furthest_out;
 
 /// What has to hold in the space that all robots share.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -77,7 +77,6 @@ pub struct Drive {
 
 /// The speeds that drive a body. The value of a coordinate is one speed here, with a scale from the device's unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
 pub enum Steering {
     /// Two wheels, or tracks, side by side: the body goes ahead at the mean of their speeds, and turns at their difference over
     /// the distance between them.
@@ -132,7 +131,6 @@ pub enum JointKind {
 
 /// Where a coordinate comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
 pub enum Coordinate {
     /// It never changes.
     Fixed(f64),
@@ -149,7 +147,6 @@ pub enum Coordinate {
 
 /// The size of a body, about its middle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
 pub enum Shape {
     /// A ball; a point if its radius is 0.
     Ball {
@@ -165,7 +162,7 @@ pub enum Shape {
 
 impl Shape {
     /// Of the ball about its middle that holds it, in metres.
-    pub(crate) fn outer_radius(&self) -> f64 {
+    pub fn outer_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
             Self::Box { size: [x, y, z] } => x.hypot(y).hypot(z) / 2.0,
@@ -173,7 +170,7 @@ impl Shape {
     }
 
     /// Half of what it is wide at least, in metres: whatever way it is turned, no other one comes nearer to its middle.
-    pub(crate) fn inner_radius(&self) -> f64 {
+    pub fn inner_radius(&self) -> f64 {
         match *self {
             Self::Ball { radius } => radius,
             Self::Box { size } => size.into_iter().fold(f64::INFINITY, f64::min) / 2.0,
@@ -231,7 +228,7 @@ pub struct BodyUse {
 }
 
 /// What rounding may add to a rate.
-pub(crate) const DUST: f64 = 1.0 + 1e-6;
+pub const DUST: f64 = 1.0 + 1e-6;
 
 /// The closest that two bodies come in an act.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -254,7 +251,7 @@ impl Space {
     }
 
     /// How near the middles of any two of these bodies may come at most, in metres: with the radii of the two smallest.
-    pub(crate) fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
+    pub fn between_middles<'b>(&self, bodies: impl Iterator<Item = &'b Body>) -> f64 {
         let mut radii: Vec<f64> = bodies.map(|body| body.shape.inner_radius()).collect();
         radii.sort_unstable_by(f64::total_cmp);
         self.distance.unwrap_or(0.0) + radii.iter().take(2).sum::<f64>()

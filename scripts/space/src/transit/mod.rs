@@ -14,6 +14,6 @@ mod crossing;
 mod tests;
 mod way;
 
-pub(crate) use assignment::Least;
-pub(crate) use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, Required, cross};
-pub(crate) use way::Way;
+pub use assignment::Least;
+pub use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, Required, cross};
+pub use way::Way;
