@@ -13,7 +13,6 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, Part, Place, Severity};
 use crate::identify::{self, Document};
 use crate::init::{Init, read_supplements};
-use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::project::{Project, folder_of};
@@ -22,6 +21,7 @@ use crate::slips::{self, Units};
 use crate::source::Source;
 use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
+use downbeat_reader::keys;
 
 mod apart;
 mod body;

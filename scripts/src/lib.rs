@@ -15,7 +15,7 @@
 //! 1. `downbeat-yaml`, a crate: trees, places and findings.
 //! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
 //! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
-//! 4. `scope`, `fields`: reads values of a tree, with `slips` for hints.
+//! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
 //! 5. `init`, `import`, `fleet`: robots, and files of other tools.
 //! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
@@ -23,37 +23,31 @@
 
 mod address;
 mod approach;
-mod clock_time;
 mod compile;
 mod ensemble;
 pub mod export;
-mod fields;
 mod fleet;
 mod home;
 pub mod import;
 mod init;
 mod inventory;
-mod keys;
-#[cfg(test)]
-mod known;
 mod plan;
 mod refill;
 mod rehearse;
 mod requirements;
 mod scenario;
 mod schema;
-mod scope;
 mod sensor_range;
-mod slips;
 mod world;
 
 pub use downbeat_motion::fit;
-use downbeat_motion::{chance, exact, expression, motion, music};
+use downbeat_motion::{exact, expression, motion, music};
+use downbeat_reader::{clock_time, fields, keys, scope, slips};
 use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    at, budget, composed, duration, files, finding, formats, identify, locate, node, project, render, source,
+    budget, composed, duration, files, finding, formats, identify, locate, node, project, render, source,
     syntax, tags,
 };
 
@@ -63,6 +57,8 @@ pub use compile::poses::Positions;
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
+#[doc(hidden)]
+pub use downbeat_reader::fields::tried as try_expression;
 #[doc(hidden)]
 pub use downbeat_space::formation::tried as try_formation;
 pub use downbeat_space::space::{
@@ -78,8 +74,6 @@ pub use downbeat_yaml::refusal::{Attempt, Refusal};
 pub use downbeat_yaml::render::render;
 pub use downbeat_yaml::sarif::sarif;
 pub use downbeat_yaml::source::Source;
-#[doc(hidden)]
-pub use fields::tried as try_expression;
 pub use fleet::{
     Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
     LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,

@@ -64,6 +64,7 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/yaml/src",
         "scripts/motion/src",
         "scripts/space/src",
+        "scripts/reader/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

@@ -10,10 +10,10 @@ use super::joints::read_arm;
 use super::urdf::{UrdfKeys, Urdfs};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
-use crate::keys::keys;
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::space::{Body, Coordinate, Drive, Joint, Shape, Space, Volume};
+use downbeat_reader::keys;
 
 const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
 const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];

@@ -7,9 +7,9 @@ use super::declared::device_named;
 use super::joints::vector;
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::keys::keys;
 use crate::node::Node;
 use crate::space::{Coordinate, Drive, Steering};
+use downbeat_reader::keys;
 
 const SIGNAL_KEYS: [&str; 2] = ["device", "scale"];
 

@@ -5,9 +5,9 @@ use urrcp::InitializationBlock;
 use super::body::{ANGLES, LENGTHS, fixed, length, of_device};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::keys::keys;
 use crate::node::Node;
 use crate::space::{Coordinate, Joint, JointKind};
+use downbeat_reader::keys;
 
 /// Most joints of a body: each of them is compared with all those of the others.
 pub(super) const JOINTS_MAX: usize = 64;

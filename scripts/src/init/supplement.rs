@@ -4,8 +4,8 @@ use urrcp::{ControlType, Interpolation};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, did_you_mean, one_of};
-use crate::keys::keys;
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
 keys! {
     /// What is said of one device.

@@ -5,10 +5,10 @@ use super::track::positive_time;
 use crate::ensemble::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 use crate::fields::{At, Reader, is_spread};
 use crate::finding::Code;
-use crate::keys::keys;
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::transit::Least;
+use downbeat_reader::keys;
 
 /// Most turns: more would take more steps than any device holds.
 const DEGREES_MAX: f64 = 360_000.0;

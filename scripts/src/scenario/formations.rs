@@ -14,9 +14,9 @@ use crate::formation::{
     Ball, Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, Strokes, Unfit, Vee, middle_of,
     svg, text,
 };
-use crate::keys::keys;
 use crate::node::Node;
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
 /// Longest length and furthest coordinate, in metres: far more than robots could play in, and nothing overflows.
 const METRES_MAX: f64 = 1e6;

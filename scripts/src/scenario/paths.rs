@@ -8,10 +8,10 @@ use crate::ensemble::WrittenPath;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::formation::{Placing, Point, SAME, metres_between};
-use crate::keys::keys;
 use crate::motion::Path;
 use crate::node::Node;
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
 /// Most points of a path.
 const POINTS_MAX: usize = 1_000;

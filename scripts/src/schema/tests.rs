@@ -7,8 +7,8 @@ use serde_json::Value;
 
 use super::*;
 use crate::finding::Part;
-use crate::known::{self, Known};
 use crate::{Files, Finding, Fleet, Project, Source, compile, read_fleet_within, read_world};
+use downbeat_reader::known::{self, Known};
 
 /// Documents in which every key of a scenario stands. They need not be sound.
 const SCENARIOS: [&str; 5] = [
@@ -321,12 +321,13 @@ fn check(of: Schema, documents: &[String], recorded: Vec<Known>) {
 
 #[test]
 fn the_schema_of_scenarios_lists_what_is_read() {
-    let _before = known::take();
-    for text in SCENARIOS {
-        let _compiled =
-            compile(&Source { name: "all.yaml".into(), text: text.to_owned() }, &fleet(), &OneFile);
-    }
-    check(Schema::Scenario, &SCENARIOS.map(str::to_owned), known::take());
+    let known = known::while_reading(|| {
+        for text in SCENARIOS {
+            let _compiled =
+                compile(&Source { name: "all.yaml".into(), text: text.to_owned() }, &fleet(), &OneFile);
+        }
+    });
+    check(Schema::Scenario, &SCENARIOS.map(str::to_owned), known);
 }
 
 /// The same file under every name.
@@ -349,10 +350,10 @@ fn the_schema_of_fleets_lists_what_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("fleet.yaml");
     std::fs::write(&path, &text).unwrap();
-    let _before = known::take();
     // The URDF is in the repository.
-    let _fleet = read_fleet_within(&path, &Project::within(std::path::Path::new("/")).unwrap());
-    check(Schema::Fleet, &[text], known::take());
+    let project = Project::within(std::path::Path::new("/")).unwrap();
+    let known = known::while_reading(|| drop(read_fleet_within(&path, &project)));
+    check(Schema::Fleet, &[text], known);
 }
 
 /// A world in which every key stands. It need not be sound.
@@ -374,7 +375,6 @@ fn the_schema_of_worlds_lists_what_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("world.yaml");
     std::fs::write(&path, WORLD).unwrap();
-    let _before = known::take();
-    let _world = read_world(&path, &fleet(), &["one"]);
-    check(Schema::World, &[WORLD.to_owned()], known::take());
+    let known = known::while_reading(|| drop(read_world(&path, &fleet(), &["one"])));
+    check(Schema::World, &[WORLD.to_owned()], known);
 }

@@ -5,7 +5,7 @@ use urrcp::Span;
 use super::amount::{self, Between, between};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
-use crate::keys::keys;
+use downbeat_reader::keys;
 
 keys! {
     /// What is said of one incident.

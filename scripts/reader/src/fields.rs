@@ -9,59 +9,62 @@ mod scalars;
 use std::cell::Cell;
 use std::collections::{HashMap, HashSet};
 
-pub(crate) use crate::at::At;
-use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
-use crate::exact::{Beginning, Exact};
-use crate::finding::{
+use crate::scope::Scope;
+use crate::slips::{self, Units};
+use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
+use downbeat_motion::exact::{Beginning, Exact};
+use downbeat_motion::music::{Music, Unmusical};
+pub use downbeat_yaml::at::At;
+use downbeat_yaml::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX};
+use downbeat_yaml::finding::{
     Affected, Code, Finding, Part, Pending, Place, Severity, SharedFault, did_you_mean_this, names, nearest,
     one_of,
 };
-use crate::music::{Music, Unmusical};
-use crate::node::Node;
-use crate::scope::Scope;
-use crate::shown::shortened;
-use crate::slips::{self, Units};
-use crate::syntax;
-use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
+use downbeat_yaml::syntax;
 use expressions::Robots;
 use nesting::Nesting;
 
-pub(crate) use across::{Across, Axis, By, Group, Standing, Whereabouts, is_spread, parts};
-pub(crate) use expressions::Robot;
+pub use across::{Across, Axis, By, Group, Standing, Whereabouts, is_spread, parts};
+pub use expressions::Robot;
 pub use expressions::tried;
-pub(crate) use nesting::{Name, Unset};
+pub use nesting::{Name, Unset};
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
-pub(crate) struct Reader {
-    pub(crate) found: Vec<Pending>,
-    pub(crate) scope: Scope,
-    pub(crate) music: Music,
+pub struct Reader {
+    /// The findings so far.
+    pub found: Vec<Pending>,
+    /// The variables in force.
+    pub scope: Scope,
+    /// How beats are counted here.
+    pub music: Music,
     /// For the movements of all cues.
-    pub(crate) knots: Budget,
+    pub knots: Budget,
     /// Parameters without a value in the movement that is being read.
-    pub(crate) unset: Vec<Unset>,
+    pub unset: Vec<Unset>,
     /// For expressions.
-    pub(crate) evaluations: Budget,
+    pub evaluations: Budget,
     /// Whose movement is being read.
-    pub(crate) robots: Robots,
+    pub robots: Robots,
     /// The robots of its cue.
-    pub(crate) group: Group,
+    pub group: Group,
     /// Which moves and sequences are being read, one within another.
-    pub(crate) nesting: Nesting,
+    pub nesting: Nesting,
     /// Where the times of cues count from, as far as that is known.
-    pub(crate) origin: Beginning,
+    pub origin: Beginning,
     /// The devices of the fleet.
-    pub(crate) units: Units,
+    pub units: Units,
     /// Whether there is a tempo that cannot be read, which is reported already.
-    pub(crate) tempo_is_wrong: bool,
+    pub tempo_is_wrong: bool,
     /// The first time without a tempo in each file, by its finding, and all their places.
     without_tempo: HashMap<u16, (usize, String, HashSet<String>)>,
     /// Keys and values that are already reported as wrong: those that a comma cut in two, and misspelt keys that are read as others.
     wrong: Vec<Place>,
     /// Variables that are defined further on.
-    pub(crate) later: HashSet<String>,
+    pub later: HashSet<String>,
     /// Cues of other acts, each with its act.
-    pub(crate) act_of: HashMap<String, String>,
+    pub act_of: HashMap<String, String>,
     /// Comparisons of names that are left.
     comparisons: Cell<usize>,
     /// By severity.
@@ -84,7 +87,7 @@ struct Told {
 }
 
 /// How many findings there were at some time.
-pub(crate) struct FindingsMark {
+pub struct FindingsMark {
     found: usize,
     told: [Told; 2],
     unset: usize,
@@ -119,7 +122,8 @@ impl Default for Reader {
 }
 
 impl Reader {
-    pub(crate) fn add(
+    /// Adds a finding, unless this place is already reported as wrong.
+    pub fn add(
         &mut self,
         code: Code,
         place: Place,
@@ -183,7 +187,7 @@ impl Reader {
     }
 
     /// A fault of some robots, which joins the finding of others that have it for the same reason.
-    pub(crate) fn add_shared(&mut self, fault: SharedFault) {
+    pub fn add_shared(&mut self, fault: SharedFault) {
         let key = (fault.code, fault.cause.clone());
         let known = self.alike.get(&key).and_then(|known| self.found.get_mut(*known));
         if let Some(Pending { affected: Some(affected), place, expected, hint, .. }) = known {
@@ -202,7 +206,7 @@ impl Reader {
     }
 
     /// Adds a finding that each use of something would repeat. Only the first one is reported.
-    pub(crate) fn add_once(
+    pub fn add_once(
         &mut self,
         cause: String,
         code: Code,
@@ -223,18 +227,18 @@ impl Reader {
     }
 
     /// Whether a finding with this cause has been reported.
-    pub(crate) fn has(&self, code: Code, cause: &str) -> bool {
+    pub fn has(&self, code: Code, cause: &str) -> bool {
         self.alike.contains_key(&(code, cause.to_owned()))
     }
 
     /// A finding about a file, at the place at which the file is named.
-    pub(crate) fn add_named(&mut self, place: Place, about: Finding) {
+    pub fn add_named(&mut self, place: Place, about: Finding) {
         let Finding { code, message, expected, hint, .. } = about;
         self.add(code, place, message, expected, hint);
     }
 
     /// A finding that several places make together, each with what it says; the first one is where the finding stands.
-    pub(crate) fn add_related(
+    pub fn add_related(
         &mut self,
         code: Code,
         related: Vec<(Place, String)>,
@@ -249,12 +253,12 @@ impl Reader {
     }
 
     /// How far the findings have come, for [`Self::forget`].
-    pub(crate) fn mark(&self) -> FindingsMark {
+    pub fn mark(&self) -> FindingsMark {
         FindingsMark { found: self.found.len(), told: self.told, unset: self.unset.len() }
     }
 
     /// Takes back every finding after the mark.
-    pub(crate) fn forget(&mut self, mark: &FindingsMark) {
+    pub fn forget(&mut self, mark: &FindingsMark) {
         self.found.truncate(mark.found);
         self.alike.retain(|_, index| *index < mark.found);
         self.unset.truncate(mark.unset);
@@ -262,21 +266,21 @@ impl Reader {
     }
 
     /// Takes back some of the findings because there were too many.
-    pub(crate) fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
+    pub fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
         self.alike.retain(|_, index| *index < before);
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
     /// A finding that is kept back if anything else is wrong.
-    pub(crate) fn add_unless_others(&mut self, follow_up: Pending) {
+    pub fn add_unless_others(&mut self, follow_up: Pending) {
         if self.follow_ups.len() < FINDINGS_MAX {
             self.follow_ups.push(follow_up);
         }
     }
 
     /// Everything that is reported; the last of very many says how many more there are.
-    pub(crate) fn finish(mut self) -> Vec<Pending> {
+    pub fn finish(mut self) -> Vec<Pending> {
         if self.found.iter().all(|found| found.code.severity() == Severity::Warning) {
             for Pending { code, place, message, expected, hint, .. } in std::mem::take(&mut self.follow_ups) {
                 self.add(code, place, message, expected, hint);
@@ -296,28 +300,25 @@ impl Reader {
     }
 
     /// How many errors there are so far, each counted by itself.
-    pub(crate) const fn errors(&self) -> usize {
+    pub const fn errors(&self) -> usize {
         self.told[0].count + self.told[0].more + self.joined
     }
 
     /// Whether there are so many errors already that nothing more is reported.
-    pub(crate) const fn is_full(&self) -> bool {
+    pub const fn is_full(&self) -> bool {
         self.told[0].count == FINDINGS_MAX
     }
 
     /// The name most like a wrong one, as a hint: for as many wrong ones as can be compared in no time.
-    pub(crate) fn did_you_mean<'a>(
-        &self,
-        wrong: &str,
-        known: impl IntoIterator<Item = &'a str>,
-    ) -> Option<String> {
+    pub fn did_you_mean<'a>(&self, wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
         let mut left = self.comparisons.get();
         let hint = nearest(wrong, known, &mut left);
         self.comparisons.set(left);
         hint
     }
 
-    pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
+    /// Adds a finding for a node of the wrong type.
+    pub fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
         self.wrong_value(at, at.node, expected);
     }
 
@@ -334,7 +335,7 @@ impl Reader {
 
     /// Adds a finding about a value of the wrong type, with a hint for values in brackets, and one for values in lines if it
     /// differs.
-    pub(crate) fn add_styled(
+    pub fn add_styled(
         &mut self,
         place: Place,
         message: String,
@@ -349,7 +350,7 @@ impl Reader {
     }
 
     /// Reports braces of a template language, such as `{{ x }}`. Returns whether there are any.
-    pub(crate) fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
+    pub fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
         let Some(inner) = slips::template(at.node) else { return false };
         let message = format!("braces around `{}`", shortened(&inner));
         let hint = Some(match is_scalar(expected) {
@@ -361,7 +362,7 @@ impl Reader {
     }
 
     /// The value of each known key; findings for the others, for duplicates and for missing ones.
-    pub(crate) fn map<'a, const N: usize>(
+    pub fn map<'a, const N: usize>(
         &mut self,
         at: &'a At<'a>,
         what: &str,
@@ -375,7 +376,6 @@ impl Reader {
         if self.is_template(at, &format!("{what}: a map with {}", names(known))) {
             return None;
         }
-        #[cfg(test)]
         crate::known::keys(at, &known);
         let mut values: [Option<At<'a>>; N] = [None; N];
         let mut meant: [Option<At<'a>>; N] = [None; N];
@@ -448,7 +448,7 @@ impl Reader {
     }
 
     /// Whether a part of the scenario is misspelt or of the wrong type as a whole, so that nothing in it is known.
-    pub(crate) fn is_wrong(&self, part: &str) -> bool {
+    pub fn is_wrong(&self, part: &str) -> bool {
         let meant = did_you_mean_this(part);
         self.found.iter().any(|found| match (found.code, found.place.path.as_slice()) {
             (Code::WrongType, [Part::Key(key, _)]) => key == part,
@@ -458,7 +458,7 @@ impl Reader {
     }
 
     /// Whether the findings say already that one of the keys here was meant to be this one.
-    pub(crate) fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
+    pub fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
         let meant = [did_you_mean_this(key), format!("`{key}`"), format!("`{key}:")];
         let place = at.place();
         let is_here = |found: &Pending| {
@@ -472,7 +472,7 @@ impl Reader {
     }
 
     /// The entries of a map with free keys, each key once.
-    pub(crate) fn entries<'a>(&mut self, at: &'a At<'a>, what: &str) -> Vec<(&'a str, At<'a>)> {
+    pub fn entries<'a>(&mut self, at: &'a At<'a>, what: &str) -> Vec<(&'a str, At<'a>)> {
         let Node::Map(entries) = at.node else {
             self.wrong_type(at, &format!("a map from {what}"));
             return Vec::new();
@@ -497,7 +497,8 @@ impl Reader {
         self.add(Code::DuplicateKey, at.key_place(), message, "each key once", hint);
     }
 
-    pub(crate) fn list<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<At<'a>> {
+    /// The items of a list; another node is a finding, and counts as an empty list.
+    pub fn list<'a>(&mut self, at: &'a At<'a>, expected: &str) -> Vec<At<'a>> {
         match at.node {
             Node::List(items) => items.iter().enumerate().map(|(i, node)| at.item(i, node)).collect(),
             _ => {

@@ -3,48 +3,53 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::budget::{Budget, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
-use crate::exact::Beginning;
-use crate::finding::Place;
+use downbeat_motion::exact::Beginning;
+use downbeat_yaml::budget::{Budget, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
+use downbeat_yaml::finding::Place;
 
 /// A name with its place.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Name {
-    pub(crate) text: String,
-    pub(crate) place: Place,
+pub struct Name {
+    /// The name.
+    pub text: String,
+    /// Its place.
+    pub place: Place,
 }
 
 /// A parameter that has neither a default nor a value.
 #[derive(Clone, Debug)]
-pub(crate) struct Unset {
-    pub(crate) place: Place,
-    pub(crate) of_move: String,
-    pub(crate) parameter: String,
+pub struct Unset {
+    /// Where it is used.
+    pub place: Place,
+    /// The move that has the parameter.
+    pub of_move: String,
+    /// The name of the parameter.
+    pub parameter: String,
 }
 
 /// Which moves and sequences are being read, one within another.
 #[derive(Debug)]
-pub(crate) struct Nesting {
+pub struct Nesting {
     /// The innermost last, each as messages name it: `the move `wave``.
-    pub(crate) inside: Vec<String>,
+    pub inside: Vec<String>,
     /// The copy of a file whose names are seen first.
-    pub(crate) copy: usize,
+    pub copy: usize,
     /// Moves that the movement being read plays.
-    pub(crate) plays: Budget,
+    pub plays: Budget,
     /// The same for all movements.
-    pub(crate) all_plays: Budget,
+    pub all_plays: Budget,
     /// Cues that sequences make.
-    pub(crate) cues: Budget,
+    pub cues: Budget,
     /// Cues that sequences make which nothing uses.
     unused_cues: usize,
     /// Sequences that are being read.
-    pub(crate) sequences: usize,
+    pub sequences: usize,
     /// Robots for cues of a sequence that name none.
-    pub(crate) robots: Option<Arc<[Name]>>,
+    pub robots: Option<Arc<[Name]>>,
     /// Where the cue that was read last begins, as far as that is fixed.
-    pub(crate) began: Beginning,
+    pub began: Beginning,
     /// The message about uses that lead back to themselves, with the number of the finding.
-    pub(crate) circles: HashMap<String, usize>,
+    pub circles: HashMap<String, usize>,
 }
 
 impl Default for Nesting {
@@ -66,13 +71,13 @@ impl Default for Nesting {
 
 impl Nesting {
     /// Whether cues of a sequence are being read.
-    pub(crate) const fn is_in_sequence(&self) -> bool {
+    pub const fn is_in_sequence(&self) -> bool {
         self.sequences > 0
     }
 
     /// Room for a sequence that nothing uses: its cues are none of the scenario. Returns the room that is left for those; none if enough
     /// unused ones have been looked at.
-    pub(crate) fn unused_sequence(&mut self) -> Option<Budget> {
+    pub fn unused_sequence(&mut self) -> Option<Budget> {
         if self.unused_cues > SEQUENCE_CUES_MAX {
             return None;
         }
@@ -80,18 +85,18 @@ impl Nesting {
     }
 
     /// Its cues have been read.
-    pub(crate) fn end_unused(&mut self, room: Budget) {
+    pub fn end_unused(&mut self, room: Budget) {
         let unused = std::mem::replace(&mut self.cues, room);
         self.unused_cues += unused.most() - unused.left();
     }
 
     /// For the movement that is read next.
-    pub(crate) fn renew_plays(&mut self) {
+    pub fn renew_plays(&mut self) {
         self.plays = Budget::new(PLAYS_MAX);
     }
 
     /// Whether the movement plays more moves than are read.
-    pub(crate) const fn has_too_many_plays(&self) -> bool {
+    pub const fn has_too_many_plays(&self) -> bool {
         self.plays.is_overdrawn() || self.all_plays.is_overdrawn()
     }
 }

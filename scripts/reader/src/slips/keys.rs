@@ -2,11 +2,11 @@
 
 use super::Units;
 use super::advice::ADVICE;
-use crate::duration::parse_duration;
-use crate::finding::did_you_mean_this;
 use crate::keys::CUE_KEYS;
-use crate::node::Node;
-use crate::shown::shortened;
+use downbeat_yaml::duration::parse_duration;
+use downbeat_yaml::finding::did_you_mean_this;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 /// Other words for the keys of a map: the map, the words, and the key.
 const KEYS: [(&str, &[&str], &str); 76] = [
@@ -89,7 +89,7 @@ const KEYS: [(&str, &[&str], &str); 76] = [
 ];
 
 /// A hint for a key that a map does not have.
-pub(crate) fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
+pub fn key(units: &Units, what: &str, key: &str, value: &Node) -> Option<String> {
     let known = KEYS.iter().find(|(place, words, _)| is_named(what, place) && words.contains(&key));
     if let Some((.., meant)) = known {
         return Some(did_you_mean_this(meant));
@@ -144,7 +144,7 @@ fn advice(what: &str, key: &str, given: &str) -> Option<String> {
 }
 
 /// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
-pub(crate) fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
+pub fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
     let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
     let value = match value {
         Node::Number(number) => number.to_string(),
@@ -207,13 +207,13 @@ fn is_named(what: &str, place: &str) -> bool {
 }
 
 /// `control_type` for `control`: a key that is one word of what was written.
-pub(crate) fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
+pub fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
     let mut known = known.into_iter().filter(|name| name.len() > 3);
     known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
 /// A hint for a key that beginners leave out.
-pub(crate) fn missing(what: &str, key: &str) -> Option<&'static str> {
+pub fn missing(what: &str, key: &str) -> Option<&'static str> {
     match (what, key) {
         ("the scenario", "scenario") => {
             Some("give the show a name in the first line, such as `scenario: my-show`")

@@ -5,16 +5,16 @@ mod tests;
 mod tried;
 
 use super::{At, Reader};
-use crate::duration::{self, parse_duration};
-use crate::exact::Exact;
-use crate::expression::{
+use crate::slips;
+use downbeat_motion::exact::Exact;
+use downbeat_motion::expression::{
     self, Amount, Expression, Fault, Formula, Known, Num, Quantity, Span, Unit, evaluate, fraction,
     names_variables, parse,
 };
-use crate::finding::{Code, Place, Within, names};
-use crate::node::Node;
-use crate::shown::shortened;
-use crate::slips;
+use downbeat_yaml::duration::{self, parse_duration};
+use downbeat_yaml::finding::{Code, Place, Within, names};
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 pub use tried::tried;
 
@@ -26,19 +26,21 @@ const NANOS_MAX: f64 = 1e20;
 
 /// The number of a robot among those of its cue, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Robot {
-    pub(crate) index: usize,
-    pub(crate) count: usize,
+pub struct Robot {
+    /// Its position, from 0.
+    pub index: usize,
+    /// The number of robots of the cue.
+    pub count: usize,
 }
 
 /// Whose movement is read, and what of it depends on that.
 #[derive(Debug, Default)]
-pub(crate) struct Robots {
-    pub(crate) current: Option<Robot>,
+pub struct Robots {
+    pub current: Option<Robot>,
     /// Whether `$index` or `$count` was asked for.
-    pub(crate) asked: bool,
+    pub asked: bool,
     /// What came out where it was: robots for which that is the same share a movement.
-    pub(crate) results: Vec<u64>,
+    pub results: Vec<u64>,
 }
 
 /// How `$index` is not to be used.
@@ -107,7 +109,7 @@ fn no_quantity(node: &Node, name: &str, span: Span) -> Fault {
 }
 
 fn too_many(span: Span) -> Fault {
-    let most = crate::budget::EVALUATIONS_MAX;
+    let most = downbeat_yaml::budget::EVALUATIONS_MAX;
     let fault = Fault::new(span, "too many expressions", format!("at most {most} steps in all"));
     Fault { code: Code::TooMuch, ..fault.hint("cut the scenario into several") }
 }
@@ -132,7 +134,7 @@ impl Reader {
     fn on_the_clock(&self, amount: &Amount, span: Span) -> Result<Exact, Fault> {
         let [number, bars, beats] = [amount.number, amount.bars, amount.beats].map(Num::f64);
         if number.abs() > NANOS_MAX || bars.abs() > BEATS_MAX || beats.abs() > BEATS_MAX {
-            let expected = format!("at most {}", crate::budget::longest());
+            let expected = format!("at most {}", downbeat_yaml::budget::longest());
             return Err(Fault::new(span, "too long a time", expected));
         }
         let clock = Exact::of_nanos(amount.number.as_fraction());
@@ -180,7 +182,7 @@ impl Reader {
     }
 
     /// The value of an expression that stands here, or within the text that stands here.
-    pub(crate) fn quantity(&mut self, at: &At<'_>, text: &str) -> Option<Quantity> {
+    pub fn quantity(&mut self, at: &At<'_>, text: &str) -> Option<Quantity> {
         let text = text.trim();
         let told = self.evaluations.is_overdrawn();
         match self.evaluated(text) {
@@ -195,7 +197,7 @@ impl Reader {
     }
 
     /// Whether both ends of a spread are of one kind, as far as they have values.
-    pub(crate) fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
+    pub fn is_alike(&mut self, to: &At<'_>, ends: [&str; 2]) -> bool {
         let unit = |value: Result<Quantity, Fault>| match value {
             Ok(Quantity::Amount(amount)) => Some(amount.unit),
             _ => None,
@@ -242,7 +244,7 @@ impl Reader {
     }
 
     /// A plain number; an angle counts in radians.
-    pub(crate) fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
+    pub fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
         if slips::is_rate(text) {
             self.wrong_type(at, expected);
             return None;
@@ -252,7 +254,7 @@ impl Reader {
     }
 
     /// An angle in degrees: a plain number, or a multiple of `pi`.
-    pub(crate) fn degrees(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+    pub fn degrees(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         let node = self.scalar(at)?.into_owned();
         match &node {
             Node::Text(text) if expression::is_one(text) => {
@@ -297,7 +299,8 @@ impl Reader {
         None
     }
 
-    pub(crate) fn truth_of(&mut self, at: &At<'_>, text: &str) -> Option<bool> {
+    /// Whether an expression is true.
+    pub fn truth_of(&mut self, at: &At<'_>, text: &str) -> Option<bool> {
         match self.quantity(at, text)? {
             Quantity::Truth(truth) => Some(truth),
             Quantity::Amount(amount) => {
@@ -309,7 +312,7 @@ impl Reader {
     }
 
     /// A length of time that is not negative.
-    pub(crate) fn time_of(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
+    pub fn time_of(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let amount = match self.quantity(at, text)? {
             Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
             Quantity::Amount(amount) => {
@@ -346,7 +349,7 @@ impl Reader {
 
     /// The value of a variable or a parameter: an expression that names others becomes a value at once, or, where it differs from
     /// robot to robot, an expression that names none but `$index` and `$count`.
-    pub(crate) fn defined(&mut self, at: &At<'_>) -> Option<Node> {
+    pub fn defined(&mut self, at: &At<'_>) -> Option<Node> {
         if let Node::Text(text) = at.node
             && names_variables(text)
             && !self.is_variable(text)
@@ -407,7 +410,7 @@ impl Reader {
     }
 
     /// A formula of the time, with its variables put in.
-    pub(crate) fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
+    pub fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
         let text = match self.scalar(at)?.into_owned() {
             Node::Number(value) if value.is_finite() => value.to_string(),
             Node::Text(text) => text,

@@ -1,19 +1,20 @@
 //! Hints for movements that are no list of keyframes.
 
-use crate::at::At;
-use crate::duration::parse_duration;
-use crate::node::Node;
-use crate::shown::shortened;
+use downbeat_yaml::at::At;
+use downbeat_yaml::duration::parse_duration;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 /// Times and values that a beginner writes in a form other than a list of keyframes.
-pub(crate) struct OtherForm {
+pub struct OtherForm {
     /// A description of the form.
-    pub(crate) found: &'static str,
+    pub found: &'static str,
     /// Hints to write them as that list, in brackets and in lines.
-    pub(crate) hints: [String; 2],
+    pub hints: [String; 2],
 }
 
-pub(crate) fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
+/// Recognizes such a form.
+pub fn as_keyframes(at: &At<'_>) -> Option<OtherForm> {
     let time = |node: &Node| match node {
         Node::Text(text) if parse_duration(text).is_some() => Some(text.clone()),
         _ => None,

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use urrcp::Span;
 
 use super::Robot;
-use crate::exact::Fraction;
-use crate::expression::pieces;
 use crate::fields::{At, Reader};
-use crate::music::{Section, Tempo};
-use crate::node::Node;
+use downbeat_motion::exact::Fraction;
+use downbeat_motion::expression::pieces;
+use downbeat_motion::music::{Section, Tempo};
+use downbeat_yaml::node::Node;
 
 /// Reads the text as a number, a time, a truth value, the value of a variable and a formula.
 ///

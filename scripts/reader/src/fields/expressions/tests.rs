@@ -4,11 +4,11 @@ use proptest::prelude::*;
 use urrcp::Span;
 
 use super::*;
-use crate::exact::Fraction;
-use crate::expression::{Piece, Trouble, is_one, pieces};
 use crate::fields::{At, Reader};
-use crate::music::{Section, Tempo};
-use crate::node::Node;
+use downbeat_motion::exact::Fraction;
+use downbeat_motion::expression::{Piece, Trouble, is_one, pieces};
+use downbeat_motion::music::{Section, Tempo};
+use downbeat_yaml::node::Node;
 
 fn reader() -> Reader {
     let mut reader = Reader::default();

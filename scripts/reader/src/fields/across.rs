@@ -6,12 +6,12 @@ use std::sync::Arc;
 use urrcp::RobotId;
 
 use super::{At, Reader, Robot};
-use crate::chance::{drawn, share};
-use crate::exact::{Fraction, sum, to_f64};
-use crate::finding::{Code, Pending, names};
-use crate::motion::Easing;
-use crate::node::Node;
-use crate::space::Coordinate;
+use downbeat_motion::chance::{drawn, share};
+use downbeat_motion::exact::{Fraction, sum, to_f64};
+use downbeat_motion::motion::Easing;
+use downbeat_space::space::Coordinate;
+use downbeat_yaml::finding::{Code, Pending, names};
+use downbeat_yaml::node::Node;
 
 /// Places are told apart to the nanometre.
 const UNITS_A_METRE: f64 = 1e9;
@@ -24,32 +24,39 @@ const SPREAD_KEYS: [&str; 7] = ["from", "to", "across", "by", "seed", "direction
 
 /// The robots of the cue that is read.
 #[derive(Debug, Default)]
-pub(crate) struct Group {
+pub struct Group {
     /// By their index in the fleet, in the order of the cue.
-    pub(crate) robots: Vec<usize>,
-    pub(crate) fleet: Vec<Standing>,
+    pub robots: Vec<usize>,
+    /// All robots of the fleet.
+    pub fleet: Vec<Standing>,
     /// What has been asked of them before.
     shares: Vec<(Across, Arc<[Fraction]>)>,
 }
 
 /// A robot and where it stands.
 #[derive(Debug)]
-pub(crate) struct Standing {
-    pub(crate) id: RobotId,
+pub struct Standing {
+    /// Its id.
+    pub id: RobotId,
     /// x, y and z; none without a body.
-    pub(crate) axes: Option<[Axis; 3]>,
+    pub axes: Option<[Axis; 3]>,
 }
 
+/// One coordinate of a robot.
 #[derive(Debug)]
-pub(crate) struct Axis {
-    pub(crate) of: Coordinate,
-    pub(crate) at: Whereabouts,
+pub struct Axis {
+    /// The device that moves it, or a fixed value.
+    pub of: Coordinate,
+    /// Where the robot is.
+    pub at: Whereabouts,
 }
 
+/// Whether a coordinate is known when a cue begins.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Whereabouts {
+pub enum Whereabouts {
     /// In metres.
     Known(f64),
+    /// It is not known.
     Unknown,
     /// A group moved it that has no ways, or none that is known: mostly the compiler tells why.
     Lost,
@@ -57,14 +64,15 @@ pub(crate) enum Whereabouts {
 
 /// The order of the robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Across {
-    pub(crate) by: By,
+pub struct Across {
+    /// What the robots are ordered by.
+    pub by: By,
     direction: Direction,
 }
 
 /// What the robots are ordered by.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) enum By {
+pub enum By {
     /// Their number in the cue.
     #[default]
     Index,
@@ -112,23 +120,25 @@ enum Word {
 
 impl Group {
     /// Of a fleet, before any cue.
-    pub(crate) fn of(fleet: Vec<Standing>) -> Self {
+    pub fn of(fleet: Vec<Standing>) -> Self {
         Self { fleet, ..Self::default() }
     }
 
-    pub(crate) fn count(&self) -> usize {
+    /// The number of robots of the cue.
+    pub fn count(&self) -> usize {
         self.robots.len()
     }
 
     /// From here on, these robots.
-    pub(crate) fn enter(&mut self, robots: Vec<usize>) {
+    pub fn enter(&mut self, robots: Vec<usize>) {
         self.robots = robots;
         self.shares.clear();
     }
 }
 
 impl Axis {
-    pub(crate) fn lose(&mut self) {
+    /// From here on, the coordinate is lost if a device moves it.
+    pub fn lose(&mut self) {
         if matches!(self.of, Coordinate::Device { .. }) {
             self.at = Whereabouts::Lost;
         }
@@ -136,7 +146,8 @@ impl Axis {
 }
 
 impl Standing {
-    pub(crate) fn metres(&self) -> Option<[f64; 3]> {
+    /// Its place in metres, if all coordinates are known.
+    pub fn metres(&self) -> Option<[f64; 3]> {
         let known = |axis: &Axis| match axis.at {
             Whereabouts::Known(metres) => Some(metres),
             Whereabouts::Unknown | Whereabouts::Lost => None,
@@ -167,7 +178,8 @@ fn distance(place: [i128; 3], point: [f64; 3]) -> i128 {
 }
 
 impl Across {
-    pub(crate) fn read(
+    /// Reads the order from its keys.
+    pub fn read(
         reader: &mut Reader,
         by: Option<At<'_>>,
         seed: Option<At<'_>>,
@@ -199,7 +211,7 @@ impl Across {
     }
 
     /// Where each robot of the cue stands along it, from 0 on; in metres, where places are asked for.
-    pub(crate) fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
+    pub fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
         let own = self.own(reader, at)?;
         let metres = matches!(self.by, By::Axis(_) | By::Point(_));
         let unit = |value: i128| Fraction::new(value, if metres { 1_000_000_000 } else { 1 });
@@ -213,7 +225,7 @@ impl Across {
     }
 
     /// Which place each robot has in the order, from 0 on. Robots that stand alike share one.
-    pub(crate) fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
+    pub fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
         let own = self.own(reader, at)?;
         let mut sorted = own.clone();
         sorted.sort_unstable();
@@ -305,7 +317,7 @@ impl Across {
 }
 
 /// Each as a part of the largest; 0 if all are.
-pub(crate) fn parts(all: &[Fraction]) -> Vec<Fraction> {
+pub fn parts(all: &[Fraction]) -> Vec<Fraction> {
     let most = all.iter().max().copied().unwrap_or_default();
     let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
     all.iter().map(part).collect()
@@ -352,7 +364,7 @@ fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
 }
 
 /// Whether a node is meant as a value that is spread over the robots.
-pub(crate) fn is_spread(node: &Node) -> bool {
+pub fn is_spread(node: &Node) -> bool {
     let Node::Map(entries) = node else { return false };
     let has = |name: &str| entries.iter().any(|(key, _)| key == name);
     has("across") || (has("from") && has("to"))
@@ -360,7 +372,7 @@ pub(crate) fn is_spread(node: &Node) -> bool {
 
 impl Reader {
     /// Reads something for one robot; and whether it is something else for others.
-    pub(crate) fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
+    pub fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
         let before = self.robots.current.replace(robot);
         self.robots.asked = false;
         let found = read(self);
@@ -369,7 +381,7 @@ impl Reader {
     }
 
     /// `{from: 0, to: 90, across: group}` for the robot whose movement is read, as an expression.
-    pub(crate) fn spread(&mut self, at: &At<'_>) -> Option<String> {
+    pub fn spread(&mut self, at: &At<'_>) -> Option<String> {
         let required = ["from", "to", "across"];
         let [from, to, across, by, seed, direction, ease] =
             self.map(at, "a spread", SPREAD_KEYS, &required)?;

@@ -1,10 +1,10 @@
 //! Values that a comma cuts in two, as YAML reads it: `0,5` and `max(1, 2)` within braces.
 
 use super::{At, Reader};
-use crate::expression;
-use crate::finding::Code;
-use crate::node::Node;
-use crate::shown::shortened;
+use downbeat_motion::expression;
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 impl Reader {
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.

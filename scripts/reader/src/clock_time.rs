@@ -6,13 +6,13 @@ use serde::de::value::{Error, StrDeserializer};
 use urrcp::{Server, Span, Timestamp};
 
 /// An instant as in RFC 3339.
-pub(crate) fn parse_instant(text: &str) -> Option<Timestamp<Server>> {
+pub fn parse_instant(text: &str) -> Option<Timestamp<Server>> {
     let deserializer: StrDeserializer<'_, Error> = text.into_deserializer();
     Timestamp::deserialize(deserializer).ok()
 }
 
 /// A time of day, `19:30` or `19:30:00.5`, since midnight.
-pub(crate) fn parse_time_of_day(text: &str) -> Option<Span> {
+pub fn parse_time_of_day(text: &str) -> Option<Span> {
     let parts: Vec<_> = text.split(':').collect();
     let (hour, minute, second) = match parts.as_slice() {
         [hour, minute] => (*hour, *minute, "0"),

@@ -1,7 +1,8 @@
 //! The keys of a map as a struct: each key is written once and read by its name, not by its position. And the keys of a cue, which
 //! hints about other maps need as well.
 
-/// Declares a struct with a field for each key of a map, and the list of these keys for [`crate::fields::Reader::map`].
+/// Declares a struct with a field for each key of a map, and the list of these keys for [`Reader::map`]($crate::fields::Reader::map).
+#[macro_export]
 macro_rules! keys {
     ($(#[$doc:meta])* $name:ident, $list:ident { $($key:ident),* $(,)? }) => {
         const $list: [&str; [$(stringify!($key)),*].len()] = [$(stringify!($key)),*];
@@ -20,10 +21,8 @@ macro_rules! keys {
     };
 }
 
-pub(crate) use keys;
-
 /// The keys of a cue.
-pub(crate) const CUE_KEYS: [&str; 31] = [
+pub const CUE_KEYS: [&str; 31] = [
     "cue",
     "at",
     "after",

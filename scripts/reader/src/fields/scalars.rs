@@ -6,18 +6,18 @@ use std::sync::Arc;
 use urrcp::Span;
 
 use super::{At, Reader, is_spread};
-use crate::budget::longest;
-use crate::duration;
-use crate::exact::{Exact, Laps};
-use crate::expression;
-use crate::finding::{Code, Place, names, one_of};
-use crate::node::Node;
-use crate::shown::shortened;
 use crate::slips;
+use downbeat_motion::exact::{Exact, Laps};
+use downbeat_motion::expression;
+use downbeat_yaml::budget::longest;
+use downbeat_yaml::duration;
+use downbeat_yaml::finding::{Code, Place, names, one_of};
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 impl Reader {
     /// The node itself, or the value of the variable that is there. Expressions are left as they are.
-    pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
+    pub fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
             node => Some(Cow::Borrowed(node)),
@@ -35,7 +35,7 @@ impl Reader {
     }
 
     /// Whether a text is only a variable or its negative.
-    pub(crate) fn is_variable(&self, text: &str) -> bool {
+    pub fn is_variable(&self, text: &str) -> bool {
         let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
         let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
         match self.scope.get(name) {
@@ -49,7 +49,7 @@ impl Reader {
     }
 
     /// The place that gives the value of the parameter at this node, if it is a parameter of a move or a sequence.
-    pub(crate) fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
+    pub fn given_at(&self, at: &At<'_>) -> Option<Arc<Place>> {
         let Node::Text(text) = at.node else { return None };
         self.scope.place(text.strip_prefix('$')?).cloned()
     }
@@ -94,14 +94,15 @@ impl Reader {
     }
 
     /// A hint for a variable that is used above its definition, or in it.
-    pub(crate) fn move_up(&self, name: &str) -> String {
+    pub fn move_up(&self, name: &str) -> String {
         format!(
             "define `{}` above the variables that use it, by numbers or by variables above it",
             shortened(name)
         )
     }
 
-    pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
+    /// A text; anything else is a finding.
+    pub fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
         match self.plain_scalar(at)? {
             Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
             Cow::Owned(Node::Text(text)) => Some(Cow::Owned(text)),
@@ -113,7 +114,7 @@ impl Reader {
     }
 
     /// A name: text, or a number that is used as a name.
-    pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
+    pub fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
         match self.plain_scalar(at)?.as_ref() {
             Node::Number(value) => Some(value.to_string()),
             Node::Text(text) => Some(text.clone()),
@@ -124,7 +125,8 @@ impl Reader {
         }
     }
 
-    pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+    /// A number, or an expression that amounts to one; anything else is a finding.
+    pub fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
             node if slips::template(node).is_some() => {
@@ -144,7 +146,7 @@ impl Reader {
     }
 
     /// A number above 0.
-    pub(crate) fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+    pub fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         let value = self.number(at, expected)?;
         if value > 0.0 {
             return Some(value);
@@ -156,7 +158,7 @@ impl Reader {
 
     /// A whole number from `least` to `most`.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the range")]
-    pub(crate) fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
+    pub fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
         let expected = format!("a whole number from {least} to {most}");
         let value = self.number(at, &expected)?;
         if value.fract() == 0.0 && value >= f64::from(least) && value <= f64::from(most) {
@@ -167,7 +169,8 @@ impl Reader {
         None
     }
 
-    pub(crate) fn truth(&mut self, at: &At<'_>) -> Option<bool> {
+    /// `true` or `false`, or an expression that is either; anything else is a finding.
+    pub fn truth(&mut self, at: &At<'_>) -> Option<bool> {
         match self.scalar(at)?.as_ref() {
             Node::Bool(value) => Some(*value),
             Node::Text(text) if expression::is_one(text) => self.truth_of(at, text),
@@ -179,12 +182,12 @@ impl Reader {
     }
 
     /// A length of time, in seconds and their kind or in beats and bars, as measured by the clock from the start of the cue.
-    pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
+    pub fn duration(&mut self, at: &At<'_>) -> Option<Span> {
         self.exact(at).map(|length| self.music.start.lay(length))
     }
 
     /// The same before it is rounded.
-    pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
+    pub fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
         if self.is_template(at, duration::EXPECTED) {
             return None;
         }
@@ -211,17 +214,17 @@ impl Reader {
     }
 
     /// Repetitions of this length from the start of the cue.
-    pub(crate) fn laps(&self, length: Exact) -> Laps {
+    pub fn laps(&self, length: Exact) -> Laps {
         Laps { length, from: self.music.start }
     }
 
     /// A length of time from a part of a text.
-    pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
+    pub fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
         self.exact_time(at, text).map(|length| self.music.start.lay(length))
     }
 
     /// The same before it is rounded.
-    pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
+    pub fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
         if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
             let value = self.scope.get(name).cloned();
@@ -269,7 +272,7 @@ impl Reader {
     }
 
     /// Beats and bars may be more than a time can hold.
-    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
+    pub fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
         if length.rounded_down() <= longest() {
             return Some(length);
         }
@@ -279,7 +282,8 @@ impl Reader {
         None
     }
 
-    pub(crate) fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
+    /// A duration that may be negative.
+    pub fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
         if let Node::Text(text) = at.node
             && let Some(span) = duration::parse_signed(text)
         {
@@ -289,19 +293,18 @@ impl Reader {
     }
 
     /// One of a few words.
-    pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
+    pub fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         self.word_or(at, words, |_| None)
     }
 
     /// The same, with special hints for some words that are not among them.
-    pub(crate) fn word_or<T: Copy>(
+    pub fn word_or<T: Copy>(
         &mut self,
         at: &At<'_>,
         words: &[(&'static str, T)],
         hint: impl FnOnce(&str) -> Option<String>,
     ) -> Option<T> {
         let known = || words.iter().map(|(word, _)| *word);
-        #[cfg(test)]
         crate::known::words(at, known());
         let text = self.text(at, &one_of(known()))?;
         if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {

@@ -8,24 +8,24 @@ use std::collections::HashMap;
 
 use urrcp::Device;
 
-pub(crate) use keyframes::{OtherForm, as_keyframes};
-pub(crate) use keys::{key, missing, parameter, word_of};
+pub use keyframes::{OtherForm, as_keyframes};
+pub use keys::{key, missing, parameter, word_of};
 
 use crate::clock_time::{parse_instant, parse_time_of_day};
-use crate::composed::{composed, is_same};
-use crate::duration::parse_duration;
-use crate::finding::{Part, Place, did_you_mean_this};
-use crate::node::Node;
 use crate::scope::Scope;
-use crate::shown::shortened;
+use downbeat_yaml::composed::{composed, is_same};
+use downbeat_yaml::duration::parse_duration;
+use downbeat_yaml::finding::{Part, Place, did_you_mean_this};
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
 
 /// The devices of a fleet by name, each with its unit if all robots that have it agree.
 #[derive(Debug, Default)]
-pub(crate) struct Units(HashMap<String, Option<String>>);
+pub struct Units(HashMap<String, Option<String>>);
 
 impl Units {
     /// A device of several robots has a unit if it is the same on all of them.
-    pub(crate) fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
+    pub fn of<'d>(devices: impl IntoIterator<Item = &'d Device>) -> Self {
         let mut units: HashMap<String, Option<String>> = HashMap::new();
         for device in devices {
             let unit = device.unit.as_ref().map(ToString::to_string);
@@ -41,7 +41,8 @@ impl Units {
         Self(units)
     }
 
-    pub(crate) fn has_device(&self, name: &str) -> bool {
+    /// Whether a robot of the fleet has a device of this name.
+    pub fn has_device(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
 
@@ -61,7 +62,7 @@ const OTHER_EASINGS: [&str; 9] =
     ["cubicbezier", "bounce", "elastic", "spring", "overshoot", "expo", "circ", "quad", "quart"];
 
 /// A hint for an unknown word.
-pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let plain: String = wrong.chars().filter(|c| c.is_alphanumeric()).collect::<String>().to_lowercase();
     let has = |word: &str| known.clone().any(|known| known == word);
     let meant = match plain.as_str() {
@@ -149,13 +150,7 @@ pub(crate) fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone
 }
 
 /// A hint for a value of another kind than is expected there.
-pub(crate) fn value(
-    scope: &Scope,
-    units: &Units,
-    place: &Place,
-    node: &Node,
-    expected: &str,
-) -> Option<String> {
+pub fn value(scope: &Scope, units: &Units, place: &Place, node: &Node, expected: &str) -> Option<String> {
     match node {
         Node::Text(text) if scope.get(text).is_some() => Some(format!("the variable is written `${text}`")),
         Node::Text(text) if is_value(place) && STATES.contains(&text.to_lowercase().as_str()) => {
@@ -244,7 +239,10 @@ pub(crate) fn value(
                     .filter(|_| !expected.starts_with("limits"))
             })
             .or_else(|| {
-                expected.contains(": a map").then(|| crate::syntax::without_space_at_all(text)).flatten()
+                expected
+                    .contains(": a map")
+                    .then(|| downbeat_yaml::syntax::without_space_at_all(text))
+                    .flatten()
             }),
         Node::Map(entries) if expected.starts_with("a place in metres") => coordinates(entries),
         Node::Map(_) if expected.starts_with("a list of") => {
@@ -318,7 +316,7 @@ pub(crate) fn value(
 }
 
 /// The hint for a value that is written in lines, if it differs.
-pub(crate) fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
+pub fn in_block(node: &Node, expected: &str) -> Option<&'static str> {
     match node {
         Node::Map(_) if expected.starts_with("a list of") => {
             Some("begin every entry of the list with a dash: `- `")
@@ -356,7 +354,7 @@ const ENDLESS: &str = "a cue ends: give a number or `{for: 60s}`; to repeat an a
                        next one `wait: {for: operator, timeout: 1s, otherwise: NAME}`";
 
 /// A hint for a number that has to be above 0.
-pub(crate) fn not_positive(expected: &str, value: f64) -> Option<String> {
+pub fn not_positive(expected: &str, value: f64) -> Option<String> {
     match (expected.starts_with("a frequency"), value < 0.0) {
         (true, true) => Some(format!("write `{}`; `phase: 180` inverts the wave", -value)),
         (true, false) => Some(
@@ -368,7 +366,7 @@ pub(crate) fn not_positive(expected: &str, value: f64) -> Option<String> {
 }
 
 /// A hint for a list where one time belongs.
-pub(crate) fn one_time(place: &Place, node: &Node) -> Option<String> {
+pub fn one_time(place: &Place, node: &Node) -> Option<String> {
     let Node::List(items) = node else { return None };
     let time = |item: &Node| match item {
         Node::Text(text) => Some(shortened(text)),
@@ -385,7 +383,7 @@ pub(crate) fn one_time(place: &Place, node: &Node) -> Option<String> {
 }
 
 /// A hint for an endless or a negative time, which depends on the key.
-pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
+pub fn time(place: &Place, text: &str) -> Option<String> {
     let keys: Vec<&str> = place
         .path
         .iter()
@@ -419,7 +417,7 @@ pub(crate) fn time(place: &Place, text: &str) -> Option<String> {
 }
 
 /// A hint for an instant, a date or a time of day, where a length of time belongs.
-pub(crate) fn instant(text: &str) -> String {
+pub fn instant(text: &str) -> String {
     let is_day = text.len() == 10 && text.as_bytes().get(4) == Some(&b'-');
     let at = match () {
         () if parse_instant(text).is_some() || parse_time_of_day(text).is_some() => text.to_owned(),
@@ -430,7 +428,7 @@ pub(crate) fn instant(text: &str) -> String {
 }
 
 /// A hint for an invalid number of repetitions: below 1, infinite, or with a fraction.
-pub(crate) fn times(place: &Place, value: f64) -> Option<String> {
+pub fn times(place: &Place, value: f64) -> Option<String> {
     match value {
         _ if !is_repeat(place) => None,
         0.0 => Some(format!("leave `repeat` out to play it once; {ENDLESS}")),
@@ -461,7 +459,7 @@ fn is_endless(text: &str) -> bool {
 }
 
 /// The words of a list without brackets: `left, right`, `left and right`, `left right`.
-pub(crate) fn words(text: &str) -> Vec<String> {
+pub fn words(text: &str) -> Vec<String> {
     let plain = text.trim_matches(['[', ']', '{', '}']).replace(" and ", ",").replace(['&', '+', ';'], ",");
     let separator = if plain.contains(',') { ',' } else { ' ' };
     let words = plain.split(separator).map(str::trim).filter(|word| !word.is_empty());
@@ -469,7 +467,7 @@ pub(crate) fn words(text: &str) -> Vec<String> {
 }
 
 /// A hint for a text that has several of the known names, or one within marks that YAML keeps.
-pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+pub fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let is_known = |name: &str| known.clone().any(|known| is_same(known, name));
     let words = match text.split_once('-') {
         Some((first, second))
@@ -492,7 +490,7 @@ pub(crate) fn several_names<'a>(text: &str, known: impl Iterator<Item = &'a str>
 }
 
 /// The text within the braces of `{{ x }}`, which YAML reads as a map whose key is a map, of `"{{ x }}"` or of `{$x}`.
-pub(crate) fn template(node: &Node) -> Option<String> {
+pub fn template(node: &Node) -> Option<String> {
     let inner = match node {
         Node::Text(text) => text.trim().strip_prefix("{{")?.strip_suffix("}}")?,
         Node::Map(entries) => match entries.as_slice() {
@@ -507,7 +505,7 @@ pub(crate) fn template(node: &Node) -> Option<String> {
 }
 
 /// Adds `$` before each name that is a variable, or before the whole text if it is one word.
-pub(crate) fn bare(scope: &Scope, inner: &str) -> String {
+pub fn bare(scope: &Scope, inner: &str) -> String {
     let is_part = |c: char| c.is_alphanumeric() || c == '_';
     if inner.chars().all(is_part) && !inner.starts_with(|c: char| c.is_ascii_digit()) {
         return format!("${inner}");
@@ -622,7 +620,7 @@ fn colour(text: &str) -> Option<[u8; 3]> {
 }
 
 /// A hint that lists the robots of a range, `d1-d6` or `d1..d6`, or those whose names begin alike, `d*`.
-pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
+pub fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str> + Clone) -> Option<String> {
     let listed: Vec<&str> = match text.strip_suffix('*') {
         Some(begin) => ids.filter(|id| id.starts_with(begin)).collect(),
         None => {
@@ -643,7 +641,7 @@ pub(crate) fn range_of_robots<'a>(text: &str, ids: impl Iterator<Item = &'a str>
 }
 
 /// A hint for a reference to the cue above, or to a cue by its number.
-pub(crate) fn earlier_cue(text: &str) -> Option<String> {
+pub fn earlier_cue(text: &str) -> Option<String> {
     let is_number = text.parse::<u32>().is_ok();
     let is_above = ["previous", "prev", "last", "before", "above"].contains(&text);
     (is_number || is_above)
@@ -651,7 +649,7 @@ pub(crate) fn earlier_cue(text: &str) -> Option<String> {
 }
 
 /// A hint for a range of robots that the fleet does not have, `r1-r3`, `1..3` or `arms[0]`.
-pub(crate) fn as_a_range(text: &str) -> Option<String> {
+pub fn as_a_range(text: &str) -> Option<String> {
     let ends_in_digit = |part: &str| part.ends_with(|c: char| c.is_ascii_digit());
     let is_range = text.contains("..")
         || (text.contains('[') && text.ends_with(']'))
@@ -760,7 +758,7 @@ fn number(units: &Units, place: &Place, text: &str, expected: &str) -> Option<St
 }
 
 /// `90deg/s`: a number with a unit for a time, which is no quotient.
-pub(crate) fn is_rate(text: &str) -> bool {
+pub fn is_rate(text: &str) -> bool {
     let number =
         text.trim().trim_start_matches(|c: char| c.is_ascii_digit() || matches!(c, '.' | '-')).trim();
     let is_unit = |unit: &str| LENGTHS.iter().chain(&ANGLES).any(|(known, _)| *known == unit);

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::finding::Place;
-use crate::node::Node;
+use downbeat_yaml::finding::Place;
+use downbeat_yaml::node::Node;
 
 /// Names with their values, the innermost last.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Scope {
+pub struct Scope {
     all: Vec<Variable>,
     /// Where the values of a name stand.
     by_name: HashMap<String, Vec<usize>>,
@@ -16,7 +16,7 @@ pub(crate) struct Scope {
 
 /// A name with its value.
 #[derive(Clone, Debug)]
-pub(crate) struct Variable {
+pub struct Variable {
     name: String,
     value: Node,
     /// Where a parameter of a sequence is given its value.
@@ -24,7 +24,8 @@ pub(crate) struct Variable {
 }
 
 impl Scope {
-    pub(crate) fn get(&self, name: &str) -> Option<&Node> {
+    /// The value of a variable.
+    pub fn get(&self, name: &str) -> Option<&Node> {
         self.last(name).map(|place| &self.all[place].value)
     }
 
@@ -33,17 +34,17 @@ impl Scope {
     }
 
     /// Every name that has a value.
-    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+    pub fn names(&self) -> impl Iterator<Item = &str> {
         self.all.iter().map(|variable| variable.name.as_str())
     }
 
     /// Null stands for a value that is missing or wrong, which is told elsewhere: what uses it is left out without a word.
-    pub(crate) fn set(&mut self, name: impl Into<String>, value: Node) {
+    pub fn set(&mut self, name: impl Into<String>, value: Node) {
         self.set_given(name, value, None);
     }
 
     /// The value of a parameter, and where it is given.
-    pub(crate) fn set_given(&mut self, name: impl Into<String>, value: Node, place: Option<Arc<Place>>) {
+    pub fn set_given(&mut self, name: impl Into<String>, value: Node, place: Option<Arc<Place>>) {
         self.add(Variable { name: name.into(), value, place });
     }
 
@@ -53,29 +54,29 @@ impl Scope {
     }
 
     /// Where the value of a name is given, if it is a parameter of a sequence.
-    pub(crate) fn place(&self, name: &str) -> Option<&Arc<Place>> {
+    pub fn place(&self, name: &str) -> Option<&Arc<Place>> {
         self.last(name).and_then(|last| self.all[last].place.as_ref())
     }
 
     /// How many there are, for [`Self::forget`].
-    pub(crate) fn mark(&self) -> usize {
+    pub fn mark(&self) -> usize {
         self.all.len()
     }
 
     /// Takes out everything set after the mark, to be put back by [`Self::restore`].
-    pub(crate) fn hide(&mut self, mark: usize) -> Vec<Variable> {
+    pub fn hide(&mut self, mark: usize) -> Vec<Variable> {
         let hidden = self.all.get(mark..).map(<[_]>::to_vec).unwrap_or_default();
         self.forget(mark);
         hidden
     }
 
     /// Puts back what was hidden.
-    pub(crate) fn restore(&mut self, hidden: impl IntoIterator<Item = Variable>) {
+    pub fn restore(&mut self, hidden: impl IntoIterator<Item = Variable>) {
         hidden.into_iter().for_each(|variable| self.add(variable));
     }
 
     /// Drops everything set after the mark.
-    pub(crate) fn forget(&mut self, mark: usize) {
+    pub fn forget(&mut self, mark: usize) {
         for variable in self.all.drain(mark.min(self.all.len())..) {
             if let Some(places) = self.by_name.get_mut(&variable.name) {
                 places.pop();

@@ -1,0 +1,17 @@
+//! Reads the values of a YAML tree key by key, and collects every finding on the way.
+//!
+//! | module | |
+//! |---|---|
+//! | [`fields`] | the reader: maps, lists, numbers, times, words, values that are spread over a group |
+//! | [`keys`](mod@keys) | a map as a struct with a field for each key |
+//! | [`scope`] | variables in force |
+//! | [`slips`] | hints for keys, words and forms of other programs |
+//! | [`clock_time`] | instants and times of day |
+//! | [`known`] | the lists of keys and words that were compared, for tests of the schemas |
+
+pub mod clock_time;
+pub mod fields;
+pub mod keys;
+pub mod known;
+pub mod scope;
+pub mod slips;
