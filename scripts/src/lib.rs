@@ -16,7 +16,7 @@
 //! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
 //! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
 //! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
-//! 5. `init`, `import`, `fleet`: robots, and files of other tools.
+//! 5. `downbeat-import`, a crate: files of other tools. `init`, `fleet`: robots.
 //! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
 //! 8. `approach`, `home`, `rehearse`, `inventory`, `world`, `export`: what else is made of a fleet and a scenario.
@@ -28,7 +28,6 @@ mod ensemble;
 pub mod export;
 mod fleet;
 mod home;
-pub mod import;
 mod init;
 mod inventory;
 mod plan;
@@ -40,6 +39,7 @@ mod schema;
 mod sensor_range;
 mod world;
 
+pub use downbeat_import as import;
 pub use downbeat_motion::fit;
 use downbeat_motion::{exact, expression, motion, music};
 use downbeat_reader::{clock_time, fields, keys, scope, slips};
@@ -47,8 +47,7 @@ use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    budget, composed, duration, files, finding, formats, identify, locate, node, project, render, source,
-    syntax, tags,
+    budget, composed, duration, files, finding, identify, locate, node, project, render, source, syntax, tags,
 };
 
 pub use address::{Address, NoAddress, Protection};

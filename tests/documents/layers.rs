@@ -65,6 +65,7 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/motion/src",
         "scripts/space/src",
         "scripts/reader/src",
+        "scripts/import/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

@@ -1,0 +1,390 @@
+//! Recordings of ROS in MCAP: the positions of every topic of `sensor_msgs/JointState`, as CDR (ROS 2) or as ROS 1 wrote them.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::Read;
+
+use mcap::records::{ChunkHeader, Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use urrcp::Span;
+
+use downbeat_yaml::finding::{Code, names};
+
+use super::input::Input;
+use super::sink::Sink;
+use super::units::OF_JOINTS;
+use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
+
+const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"];
+/// Largest chunk that is unpacked, all of them, and the window of their compression, in bytes.
+const CHUNK_BYTES_MAX: u64 = 32 << 20;
+const ALL_BYTES_MAX: u64 = 512 << 20;
+const WINDOW_MAX: u64 = 8 << 20;
+/// Most joints of a message, and longest name.
+const JOINTS_MAX: usize = 1_000;
+const NAME_BYTES_MAX: usize = 1_024;
+/// Most topics.
+const TOPICS_MAX: usize = 10_000;
+
+/// How the numbers of a message are written.
+#[derive(Clone, Copy, PartialEq)]
+enum Encoding {
+    Cdr,
+    Ros1,
+}
+
+/// What was recorded of one topic.
+struct Topic {
+    name: String,
+    encoding: Encoding,
+    joints: Vec<String>,
+    by_name: HashMap<String, usize>,
+    /// Nanoseconds and positions of each joint.
+    positions: Vec<Vec<(u64, f64)>>,
+    empty: usize,
+    unstamped: usize,
+}
+
+#[derive(Default)]
+struct Recording {
+    schemas: HashMap<u16, String>,
+    topics: BTreeMap<u16, Topic>,
+    others: BTreeSet<String>,
+    count: usize,
+    left: u64,
+    more: bool,
+}
+
+/// Reads one file: a robot a topic, in one scene.
+pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
+    let mut recording = Recording { left: ALL_BYTES_MAX, ..Recording::default() };
+    if let Err(message) = recording.read(bytes, sink) {
+        sink.about(name, Code::Unreadable, message, "an MCAP recording", None);
+        return Vec::new();
+    }
+    let mut topics: Vec<Topic> = recording.topics.into_values().collect();
+    topics.retain(|topic| topic.positions.iter().any(|positions| !positions.is_empty()));
+    if topics.is_empty() {
+        let others = names(recording.others.iter().take(12).map(String::as_str));
+        let expected = "a topic of sensor_msgs/JointState, as CDR or ROS 1, with positions";
+        let hint = Some(format!("in it are {others}")).filter(|_| !others.is_empty());
+        sink.about(
+            name,
+            Code::NothingToDo,
+            "the recording moves no joints".into(),
+            expected,
+            hint.as_deref(),
+        );
+        return Vec::new();
+    }
+    if !recording.others.is_empty() {
+        let others = names(recording.others.iter().take(12).map(String::as_str));
+        let count = downbeat_yaml::render::counted(recording.others.len(), "other topic");
+        sink.note(format!("{name}: left out {count}: {others}"));
+    }
+    let first = topics.iter().flat_map(Topic::times).min().unwrap_or(0);
+    sink.note(format!("{name}: times count from the first message; left out velocities and efforts"));
+    let single = topics.len() == 1;
+    let mut motions = Vec::new();
+    for topic in topics {
+        let robot = if single { input.robot.clone() } else { topic.name.trim_start_matches('/').to_owned() };
+        let devices = topic.devices(first, name, sink);
+        motions.push(Motion { scene: input.scene.clone(), robot: RobotMotion { robot, devices } });
+    }
+    motions
+}
+
+/// Takes each record that says something of messages. Others are not even looked at: the library panics at some that are broken.
+fn records(
+    mut bytes: &[u8],
+    options: LinearReaderOptions,
+    mut take: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), String> {
+    // Without a limit the library computes with any length that a record claims to have.
+    let mut reader = LinearReader::new_with_options(options.with_record_length_limit(bytes.len()));
+    while let Some(event) = reader.next_event() {
+        match event.map_err(|error| error.to_string())? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (now, rest) = bytes.split_at(wanted.min(bytes.len()));
+                reader.insert(now.len()).copy_from_slice(now);
+                reader.notify_read(now.len());
+                bytes = rest;
+            }
+            LinearReadEvent::Record { data, opcode } => {
+                if matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK) {
+                    take(mcap::parse_record(opcode, data).map_err(|error| error.to_string())?)?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Recording {
+    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), String> {
+        let options = LinearReaderOptions::default().with_emit_chunks(true);
+        records(bytes, options, |record| {
+            match record {
+                Record::Chunk { header, data } => self.chunk(&header, &data, sink)?,
+                other => self.record(other, sink)?,
+            }
+            match self.more {
+                true => Err("it has more than two million positions: cut it".into()),
+                false => Ok(()),
+            }
+        })
+        .map_err(|error| format!("the recording cannot be read: {error}"))
+    }
+
+    fn chunk(&mut self, header: &ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), String> {
+        let most = CHUNK_BYTES_MAX.min(self.left);
+        let plain = match header.compression.as_str() {
+            "" => data.to_vec(),
+            "zstd" => unpacked(zstd(data)?, most)?,
+            "lz4" => unpacked(lz4_flex::frame::FrameDecoder::new(data), most)?,
+            other => {
+                return Err(format!(
+                    "its chunks are compressed by {other}: `mcap recover --compression zstd` makes them readable"
+                ));
+            }
+        };
+        if plain.len() as u64 > most {
+            return Err(format!("a chunk has more than {most} bytes when it is unpacked"));
+        }
+        self.left -= plain.len() as u64;
+        let options = LinearReaderOptions::default().with_skip_start_magic(true).with_skip_end_magic(true);
+        records(&plain, options, |record| match self.more {
+            true => Ok(()),
+            false => self.record(record, sink),
+        })
+        .map_err(|error| format!("in a chunk: {error}"))
+    }
+
+    fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), String> {
+        match record {
+            Record::Schema { header, .. } => drop(self.schemas.insert(header.id, header.name)),
+            Record::Channel(channel) => self.channel(channel)?,
+            Record::Message { header, data } => {
+                if let Some(topic) = self.topics.get_mut(&header.channel_id) {
+                    self.count += topic.message(&data, header.log_time)?;
+                    self.more = !sink.has_room_for(self.count as f64);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn channel(&mut self, channel: mcap::records::Channel) -> Result<(), String> {
+        let schema = self.schemas.get(&channel.schema_id).map_or("", String::as_str);
+        let encoding = match channel.message_encoding.as_str() {
+            "cdr" => Some(Encoding::Cdr),
+            "ros1" => Some(Encoding::Ros1),
+            _ => None,
+        };
+        if self.topics.len() + self.others.len() >= TOPICS_MAX {
+            return Err(format!("the recording has more than {TOPICS_MAX} topics"));
+        }
+        match encoding.filter(|_| SCHEMAS.contains(&schema)) {
+            None => drop(self.others.insert(channel.topic)),
+            Some(encoding) => {
+                let topic = || Topic {
+                    name: channel.topic.clone(),
+                    encoding,
+                    joints: Vec::new(),
+                    by_name: HashMap::new(),
+                    positions: Vec::new(),
+                    empty: 0,
+                    unstamped: 0,
+                };
+                self.topics.entry(channel.id).or_insert_with(topic);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A reader of a compressed chunk.
+fn zstd(data: &[u8]) -> Result<impl Read, String> {
+    let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(data, WINDOW_MAX);
+    decoder.map_err(|error| format!("a chunk cannot be unpacked: {error}"))
+}
+
+fn unpacked(packed: impl Read, most: u64) -> Result<Vec<u8>, String> {
+    let mut plain = Vec::new();
+    let read = packed.take(most + 1).read_to_end(&mut plain);
+    read.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
+    Ok(plain)
+}
+
+impl Topic {
+    fn times(&self) -> impl Iterator<Item = u64> {
+        self.positions.iter().flatten().map(|(at_ns, _)| *at_ns)
+    }
+
+    /// Takes a message; how many positions it has.
+    fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
+        let wrong = |error: &str| format!("a message of `{}`: {error}", self.name);
+        let state = JointState::read(data, self.encoding).map_err(|error| wrong(&error))?;
+        if state.positions.is_empty() {
+            self.empty += 1;
+            return Ok(0);
+        }
+        if state.positions.len() != state.names.len() {
+            let (names, positions) = (state.names.len(), state.positions.len());
+            return Err(wrong(&format!("{positions} positions for {names} joints")));
+        }
+        self.unstamped += usize::from(state.stamp == 0);
+        let at_ns = if state.stamp == 0 { log_time } else { state.stamp };
+        let count = state.positions.len();
+        for (name, value) in state.names.into_iter().zip(state.positions) {
+            if !value.is_finite() {
+                return Err(format!(
+                    "a message of `{}`: `{}` is at {value}",
+                    self.name,
+                    downbeat_yaml::shown::shortened(&name)
+                ));
+            }
+            let joint = match self.by_name.get(&name) {
+                Some(joint) => *joint,
+                None => self.join(name)?,
+            };
+            self.positions[joint].push((at_ns, value + 0.0));
+        }
+        Ok(count)
+    }
+
+    fn join(&mut self, name: String) -> Result<usize, String> {
+        if self.joints.len() == JOINTS_MAX {
+            return Err(format!("`{}` has more than {JOINTS_MAX} joints", self.name));
+        }
+        self.by_name.insert(name.clone(), self.joints.len());
+        self.joints.push(name);
+        self.positions.push(Vec::new());
+        Ok(self.joints.len() - 1)
+    }
+
+    fn devices(self, first: u64, file: &str, sink: &mut Sink) -> Vec<DeviceMotion> {
+        let topic = &self.name;
+        let mut replaced = 0_usize;
+        let mut devices = Vec::new();
+        for (joint, mut positions) in self.joints.into_iter().zip(self.positions) {
+            positions.sort_by_key(|(at_ns, _)| *at_ns);
+            let mut keyframes: Vec<Keyframe> = Vec::with_capacity(positions.len());
+            for (at_ns, value) in positions {
+                let at = Span::from_nanos(i64::try_from(at_ns - first).unwrap_or(i64::MAX));
+                match keyframes.last_mut().filter(|last| last.at == at) {
+                    Some(last) => {
+                        replaced += 1;
+                        last.value = value;
+                    }
+                    None => keyframes.push(Keyframe { at, value }),
+                }
+            }
+            if keyframes.last().is_some_and(|last| keyframes::seconds(last.at) > keyframes::SECONDS_MAX) {
+                let message = format!("`{topic}` lasts longer than {} s", keyframes::SECONDS_MAX);
+                sink.about(file, Code::ImportTime, message, "stamps of one recording", None);
+            }
+            devices.push(DeviceMotion {
+                device: joint,
+                unit: OF_JOINTS.to_owned(),
+                keyframes,
+                ..DeviceMotion::default()
+            });
+        }
+        for (count, text) in
+            [(replaced, "position: another has the same time"), (self.empty, "message without positions")]
+        {
+            if count > 0 {
+                sink.note(format!("{file}: `{topic}`: left out {count} {text}"));
+            }
+        }
+        if self.unstamped > 0 {
+            let messages = downbeat_yaml::render::counted(self.unstamped, "message");
+            sink.note(format!(
+                "{file}: `{topic}`: {messages} without a stamp: taken as of when it was recorded"
+            ));
+        }
+        devices
+    }
+}
+
+/// What is used of a message.
+struct JointState {
+    /// Nanoseconds; 0 where it is not set.
+    stamp: u64,
+    names: Vec<String>,
+    positions: Vec<f64>,
+}
+
+impl JointState {
+    fn read(data: &[u8], encoding: Encoding) -> Result<Self, String> {
+        let mut bytes = match encoding {
+            Encoding::Ros1 => Bytes { data, at: 0, big: false, aligned: false },
+            Encoding::Cdr => {
+                let body = data.get(4..).ok_or("the message ends within its header")?;
+                match data[1] {
+                    kind @ (0 | 1) if data[0] == 0 => {
+                        Bytes { data: body, at: 0, big: kind == 0, aligned: true }
+                    }
+                    kind => return Err(format!("the encoding {kind} of CDR is not known")),
+                }
+            }
+        };
+        if encoding == Encoding::Ros1 {
+            // The count of messages.
+            bytes.u32()?;
+        }
+        let (seconds, nanos) = (bytes.u32()?, bytes.u32()?);
+        bytes.text()?;
+        let count = bytes.count(JOINTS_MAX)?;
+        let names = (0..count).map(|_| bytes.text()).collect::<Result<_, _>>()?;
+        let count = bytes.count(JOINTS_MAX)?;
+        let positions = (0..count).map(|_| bytes.f64()).collect::<Result<_, _>>()?;
+        Ok(Self { stamp: u64::from(seconds) * 1_000_000_000 + u64::from(nanos), names, positions })
+    }
+}
+
+/// Numbers and texts one after the other, in CDR each at a multiple of its size.
+struct Bytes<'a> {
+    data: &'a [u8],
+    at: usize,
+    big: bool,
+    aligned: bool,
+}
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        if self.aligned {
+            self.at = self.at.next_multiple_of(N);
+        }
+        let part = self.data.get(self.at..self.at + N).and_then(|part| <[u8; N]>::try_from(part).ok());
+        self.at += N;
+        let mut part = part.ok_or_else(|| "the message ends too early".to_owned())?;
+        if self.big {
+            part.reverse();
+        }
+        Ok(part)
+    }
+
+    fn u32(&mut self) -> Result<u32, String> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, String> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    fn count(&mut self, most: usize) -> Result<usize, String> {
+        let count = self.u32()? as usize;
+        if count > most { Err(format!("{count} entries, the limit is {most}")) } else { Ok(count) }
+    }
+
+    fn text(&mut self) -> Result<String, String> {
+        let length = self.count(NAME_BYTES_MAX)?;
+        let part = self.data.get(self.at..self.at + length).ok_or("the message ends within a text")?;
+        self.at += length;
+        let part = part.strip_suffix(&[0]).unwrap_or(part);
+        String::from_utf8(part.to_vec()).map_err(|_| "a name is not UTF-8".to_owned())
+    }
+}

@@ -1,0 +1,110 @@
+//! Times to the nanosecond, in order; values with as many digits as they are worth.
+
+use std::cmp::Ordering;
+
+use urrcp::Span;
+
+use downbeat_motion::exact::{Exact, Fraction, fraction};
+use downbeat_yaml::finding::Code;
+
+use super::Keyframe;
+
+/// Longest time that is read, in seconds: 100 days and more, within what the protocol carries.
+pub(super) const SECONDS_MAX: f64 = 1e7;
+
+/// Seconds to the nearest nanosecond; `None` where they are negative or beyond all measure.
+#[expect(clippy::cast_possible_truncation, reason = "the range is checked before")]
+pub(super) fn span(seconds: f64) -> Option<Span> {
+    (0.0..=SECONDS_MAX).contains(&seconds).then(|| Span::from_nanos((seconds * 1e9).round() as i64))
+}
+
+/// From 1990 to 2200, in seconds since 1970.
+const DATES_S: std::ops::Range<f64> = 631_152_000.0..7_258_118_400.0;
+
+/// Whether a time is one of a calendar and cannot count from the start of a scene.
+pub(super) fn is_date(at: Span) -> bool {
+    DATES_S.contains(&seconds(at))
+}
+
+/// In seconds, for notes and curves.
+pub(super) fn seconds(span: Span) -> f64 {
+    span.as_nanos() as f64 / 1e9
+}
+
+/// All multiples of the sampling period up to a duration, and the duration itself.
+pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<Span> {
+    let Some(end) = span(duration_s) else { return Vec::new() };
+    let second = Exact::from(Span::from_millis(1_000));
+    let at = |index: i128| second.times(Fraction::from_integer(index) / fraction(rate_hz)).rounded();
+    let mut times: Vec<Span> = (0..).map(at).take_while(|at| *at < end).collect();
+    times.push(end);
+    times
+}
+
+/// A value rounded to this many digits after the point, without a negative zero.
+pub(super) fn rounded(value: f64, digits: i32) -> f64 {
+    let scale = 10_f64.powi(digits);
+    let scaled = (value * scale).round();
+    // Values beyond the precision of doubles have no such digits to lose.
+    if scaled.abs() < 9e15 { scaled / scale + 0.0 } else { value }
+}
+
+/// Adds whole periods so that no value is more than half of one from the value before; says how often that was needed.
+pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
+    let (mut turns, mut jumps) = (0.0, 0);
+    let mut before = None;
+    for keyframe in keyframes {
+        let written = keyframe.value;
+        let jump = before.map_or(0.0, |before: f64| ((written - before) / period).round());
+        turns -= jump;
+        jumps += usize::from(jump != 0.0);
+        before = Some(written);
+        keyframe.value = written + turns * period;
+    }
+    jumps
+}
+
+/// The fault of a time that does not follow `before`, the previous one of the device: the code, a sentence and a hint.
+pub(super) fn check_later(before: Span, at: Span) -> Option<(Code, String, &'static str)> {
+    let [before_s, at_s] = [before, at].map(seconds);
+    match at.cmp(&before) {
+        Ordering::Greater => None,
+        Ordering::Less => {
+            let message = format!("the time {at_s} s comes after {before_s} s");
+            Some((Code::ImportTime, message, "times go forward: sort the lines, or correct the time"))
+        }
+        Ordering::Equal => {
+            let message = format!("the time {at_s} s appears twice");
+            Some((Code::TimesCollide, message, "two values at one time: keep one of them"))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_gives_its_multiples_and_the_end() {
+        assert_eq!(sampled_times(4.25, 50.0).len(), 214);
+        assert_eq!(sampled_times(198.0, 10.0).len(), 1_981);
+        let times: Vec<i64> = sampled_times(0.1, 30.0).into_iter().map(Span::as_nanos).collect();
+        assert_eq!(times, [0, 33_333_333, 66_666_667, 100_000_000]);
+    }
+
+    #[test]
+    fn headings_go_on_past_a_turn_in_either_direction() {
+        let values = [350.0, 10.0, 30.0, 340.0, 0.0, 355.0];
+        let mut keyframes: Vec<_> =
+            (0..).zip(values).map(|(ms, value)| Keyframe { at: Span::from_millis(ms), value }).collect();
+        assert_eq!(unwrap(&mut keyframes, 360.0), 4);
+        let values: Vec<_> = keyframes.iter().map(|keyframe| keyframe.value).collect();
+        assert_eq!(values, [350.0, 370.0, 390.0, 340.0, 360.0, 355.0]);
+    }
+
+    #[test]
+    fn times_are_rounded_and_bounded() {
+        assert_eq!(span(0.372_734_245), Some(Span::from_nanos(372_734_245)));
+        assert_eq!([span(-0.1), span(f64::NAN), span(1e9)], [None; 3]);
+    }
+}

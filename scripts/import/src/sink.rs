@@ -1,0 +1,172 @@
+//! What an import has to say: findings with their places, and notes about the rules that it applied.
+
+use downbeat_reader::fields::Reader;
+use downbeat_yaml::finding::{Code, Finding, Severity};
+use downbeat_yaml::locate::locate;
+use downbeat_yaml::source::Source;
+
+use super::{Clearance, KEYFRAMES_MAX, Motion};
+
+/// Most findings of one file: a file that is of another format altogether is wrong in every line.
+pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
+/// Longest line that a finding carries, in bytes.
+const LINE_BYTES_MAX: usize = 4_000;
+
+/// Collects.
+#[derive(Default)]
+pub(super) struct Sink {
+    pub(super) notes: Vec<String>,
+    pub(super) findings: Vec<Finding>,
+    /// Keyframes so far, counted so that the import stays bounded.
+    keyframes: usize,
+    /// Values that repeat the one before.
+    pub(super) held: usize,
+    /// How near to each other robots may come, if the files say it.
+    pub(super) clearance: Option<Clearance>,
+}
+
+/// A place in a text file: part of a line.
+#[derive(Clone, Copy)]
+pub(super) struct Spot<'a> {
+    /// From 1.
+    pub(super) line: usize,
+    pub(super) text: &'a str,
+    /// In bytes.
+    pub(super) start: usize,
+    pub(super) width: usize,
+}
+
+impl Sink {
+    pub(super) fn note(&mut self, text: impl Into<String>) {
+        self.notes.push(text.into());
+    }
+
+    /// A finding about a part of a line.
+    pub(super) fn found(
+        &mut self,
+        source: &Source,
+        spot: Spot<'_>,
+        code: Code,
+        message: impl Into<String>,
+        expected: impl Into<String>,
+        hint: Option<&str>,
+    ) {
+        let before = &spot.text[..spot.start];
+        let inside = &spot.text[spot.start..spot.start + spot.width];
+        self.push(Finding {
+            code,
+            severity: Severity::Error,
+            file: source.name.clone(),
+            line: spot.line,
+            column: before.chars().count() + 1,
+            width: inside.chars().count().max(1),
+            message: message.into(),
+            expected: expected.into(),
+            hint: hint.map(str::to_owned),
+            source_line: shown(spot.text, spot.start),
+            related: Vec::new(),
+        });
+    }
+
+    /// A text that is no JSON, with the place where it stops being it.
+    pub(super) fn found_json(&mut self, source: &Source, error: &serde_json::Error) {
+        let text = source.text.lines().nth(error.line().saturating_sub(1)).unwrap_or("");
+        let start = (0..=error.column().saturating_sub(1).min(text.len())).rev();
+        let start = start.into_iter().find(|start| text.is_char_boundary(*start)).unwrap_or(0);
+        let message = error.to_string();
+        let message = message.split(" at line ").next().unwrap_or("").to_owned();
+        let spot = Spot { line: error.line(), text, start, width: 0 };
+        self.found(source, spot, Code::Syntax, message, "a JSON document", None);
+    }
+
+    /// A finding about a file as a whole.
+    pub(super) fn about(
+        &mut self,
+        file: &str,
+        code: Code,
+        message: String,
+        expected: &str,
+        hint: Option<&str>,
+    ) {
+        self.push(Finding::about_file(code, file, message, expected, hint.map(str::to_owned)));
+    }
+
+    /// Findings that know their place in a tree.
+    pub(super) fn located(&mut self, source: &Source, findings: Reader) {
+        let mut pending = findings.found;
+        pending.truncate(FINDINGS_A_FILE_MAX + 1);
+        for finding in locate(std::slice::from_ref(source), pending) {
+            self.push(with_short_line(finding));
+        }
+    }
+
+    /// Whether a file has so many findings that more of them do not help.
+    pub(super) fn is_full(&self, source: &Source) -> bool {
+        self.of(&source.name) > FINDINGS_A_FILE_MAX
+    }
+
+    /// Stops an import that grows beyond all measure.
+    pub(super) fn count(&mut self, motions: &[Motion], file: &str) {
+        let devices = motions.iter().flat_map(|motion| &motion.robot.devices);
+        let before = self.keyframes;
+        self.keyframes += devices.map(|device| device.keyframes.len()).sum::<usize>();
+        if before <= KEYFRAMES_MAX && self.keyframes > KEYFRAMES_MAX {
+            self.too_many(file, self.keyframes as f64);
+        }
+    }
+
+    /// The finding of an import that is too large.
+    pub(super) fn too_many(&mut self, file: &str, keyframes: f64) {
+        let message = format!("the import would have {keyframes:.0} keyframes or more");
+        let expected = format!("at most {KEYFRAMES_MAX} keyframes");
+        self.about(
+            file,
+            Code::ImportLimit,
+            message,
+            &expected,
+            Some("sample at a lower --rate, or import fewer files"),
+        );
+    }
+
+    /// Whether this many more keyframes can be taken.
+    pub(super) fn has_room_for(&self, keyframes: f64) -> bool {
+        self.keyframes as f64 + keyframes <= KEYFRAMES_MAX as f64
+    }
+
+    fn of(&self, file: &str) -> usize {
+        self.findings.iter().rev().take_while(|finding| finding.file == file).count()
+    }
+
+    fn push(&mut self, finding: Finding) {
+        match self.of(&finding.file) {
+            0..FINDINGS_A_FILE_MAX => self.findings.push(finding),
+            FINDINGS_A_FILE_MAX => {
+                let message = format!("the file has more than {FINDINGS_A_FILE_MAX} findings");
+                let hint = Some("is it of this format? see `docs/import.md`".to_owned());
+                let expected = "a file of the format that was named";
+                self.findings.push(Finding::about_file(finding.code, &finding.file, message, expected, hint));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// The same with its line as far as it matters.
+pub(super) fn with_short_line(mut finding: Finding) -> Finding {
+    finding.source_line = shown(&finding.source_line, finding.column);
+    finding
+}
+
+/// The line as far as it matters.
+fn shown(line: &str, start: usize) -> String {
+    if line.len() <= LINE_BYTES_MAX {
+        return line.to_owned();
+    }
+    match start {
+        0..LINE_BYTES_MAX => {
+            let end = (0..=LINE_BYTES_MAX).rev().find(|end| line.is_char_boundary(*end)).unwrap_or(0);
+            line[..end].to_owned()
+        }
+        _ => String::new(),
+    }
+}
