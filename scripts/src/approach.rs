@@ -115,7 +115,7 @@ impl Choreography {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::Address;
+    use crate::Address;
     use crate::compile::compile;
     use crate::files::NoFiles;
     use crate::fleet::FleetRobot;

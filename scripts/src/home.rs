@@ -109,7 +109,7 @@ fn ways<'a>(fleet: &Fleet, from: &'a Positions) -> Vec<DeviceWay<'a>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::Address;
+    use crate::Address;
     use crate::compile::compile;
     use crate::files::NoFiles;
     use crate::fleet::FleetRobot;

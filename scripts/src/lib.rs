@@ -16,19 +16,16 @@
 //! 2. `downbeat-motion`, a crate: exact numbers, expressions, and the steps of movements.
 //! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
 //! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
-//! 5. `downbeat-import`, a crate: files of other tools. `init`, `fleet`: robots.
+//! 5. `downbeat-import` and `downbeat-fleet`, crates: files of other tools; robots.
 //! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
-//! 8. `approach`, `home`, `rehearse`, `inventory`, `world`, `export`: what else is made of a fleet and a scenario.
+//! 8. `approach`, `home`, `rehearse`, `inventory`, `export`: what else is made of a fleet and a scenario.
 
-mod address;
 mod approach;
 mod compile;
 mod ensemble;
 pub mod export;
-mod fleet;
 mod home;
-mod init;
 mod inventory;
 mod plan;
 mod refill;
@@ -36,9 +33,8 @@ mod rehearse;
 mod requirements;
 mod scenario;
 mod schema;
-mod sensor_range;
-mod world;
 
+use downbeat_fleet::{fleet, sensor_range};
 pub use downbeat_import as import;
 pub use downbeat_motion::fit;
 use downbeat_motion::{exact, expression, motion, music};
@@ -47,14 +43,25 @@ use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
 pub use downbeat_yaml::shown;
 use downbeat_yaml::{
-    budget, composed, duration, files, finding, identify, locate, node, project, render, source, syntax, tags,
+    budget, composed, duration, files, finding, identify, locate, node, render, source, tags,
 };
 
-pub use address::{Address, NoAddress, Protection};
 pub use approach::Approach;
 pub use compile::poses::Positions;
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
+};
+pub use downbeat_fleet::address::{Address, NoAddress, Protection};
+pub use downbeat_fleet::fleet::{
+    Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
+    LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
+    SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
+    read_fleet_to_measure, read_fleet_within, read_latency_file,
+};
+pub use downbeat_fleet::init::{init_of, init_text, read_init};
+pub use downbeat_fleet::world::{
+    Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
+    SensorWorld, Trouble, World, read_world,
 };
 #[doc(hidden)]
 pub use downbeat_reader::fields::tried as try_expression;
@@ -73,13 +80,6 @@ pub use downbeat_yaml::refusal::{Attempt, Refusal};
 pub use downbeat_yaml::render::render;
 pub use downbeat_yaml::sarif::sarif;
 pub use downbeat_yaml::source::Source;
-pub use fleet::{
-    Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LAGS_MAX, Lag, LatencyFile,
-    LatencySource, MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves,
-    SimulationSettings, Taken, latency_file_of, latency_text, read_fleet, read_fleet_named,
-    read_fleet_to_measure, read_fleet_within, read_latency_file,
-};
-pub use init::{init_of, init_text, read_init};
 pub use inventory::{Offer, Parameter, inventory};
 pub use plan::{
     Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor, OnDoubt,
@@ -89,16 +89,12 @@ pub use plan::{
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, schema};
-pub use world::{
-    Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
-    SensorWorld, Trouble, World, read_world,
-};
 
 /// Words for messages, shared with the program.
 #[doc(hidden)]
 pub use {
-    address::address_fault, downbeat_yaml::duration::written, downbeat_yaml::finding::did_you_mean,
-    downbeat_yaml::render::counted, import::scalar,
+    downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,
+    downbeat_yaml::finding::did_you_mean, downbeat_yaml::render::counted, import::scalar,
 };
 
 #[cfg(test)]

@@ -66,6 +66,7 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/space/src",
         "scripts/reader/src",
         "scripts/import/src",
+        "scripts/fleet/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

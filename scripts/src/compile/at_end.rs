@@ -223,7 +223,7 @@ fn shortest(cast: &Cast<'_>, robot: usize, device: &Device, distance: f64) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::address::Address;
+    use crate::Address;
     use crate::compile::{Compiled, compile};
     use crate::files::NoFiles;
     use crate::fleet::FleetRobot;

@@ -1,0 +1,277 @@
+//! Where robots are reached, as the fleet file and the command line write it.
+
+use std::fmt;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+use std::str::FromStr;
+
+/// Where a robot is reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// `sim`: simulated in the same process.
+    Simulated,
+    /// `tls://host:port`, `hmac://host:port`, or `tcp://host:port` without either.
+    Tcp {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+        /// Whether both sides prove who they are.
+        protection: Protection,
+    },
+    /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
+    Thrift {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// `zenoh:KEY`: a robot at a key of a Zenoh network.
+    Zenoh {
+        /// Its key, without wildcards.
+        key: String,
+    },
+    /// `program:COMMAND`: a robot driven from this process by a program.
+    Program {
+        /// A command line of the shell.
+        command: String,
+    },
+}
+
+/// What keeps others from moving a robot by its address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Protection {
+    /// `tcp`: nothing does.
+    Open,
+    /// `tls`: both sides prove who they are, and nobody else can read along.
+    Tls,
+    /// `hmac`: both sides prove who they are, and nobody can alter or repeat what is sent; but others can read along.
+    Hmac,
+}
+
+impl Protection {
+    /// The scheme of addresses with it.
+    #[must_use]
+    pub const fn scheme(self) -> &'static str {
+        match self {
+            Self::Open => "tcp",
+            Self::Tls => "tls",
+            Self::Hmac => "hmac",
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulated => f.write_str("sim"),
+            Self::Tcp { host, port, protection } => write!(f, "{}://{host}:{port}", protection.scheme()),
+            Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
+            Self::Zenoh { key } => write!(f, "zenoh:{key}"),
+            Self::Program { command } => write!(f, "program:{command}"),
+        }
+    }
+}
+
+/// A place in the network, however it is written.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Reached {
+    host: ReachedHost,
+    port: u16,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum ReachedHost {
+    Ip(IpAddr),
+    /// A name without its final full stop, in small letters. Only DNS knows where it leads.
+    Name(String),
+    /// A key of a Zenoh network, which has no ports.
+    Key(String),
+}
+
+impl Address {
+    /// The places to which it leads, as far as that is known without DNS: none where nothing listens.
+    pub fn places(&self) -> Vec<Reached> {
+        match self {
+            Self::Tcp { host, port, .. } | Self::Thrift { host, port } => {
+                hosts(host).into_iter().map(|host| Reached { host, port: *port }).collect()
+            }
+            Self::Zenoh { key } => vec![Reached { host: ReachedHost::Key(key.clone()), port: 0 }],
+            Self::Simulated | Self::Program { .. } => Vec::new(),
+        }
+    }
+}
+
+impl Address {
+    /// Whether the robot is a process of its own that a scheduler connects to.
+    #[must_use]
+    pub const fn is_served(&self) -> bool {
+        matches!(self, Self::Tcp { .. } | Self::Zenoh { .. })
+    }
+
+    /// Whether commands to it cross a network where others can send them too: plain TCP to anything but this machine.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        matches!(self, Self::Tcp { protection: Protection::Open, .. }) && self.is_beyond()
+    }
+
+    /// Whether it leads, or may lead, to another machine.
+    fn is_beyond(&self) -> bool {
+        let is_here = |place: &ReachedHost| matches!(place, ReachedHost::Ip(ip) if ip.is_loopback());
+        match self {
+            Self::Tcp { host, .. } => !hosts(host).iter().all(is_here),
+            _ => false,
+        }
+    }
+}
+
+/// `localhost` is this machine in either version of IP; so is the unspecified address to those that connect to it.
+fn hosts(host: &str) -> Vec<ReachedHost> {
+    let ip = host.parse::<IpAddr>().map(|ip| match ip.to_canonical() {
+        IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
+        IpAddr::V6(ip) if ip.is_unspecified() => Ipv6Addr::LOCALHOST.into(),
+        ip => ip,
+    });
+    let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
+    match ip {
+        Ok(ip) => vec![ReachedHost::Ip(ip)],
+        Err(_) if name == "localhost" => {
+            [Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()].map(ReachedHost::Ip).to_vec()
+        }
+        Err(_) => vec![ReachedHost::Name(name)],
+    }
+}
+
+/// Whether it is a key expression of Zenoh without wildcards.
+fn is_key(text: &str) -> bool {
+    let is_chunk = |chunk: &str| {
+        !chunk.is_empty() && !chunk.contains(['*', '$', '?', '#']) && !chunk.contains(char::is_whitespace)
+    };
+    text.split('/').all(is_chunk)
+}
+
+/// A text is no address.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NoAddress;
+
+/// What an address looks like.
+pub const ADDRESS: &str = "`sim`, tls://host:port, hmac://host:port, tcp://host:port, zenoh:KEY, thrift://host:port or program:COMMAND";
+
+impl fmt::Display for NoAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "expected {ADDRESS}")
+    }
+}
+
+impl std::error::Error for NoAddress {}
+
+/// What is wrong with a text that is no address, and how it is written right.
+#[must_use]
+pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
+    if text.starts_with("zenoh:") {
+        let hint = "a key is words between slashes without wildcards or spaces, as in `zenoh:hall-2/arm-1`";
+        return ("has no valid key", Some(hint.to_owned()));
+    }
+    let (scheme, rest) = match text.split_once("://") {
+        Some((scheme, rest)) => (Some(scheme), rest),
+        None => (None, text),
+    };
+    let place = rest.trim_end_matches('/');
+    let port = place.rsplit_once(':').map(|(_, port)| port);
+    let has_port = port.is_some_and(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
+    let known = scheme.filter(|scheme| ["tcp", "tls", "hmac", "thrift"].contains(scheme));
+    match (known, port) {
+        (Some(_), Some(port)) if !has_port && port.bytes().all(|byte| byte.is_ascii_digit()) => {
+            ("has no valid port", Some("a port is a number from 1 to 65535".to_owned()))
+        }
+        (Some(scheme), _) if !has_port => {
+            let host = place.split(':').next().unwrap_or_default();
+            let hint = format!("add the port on which the robot listens, as in `{scheme}://{host}:7401`");
+            ("has no port", Some(hint))
+        }
+        (None, _) if has_port => {
+            let tls = format!("tls://{place}");
+            let here = tls.parse().is_ok_and(|address: Address| !address.is_beyond());
+            let write = if here { format!("write `tcp://{place}`") } else { format!("write `{tls}`") };
+            ("does not begin with `tls://` or `tcp://`", Some(write))
+        }
+        _ => {
+            let simulated =
+                ["simulated", "simulation", "simulator", "virtual", "sim:", "sim://"].contains(&text);
+            let hint = match text.parse::<IpAddr>() {
+                _ if simulated => Some("write `sim`".to_owned()),
+                Ok(IpAddr::V4(ip)) => {
+                    Some(format!("add how to reach it and its port, as in `tls://{ip}:7401`"))
+                }
+                _ => None,
+            };
+            ("is not an address", hint.or_else(|| of_another_bus(text)))
+        }
+    }
+}
+
+impl FromStr for Address {
+    type Err = NoAddress;
+
+    /// Reads an address as the fleet file writes it.
+    fn from_str(text: &str) -> Result<Self, NoAddress> {
+        Self::parse(text).ok_or(NoAddress)
+    }
+}
+
+impl Address {
+    fn parse(text: &str) -> Option<Self> {
+        if text == "sim" {
+            return Some(Self::Simulated);
+        }
+        let (scheme, rest) = text.split_once(':')?;
+        if scheme == "program" {
+            let command = rest.trim().to_owned();
+            return (!command.is_empty()).then_some(Self::Program { command });
+        }
+        if scheme == "zenoh" {
+            return is_key(rest).then(|| Self::Zenoh { key: rest.to_owned() });
+        }
+        let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
+        let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+        match scheme {
+            _ if host.is_empty() => None,
+            "tcp" => Some(Self::Tcp { host, port, protection: Protection::Open }),
+            "tls" => Some(Self::Tcp { host, port, protection: Protection::Tls }),
+            "hmac" => Some(Self::Tcp { host, port, protection: Protection::Hmac }),
+            "thrift" => Some(Self::Thrift { host, port }),
+            _ => None,
+        }
+    }
+}
+
+/// A hint for a serial port, or the address of a robot in another middleware.
+fn of_another_bus(text: &str) -> Option<String> {
+    let is_serial = text.starts_with("/dev/")
+        || text.strip_prefix("COM").is_some_and(|number| number.parse::<u8>().is_ok());
+    let is_other = ["ros", "ros2", "can", "serial", "usb", "mqtt", "osc"]
+        .iter()
+        .any(|scheme| text.strip_prefix(scheme).is_some_and(|rest| rest.starts_with(':')));
+    (is_serial || is_other).then(|| "write `program:COMMAND` with a driver for it (docs/edge.md)".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_of_zenoh_is_an_address_and_one_place() {
+        let address: Address = "zenoh:hall-2/arm-1".parse().unwrap();
+        assert_eq!(address, Address::Zenoh { key: "hall-2/arm-1".to_owned() });
+        assert_eq!(address.to_string(), "zenoh:hall-2/arm-1");
+        assert_eq!(address.places(), "zenoh:hall-2/arm-1".parse::<Address>().unwrap().places());
+        assert_ne!(address.places(), "zenoh:hall-2/arm-2".parse::<Address>().unwrap().places());
+        assert!(address.is_served() && !address.is_open());
+        for wrong in
+            ["zenoh:", "zenoh:/a", "zenoh:a/", "zenoh:a//b", "zenoh:a/*", "zenoh:a b", "zenoh://a", "zenoh"]
+        {
+            assert_eq!(wrong.parse::<Address>(), Err(NoAddress), "{wrong}");
+        }
+        assert_eq!(address_fault("zenoh:a/**").0, "has no valid key");
+    }
+}

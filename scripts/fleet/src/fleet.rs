@@ -1,0 +1,686 @@
+//! The fleet file: which robots there are, where they are reached, how they describe themselves.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
+
+use crate::address::{ADDRESS, Address, address_fault};
+use crate::init::{Init, read_supplements};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
+use downbeat_reader::slips::{self, Units};
+use downbeat_space::space::{Body, Space};
+use downbeat_yaml::composed::composed;
+use downbeat_yaml::duration::written;
+use downbeat_yaml::finding::{Code, Finding, Part, Place, Severity};
+use downbeat_yaml::identify::{self, Document};
+use downbeat_yaml::locate::locate;
+use downbeat_yaml::node::{self, Node};
+use downbeat_yaml::project::{Project, folder_of};
+use downbeat_yaml::shown::shortened;
+use downbeat_yaml::source::Source;
+use downbeat_yaml::tags::foreign_tags;
+
+mod apart;
+mod body;
+mod calibration;
+mod declared;
+mod drive;
+mod joints;
+mod latency;
+mod mission_settings;
+mod moves;
+mod sensors;
+mod urdf;
+
+pub use calibration::{Calibration, Taken};
+use declared::device_named;
+pub use declared::{devices_of, limits_of, settable_limits};
+pub use latency::{
+    DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
+    read_latency_file,
+};
+pub use mission_settings::{ClockMode, MissionSettings, Requirement};
+pub use moves::SimulatedMoves;
+pub use sensors::sensor;
+
+const FLEET_KEYS: [&str; 10] =
+    ["ntp", "handshake", "identity", "revoked", "zenoh", "insecure", "latency", "space", "robots", "groups"];
+/// The place of the file of measured latencies among the files of findings; the fleet file is 0.
+const LATENCY_FILE: u16 = 1;
+const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
+const SIMULATE_KEYS: [&str; 8] =
+    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
+const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
+const FAULT_WORDS: [(&str, Fault); 3] =
+    [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
+
+keys! {
+    /// What is said of one robot.
+    RobotKeys, ROBOT_KEYS {
+        init, devices, address, robot_id, simulate, limits, clock, wake_up, latency, require, encoding, body,
+        calibrate,
+    }
+}
+
+/// All robots of a site.
+#[derive(Clone, Debug, Default)]
+pub struct Fleet {
+    /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
+    pub ntp: Option<String>,
+    /// Whether robots are asked for their identity.
+    pub handshake: Handshake,
+    /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses.
+    pub identity: Option<PathBuf>,
+    /// The list of revoked certificates.
+    pub revoked: Option<PathBuf>,
+    /// The configuration of the Zenoh network, for robots with `zenoh:` addresses.
+    pub zenoh: Option<PathBuf>,
+    /// What has to hold in the space that all robots share.
+    pub space: Space,
+    /// In the order of the file.
+    pub robots: Vec<FleetRobot>,
+    /// Names for several robots.
+    pub groups: BTreeMap<String, Vec<RobotId>>,
+}
+
+/// Whether steps 1 to 4 of the protocol are played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Handshake {
+    /// Every robot is asked.
+    #[default]
+    Full,
+    /// The files are trusted.
+    Skip,
+}
+
+/// One robot.
+#[derive(Clone, Debug)]
+pub struct FleetRobot {
+    /// Its key in the fleet file.
+    pub id: RobotId,
+    /// Where it is reached.
+    pub address: Address,
+    /// Its description, with the id by which the robot calls itself: `robot_id`, else its key in the fleet file.
+    pub init: Option<InitializationBlock>,
+    /// How it behaves when it is simulated.
+    pub simulation: SimulationSettings,
+    /// How fast its devices may move, by device id, where that is less than their speed control type says.
+    pub limits: BTreeMap<String, RateLimits>,
+    /// What its devices mean in space.
+    pub body: Option<Body>,
+    /// What a mission needs to know of it.
+    pub mission: MissionSettings,
+}
+
+impl FleetRobot {
+    /// A robot of which the fleet file says nothing else: every other key has its default.
+    #[must_use]
+    pub fn new(id: RobotId, address: Address, init: Option<InitializationBlock>) -> Self {
+        Self {
+            id,
+            address,
+            init,
+            simulation: SimulationSettings::default(),
+            limits: BTreeMap::new(),
+            body: None,
+            mission: MissionSettings::default(),
+        }
+    }
+}
+
+/// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RateLimits {
+    /// Limit of the first derivative: speed for positions.
+    pub speed: Option<f64>,
+    /// Limit of the second derivative: acceleration for positions.
+    pub acceleration: Option<f64>,
+}
+
+impl RateLimits {
+    /// Completed by what the device declares for the control types speed and acceleration: the larger of |min_value|
+    /// and |max_value|. For a device driven by speed the first derivative is an acceleration.
+    #[must_use]
+    pub fn or_declared(self, device: &Device, control_type: ControlType) -> Self {
+        let declared = |rate| {
+            let limits = device.available_control_types.limits(rate)?;
+            Some(limits.min_value.abs().max(limits.max_value.abs()))
+        };
+        let (speed, acceleration) = (
+            self.speed.or_else(|| declared(ControlType::Speed)),
+            self.acceleration.or_else(|| declared(ControlType::Acceleration)),
+        );
+        match control_type {
+            ControlType::Position => Self { speed, acceleration },
+            ControlType::Speed => Self { speed: acceleration, acceleration: None },
+            _ => Self::default(),
+        }
+    }
+}
+
+/// How a simulated robot differs from a perfect one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulationSettings {
+    /// Its raw clock minus the true one.
+    pub clock_offset: Span,
+    /// How much faster its raw clock runs, in parts per million.
+    pub drift_ppm: f64,
+    /// Largest random error of the times that it states.
+    pub jitter: Span,
+    /// How well its NTP knows the raw clock; `None`: it has no NTP.
+    pub ntp_error: Option<Span>,
+    /// Least and largest delay of every message, each way.
+    pub delay: Option<(Span, Span)>,
+    /// What it does wrong.
+    pub fault: Option<Fault>,
+    /// What its sensors read, in their units; others read nothing.
+    pub readings: Vec<(DeviceId, f64)>,
+    /// How the body follows its devices, as far as it does not at once.
+    pub moves: Vec<SimulatedMoves>,
+}
+
+impl Default for SimulationSettings {
+    fn default() -> Self {
+        Self {
+            clock_offset: Span::ZERO,
+            drift_ppm: 0.0,
+            jitter: Span::ZERO,
+            ntp_error: Some(Span::ZERO),
+            delay: None,
+            fault: None,
+            readings: Vec::new(),
+            moves: Vec::new(),
+        }
+    }
+}
+
+/// What a simulated robot does wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Refuses every script.
+    Refuse,
+    /// Never answers a control request.
+    Silent,
+    /// Hangs up after it has accepted a script.
+    Disconnect,
+}
+
+/// Reads a fleet file that the user has named, and the initialization blocks that it names in its project ([`Project::of`]).
+/// All findings of all files come together; the fleet is there only without errors.
+#[must_use]
+pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
+    read_fleet_within(path, &Project::of(path))
+}
+
+/// The same with files of this project.
+#[must_use]
+pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    of_source(path, Source::read(path), project)
+}
+
+/// The same for a fleet whose latencies are yet to be measured: the file with them that it names may not be there.
+#[must_use]
+pub fn read_fleet_to_measure(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, Source::read(path), project, Latencies::Awaited)
+}
+
+/// The same for a fleet file that a scenario names, which has to be in the project, too.
+#[must_use]
+pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    of_source(path, project.read(path), project)
+}
+
+/// Whether the file of measured latencies has to be there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Latencies {
+    Measured,
+    Awaited,
+}
+
+fn of_source(
+    path: &Path,
+    source: Result<Source, Finding>,
+    project: &Project,
+) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, source, project, Latencies::Measured)
+}
+
+fn read_with(
+    path: &Path,
+    source: Result<Source, Finding>,
+    project: &Project,
+    awaited: Latencies,
+) -> (Option<Fleet>, Vec<Finding>) {
+    let source = match source {
+        Ok(source) => source,
+        Err(mut finding) => {
+            // A name that is only misspelt has its hint.
+            finding.hint.get_or_insert_with(|| {
+                "a fleet file lists your robots: `downbeat init` writes one to begin with".to_owned()
+            });
+            return (None, vec![finding]);
+        }
+    };
+    let document = match node::parse(&source) {
+        Ok(document) => document,
+        Err(finding) => return (None, vec![finding]),
+    };
+    if let Some(mistaken) = identify::mistaken(&source, &document, Document::Fleet) {
+        return (None, vec![mistaken]);
+    }
+    let tags = foreign_tags(&source);
+    if !tags.is_empty() {
+        return (None, tags);
+    }
+    let mut reader = FleetReader {
+        folder: folder_of(path).to_path_buf(),
+        project,
+        awaited,
+        inits: HashMap::new(),
+        urdfs: urdf::Urdfs::new(folder_of(path), project.clone()),
+        latencies: LatencyFile::new(),
+        sources: vec![source],
+        findings: Reader::default(),
+        elsewhere: Vec::new(),
+    };
+    let fleet = reader.fleet(&At::document(&document, 0));
+    let mut findings = locate(&reader.sources, reader.findings.finish());
+    findings.append(&mut reader.elsewhere);
+    findings.append(&mut reader.urdfs.elsewhere);
+    let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
+    (fleet.filter(|_| sound), findings)
+}
+
+struct FleetReader<'a> {
+    folder: PathBuf,
+    project: &'a Project,
+    awaited: Latencies,
+    /// Descriptions read so far, by path: many robots share one.
+    inits: HashMap<PathBuf, Option<Init>>,
+    /// Descriptions of arms.
+    urdfs: urdf::Urdfs,
+    /// What was measured of the devices.
+    latencies: LatencyFile,
+    /// The fleet file, then [`LATENCY_FILE`] if there is one.
+    sources: Vec<Source>,
+    findings: Reader,
+    /// Findings in other files.
+    elsewhere: Vec<Finding>,
+}
+
+impl FleetReader<'_> {
+    fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
+        let [ntp, handshake, identity, revoked, zenoh, insecure, latency, space, robots, groups] =
+            self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
+        let mut fleet = Fleet::default();
+        if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
+            fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(Into::into);
+        }
+        if let Some(handshake) = handshake {
+            fleet.handshake = self.findings.word(&handshake, &HANDSHAKE_WORDS).unwrap_or_default();
+        }
+        let mut file = |at: Option<At<'_>>, expected| {
+            at.and_then(|at| self.findings.text(&at, expected)).map(|path| self.folder.join(path.as_ref()))
+        };
+        fleet.identity =
+            file(identity, "the path of an identity file, which `downbeat keys operator` writes");
+        fleet.revoked =
+            file(revoked, "the path of a list of revoked certificates, which `downbeat keys` writes");
+        fleet.zenoh = file(zenoh, "the path of a configuration of Zenoh");
+        let insecure = insecure.and_then(|at| self.findings.truth(&at)).unwrap_or(false);
+        fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
+        self.latencies = latency.map(|at| self.latency_file(&at)).unwrap_or_default();
+        let robots = robots?;
+        latency::warn_of_robots(&mut self.findings, LATENCY_FILE, &self.latencies, robots.node);
+        let mut names: HashMap<String, &str> = HashMap::new();
+        for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
+            if names.insert(composed(name).into_owned(), name).is_some() {
+                self.same_name(name, &robots);
+                continue;
+            }
+            if name == "groups"
+                && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !ROBOT_KEYS.contains(&key.as_str())))
+            {
+                let hint = Some("write `groups` next to `robots`, not below it".to_owned());
+                let message = "the groups are listed as a robot";
+                self.findings.add(Code::UnknownKey, at.key_place(), message, "a robot", hint);
+                continue;
+            }
+            let robot = self.robot(name, &at, fleet.handshake);
+            fleet.robots.extend(robot);
+        }
+        if !insecure {
+            apart::none_open(&mut self.findings, &robots, &fleet.robots);
+        }
+        apart::one_place_each(&mut self.findings, &robots, &fleet.robots);
+        apart::none_crowded(&mut self.findings, &robots, &fleet.robots);
+        if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
+            self.findings.add(
+                Code::NothingToDo,
+                robots.place(),
+                "the fleet has no robots",
+                "at least one robot",
+                None,
+            );
+        }
+        if let Some(groups) = groups {
+            // Robots with findings of their own count as known: one fault, one finding.
+            let Node::Map(named) = robots.node else { return Some(fleet) };
+            let named = named.iter().map(|(name, _)| (composed(name).into_owned(), name.as_str())).collect();
+            self.groups(&groups, &named, &mut fleet);
+        }
+        Some(fleet)
+    }
+
+    /// Two robots whose names look alike.
+    fn same_name(&mut self, name: &str, robots: &At<'_>) {
+        let place = Place { key: true, ..robots.place().below(Part::Key(name.to_owned(), 1)) };
+        let message =
+            format!("two robots are called `{}`, with letters that are encoded differently", shortened(name));
+        let hint = Some("name one of them differently, or remove it".to_owned());
+        self.findings.add(Code::DuplicateKey, place, message, "names that differ to the eye", hint);
+    }
+
+    fn robot(&mut self, name: &str, at: &At<'_>, handshake: Handshake) -> Option<FleetRobot> {
+        let id = match RobotId::new(name) {
+            Ok(id) => id,
+            Err(error) => {
+                let expected = "a robot id of 1 to 256 characters";
+                self.findings.add(Code::WrongType, at.key_place(), error.to_string(), expected, None);
+                return None;
+            }
+        };
+        let what = format!("robot `{name}`");
+        let keys = RobotKeys::of(self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?);
+        let address = keys.address.and_then(|at| self.address(&at));
+        let mut init = keys.init.and_then(|at| self.init(&at, keys.devices.as_ref()))?;
+        let simulation = keys.simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
+        let own_id = keys.robot_id.and_then(|at| self.own_id(&at));
+        init.id = own_id.unwrap_or_else(|| id.clone());
+        let limits = keys.limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
+        let body =
+            keys.body.as_ref().and_then(|at| body::read_body(&mut self.findings, at, &init, &mut self.urdfs));
+        let measured = self.latencies.get(&id);
+        if let Some(measured) = measured {
+            latency::warn_of_devices(&mut self.findings, LATENCY_FILE, &id, measured, &init);
+        }
+        let latencies = latency::read(&mut self.findings, &keys, &init, measured);
+        let settings = mission_settings::read(&mut self.findings, &keys, &init, handshake);
+        let calibrate = keys.calibrate.map(|at| calibration::read(&mut self.findings, &at, &init));
+        let mission = MissionSettings { latencies, calibrate: calibrate.unwrap_or_default(), ..settings };
+        let robot = FleetRobot::new(id, address?, Some(init));
+        Some(FleetRobot { simulation, limits, body, mission, ..robot })
+    }
+
+    /// What was measured, from the file that the fleet file names.
+    fn latency_file(&mut self, at: &At<'_>) -> LatencyFile {
+        let expected = "the path of a latency file, which `downbeat calibrate` writes";
+        let Some(path) = self.findings.text(at, expected) else { return LatencyFile::new() };
+        let path = self.folder.join(path.as_ref());
+        let source = match self.project.read(&path) {
+            Ok(source) => source,
+            Err(finding) if finding.code == Code::OutsideProject => {
+                self.findings.add_named(at.place(), finding);
+                return LatencyFile::new();
+            }
+            Err(_) if self.awaited == Latencies::Awaited && !path.exists() => return LatencyFile::new(),
+            Err(finding) => {
+                let message =
+                    format!("cannot read the latency file `{}`: {}", path.display(), finding.message);
+                let hint = finding.hint.filter(|hint| !hint.starts_with("name a ")).unwrap_or_else(|| {
+                    "`downbeat calibrate` writes one; the path counts from the folder of the fleet file"
+                        .to_owned()
+                });
+                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
+                return LatencyFile::new();
+            }
+        };
+        match node::parse(&source) {
+            Ok(document) => {
+                self.sources.push(source);
+                latency::read_file(&mut self.findings, &At::document(&document, LATENCY_FILE))
+            }
+            Err(finding) => {
+                self.elsewhere.push(finding);
+                LatencyFile::new()
+            }
+        }
+    }
+
+    /// What the robot itself has as its id, where that differs from its name here.
+    fn own_id(&mut self, at: &At<'_>) -> Option<RobotId> {
+        let expected = "the id that the robot declares, 1 to 256 characters";
+        let text = self.findings.text(at, expected)?;
+        let id = RobotId::new(text.as_ref());
+        if let Err(wrong) = &id {
+            self.findings.add(Code::WrongType, at.place(), wrong.to_string(), expected, None);
+        }
+        id.ok()
+    }
+
+    fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
+        let mut limits = BTreeMap::new();
+        self.findings.units = Units::of(&init.devices);
+        if let Node::Map(entries) = at.node
+            && !entries.is_empty()
+            && entries.iter().all(|(key, _)| LIMIT_KEYS.contains(&key.as_str()) && init.device(key).is_none())
+        {
+            let device = init.devices.first().map_or("elbow", |device| device.id.as_str());
+            let hint = Some(format!("name the device first, as in `limits: {{{device}: {{speed: 90}}}}`"));
+            self.findings.add(
+                Code::WrongType,
+                at.place(),
+                "limits without their device",
+                "a map from device to its limits",
+                hint,
+            );
+            return limits;
+        }
+        for (device, at) in self.findings.entries(at, "device to its largest speed and acceleration") {
+            if device_named(init, device).is_none() {
+                let known = || init.devices.iter().map(|device| device.id.as_str());
+                let message = format!("the robot has no device `{}`", shortened(device));
+                let expected = downbeat_yaml::finding::one_of(known());
+                let hint = self.findings.did_you_mean(device, known());
+                self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
+            }
+            let Some([speed, acceleration]) = self.findings.map(&at, "limits", LIMIT_KEYS, &[]) else {
+                continue;
+            };
+            let expected = "a number above 0, in the device's unit";
+            let mut positive = |at: Option<At<'_>>| at.and_then(|at| self.findings.positive(&at, expected));
+            let rates = RateLimits { speed: positive(speed), acceleration: positive(acceleration) };
+            let id = device_named(init, device).map_or(device, |device| device.id.as_str());
+            limits.insert(id.to_owned(), rates);
+        }
+        limits
+    }
+
+    fn address(&mut self, at: &At<'_>) -> Option<Address> {
+        let text = self.findings.text(at, ADDRESS)?;
+        let address = text.parse().ok();
+        if address.is_none() {
+            let (fault, hint) = address_fault(&text);
+            let message = format!("`{}` {fault}", shortened(&text));
+            self.findings.add(Code::UnknownWord, at.place(), message, ADDRESS, hint);
+        }
+        address
+    }
+
+    fn init(&mut self, at: &At<'_>, devices: Option<&At<'_>>) -> Option<InitializationBlock> {
+        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?.as_ref());
+        if !self.inits.contains_key(&path) {
+            let init = self.read_init(at, &path);
+            self.inits.insert(path.clone(), init);
+        }
+        let init = self.inits.get(&path)?.as_ref()?;
+        let supplements = match (devices, init) {
+            (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
+            (Some(at), Init::Block(..)) => {
+                let message = format!("`{}` describes its devices whole", path.display());
+                let expected = "`devices` only with the description of a Thrift robot";
+                let hint = Some("change the init file instead".to_owned());
+                self.findings.add(Code::UnknownKey, at.key_place(), message, expected, hint);
+                return None;
+            }
+            (None, _) => Vec::new(),
+        };
+        match init.block(&supplements) {
+            Ok(block) => Some(block),
+            Err(findings) => {
+                // Robots that share a file share its faults.
+                let new = findings.into_iter().filter(|finding| !self.elsewhere.contains(finding));
+                let new: Vec<_> = new.collect();
+                self.elsewhere.extend(new);
+                None
+            }
+        }
+    }
+
+    fn read_init(&mut self, at: &At<'_>, path: &Path) -> Option<Init> {
+        match self.project.read(path) {
+            Ok(source) => {
+                let read = Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok();
+                if let Some(Init::Block(_, warnings)) = &read {
+                    self.elsewhere.extend_from_slice(warnings);
+                }
+                read
+            }
+            Err(finding) if finding.code == Code::OutsideProject => {
+                self.findings.add_named(at.place(), finding);
+                None
+            }
+            Err(finding) => {
+                let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
+                let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
+                let hint = hint.unwrap_or_else(|| match path.to_str().filter(|path| path.contains('\\')) {
+                    Some(path) => {
+                        format!("folders are separated by `/`: write `{}`", path.replace('\\', "/"))
+                    }
+                    None => "the path counts from the folder of the fleet file".to_owned(),
+                });
+                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
+                None
+            }
+        }
+    }
+
+    fn simulation(&mut self, at: &At<'_>, init: &InitializationBlock) -> SimulationSettings {
+        let mut settings = SimulationSettings::default();
+        let Some([offset, drift, jitter, ntp_error, delay, fault, readings, moves]) =
+            self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
+        else {
+            return settings;
+        };
+        let findings = &mut self.findings;
+        settings.clock_offset = offset.and_then(|at| findings.signed_duration(&at)).unwrap_or_default();
+        settings.drift_ppm = drift.and_then(|at| drift_ppm(findings, &at)).unwrap_or_default();
+        settings.jitter = jitter.and_then(|at| findings.duration(&at)).unwrap_or_default();
+        if let Some(at) = ntp_error {
+            settings.ntp_error = match at.node {
+                Node::Text(text) if text == "none" => None,
+                _ => findings.duration(&at),
+            };
+        }
+        settings.delay = delay.and_then(|at| delay_range(findings, &at));
+        settings.fault = fault.and_then(|at| findings.word(&at, &FAULT_WORDS));
+        settings.readings = readings.map(|at| self.readings(&at, init)).unwrap_or_default();
+        settings.moves = moves.map(|at| moves::read(&mut self.findings, &at, init)).unwrap_or_default();
+        settings
+    }
+
+    /// `{range: 0.4}`
+    fn readings(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, f64)> {
+        let mut readings = Vec::new();
+        for (name, at) in self.findings.entries(at, "sensor to what it reads") {
+            let reading = self.findings.number(&at, "a number, in the unit of the sensor");
+            let sensor = sensor(&mut self.findings, name, &at, init);
+            readings.extend(sensor.zip(reading));
+        }
+        readings
+    }
+
+    /// `named` has all robots by the composed forms of their names.
+    fn groups(&mut self, at: &At<'_>, named: &HashMap<String, &str>, fleet: &mut Fleet) {
+        let ids: HashMap<String, RobotId> = fleet
+            .robots
+            .iter()
+            .map(|robot| (composed(robot.id.as_str()).into_owned(), robot.id.clone()))
+            .collect();
+        let mut sorted: Vec<&str> = named.values().copied().collect();
+        sorted.sort_unstable();
+        let entries = self.findings.entries(at, "group to the list of its robots");
+        let groups: Vec<&str> = entries.iter().map(|(name, _)| *name).collect();
+        for (name, at) in entries {
+            if named.contains_key(composed(name).as_ref()) {
+                let message = format!("the group `{name}` has the name of a robot");
+                self.findings.add(Code::NameClash, at.key_place(), message, "a unique name", None);
+            }
+            let mut members = Vec::new();
+            for item in self.findings.list(&at, "a list of robots") {
+                let Some(id) = self.findings.name(&item, "the id of a robot") else { continue };
+                match ids.get(composed(&id).as_ref()) {
+                    Some(id) => members.push(id.clone()),
+                    None if named.contains_key(composed(&id).as_ref()) => {}
+                    None => unknown_robot(&mut self.findings, &item, &id, &sorted, &groups),
+                }
+            }
+            fleet.groups.insert(composed(name).into_owned(), members);
+        }
+    }
+}
+
+fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str], groups: &[&str]) {
+    let hint = match groups.contains(&name) {
+        true => Some("a group lists robots, not groups: list those of this group".to_owned()),
+        false => slips::several_names(name, known.iter().copied())
+            .or_else(|| findings.did_you_mean(name, known.iter().copied())),
+    };
+    let message = format!("no robot or group `{}` in the fleet", shortened(name));
+    let expected = downbeat_yaml::finding::one_of(known.iter().copied());
+    findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
+}
+
+/// Reads the drift of a clock, in parts per million.
+pub fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+    let expected = "a drift such as 5ppm";
+    let text = findings.text(at, expected)?;
+    let number = text.strip_suffix("ppm").and_then(|number| number.trim().parse::<f64>().ok());
+    let number = number.filter(|ppm| ppm.abs() <= 100_000.0);
+    if number.is_none() {
+        findings.add(
+            Code::UnknownWord,
+            at.place(),
+            format!("`{}` is not a drift", shortened(&text)),
+            expected,
+            None,
+        );
+    }
+    number
+}
+
+fn delay_range(findings: &mut Reader, at: &At<'_>) -> Option<(Span, Span)> {
+    let expected = "the least and the largest delay, as [0ms, 80ms]";
+    let items = findings.list(at, expected);
+    let [least, largest] = items.as_slice() else {
+        if matches!(at.node, Node::List(_)) {
+            let message = format!("found {} entries", items.len());
+            findings.add(Code::WrongType, at.place(), message, expected, None);
+        }
+        return None;
+    };
+    let (least, largest) = (findings.duration(least)?, findings.duration(largest)?);
+    if largest < least {
+        findings.add(
+            Code::TimeOrder,
+            at.place(),
+            format!("{} is longer than {}", written(least), written(largest)),
+            expected,
+            None,
+        );
+    }
+    Some((least, largest.max(least)))
+}

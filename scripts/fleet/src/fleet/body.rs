@@ -1,0 +1,280 @@
+//! The keys `space` of a fleet, and `body` of a robot.
+
+use std::collections::BTreeMap;
+
+use urrcp::{Device, InitializationBlock};
+
+use super::declared::device_named;
+use super::drive::read_drive;
+use super::joints::read_arm;
+use super::urdf::{UrdfKeys, Urdfs};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
+use downbeat_space::space::{Body, Coordinate, Drive, Joint, Shape, Space, Volume};
+use downbeat_yaml::finding::{Code, one_of};
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
+
+const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
+const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];
+const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
+
+keys! {
+    /// What is said of a body.
+    BodyKeys, BODY_KEYS { x, y, z, yaw, drive, radius, size, joints, tip, urdf, end, devices, speed, acceleration }
+}
+
+/// Metres in one unit.
+pub(super) const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
+/// Radians in one unit.
+pub(super) const ANGLES: [(&str, f64); 3] =
+    [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
+
+pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
+    let Some([distance, keep_in, keep_out]) = findings.map(at, "the space", SPACE_KEYS, &[]) else {
+        return Space::default();
+    };
+    let mut volumes = BTreeMap::new();
+    if let Some(at) = keep_out {
+        for (name, at) in findings.entries(&at, "name to a volume that no body may enter") {
+            volumes.extend(volume(findings, &at).map(|volume| (name.to_owned(), volume)));
+        }
+    }
+    Space {
+        distance: distance.and_then(|at| length(findings, &at)),
+        keep_in: keep_in.and_then(|at| volume(findings, &at)),
+        keep_out: volumes,
+    }
+}
+
+/// `{x: [-2, 2], z: [0, 3]}`
+fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
+    let sides = findings.map(at, "a volume", VOLUME_KEYS, &[])?;
+    let (mut volume, mut sound) = (Volume::default(), true);
+    for (axis, side) in sides.into_iter().enumerate() {
+        let Some(side) = side else { continue };
+        let expected = "the least and the largest coordinate in metres, as [-2, 2.5]";
+        let ends = findings.list(&side, expected);
+        let numbers: Vec<f64> = ends.iter().filter_map(|end| findings.number(end, expected)).collect();
+        match *numbers {
+            [least, most] if ends.len() == 2 && least < most => {
+                (volume.least[axis], volume.most[axis]) = (least, most);
+            }
+            _ if numbers.len() < ends.len() || !matches!(side.node, Node::List(_)) => sound = false,
+            _ => {
+                let message = match *numbers {
+                    [least, most] => format!("{least} is not less than {most}"),
+                    _ => format!("found {} entries", ends.len()),
+                };
+                let swapped = match *numbers {
+                    [least, most] if least > most => Some(format!("write `[{most}, {least}]`")),
+                    _ => None,
+                };
+                findings.add(Code::WrongType, side.place(), message, expected, swapped);
+                sound = false;
+            }
+        }
+    }
+    sound.then_some(volume)
+}
+
+pub(super) fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+    findings.positive(at, "a length above 0 in metres")
+}
+
+pub(super) fn read_body(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    urdfs: &mut Urdfs,
+) -> Option<Body> {
+    let keys = BodyKeys::of(findings.map(at, "a body", BODY_KEYS, &[])?);
+    let mut coordinate = |at: Option<At<'_>>, units: &[(&str, f64)]| match at {
+        Some(at) => read_coordinate(findings, &at, init, units),
+        None => Some(Coordinate::Fixed(0.0)),
+    };
+    let (x, y, z) =
+        (coordinate(keys.x, &LENGTHS), coordinate(keys.y, &LENGTHS), coordinate(keys.z, &LENGTHS));
+    let yaw = coordinate(keys.yaw, &ANGLES);
+    let drive = keys.drive.map(|at| read_drive(findings, &at, init));
+    if drive.is_some() {
+        tell_placed(findings, [("x", keys.x), ("y", keys.y), ("yaw", keys.yaw)]);
+    }
+    let shape = read_shape(findings, &keys);
+    let arm = match keys.urdf {
+        Some(urdf) => read_urdf(findings, urdf, &keys, init, urdfs).map(|joints| (joints, [0.0; 3])),
+        None => {
+            tell_without_urdf(findings, [("end", keys.end), ("devices", keys.devices)]);
+            read_arm(findings, at, [keys.joints, keys.tip], init)
+        }
+    };
+    let mut rate = |at: Option<At<'_>>, expected| at.and_then(|at| findings.positive(&at, expected));
+    let speed = rate(keys.speed, "a speed above 0 in metres a second");
+    let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
+    let (joints, tip) = arm?;
+    let (drive, mut coordinates) = (drive.map_or(Some(None), |drive| drive.map(Some))?, [x?, y?, z?, yaw?]);
+    if let Some(Drive { start, .. }) = &drive {
+        [coordinates[0], coordinates[1], coordinates[3]] = start.map(Coordinate::Fixed);
+    }
+    Some(Body { coordinates, drive, shape: shape?, joints, tip, speed, acceleration })
+}
+
+fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
+    // With a URDF, the radius is that of the links.
+    let radius = keys.radius.filter(|_| keys.urdf.is_none());
+    if let (Some(radius), Some(_)) = (&radius, &keys.size) {
+        let hint = Some("remove one of them".to_owned());
+        let message = "a body is a ball or a box, not both";
+        findings.add(Code::WrongType, radius.key_place(), message, "`radius` or `size`", hint);
+    }
+    match (radius, keys.size) {
+        (_, Some(at)) => read_box(findings, &at),
+        (Some(at), None) => length(findings, &at).map(|radius| Shape::Ball { radius }),
+        (None, None) => Some(Shape::Ball { radius: 0.0 }),
+    }
+}
+
+/// An arm whose links end where the last one begins.
+fn read_urdf(
+    findings: &mut Reader,
+    urdf: At<'_>,
+    keys: &BodyKeys<'_>,
+    init: &InitializationBlock,
+    urdfs: &mut Urdfs,
+) -> Option<Vec<Joint>> {
+    for (name, at) in [("joints", keys.joints), ("tip", keys.tip)] {
+        let Some(at) = at else { continue };
+        let message = format!("the URDF says what `{name}` is");
+        findings.add(Code::WrongType, at.key_place(), message, "`urdf`, or `joints` and `tip`", None);
+    }
+    let radius = keys.radius.map(|at| length(findings, &at));
+    let arm = UrdfKeys { urdf, end: keys.end, devices: keys.devices, radius: radius.flatten() };
+    if radius == Some(None) { None } else { urdfs.read_arm(findings, &arm, init) }
+}
+
+fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
+    for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
+        let message = format!("`{name}` is for an arm from a URDF");
+        let hint = Some(format!("remove `{name}`, or name the file as `urdf`"));
+        findings.add(Code::MissingKey, at.key_place(), message, "a key `urdf`", hint);
+    }
+}
+
+/// Coordinates that the drive decides on.
+fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
+    for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
+        let message = format!("the drive says what `{name}` is");
+        let hint = Some("write where the body starts as `start` of `drive`".to_owned());
+        findings.add(Code::WrongType, at.key_place(), message, "`drive` without x, y and yaw", hint);
+    }
+}
+
+/// `[0.4, 0.3, 0.2]`
+fn read_box(findings: &mut Reader, at: &At<'_>) -> Option<Shape> {
+    let expected = "length, width and height above 0 in metres, as [0.4, 0.3, 0.2]";
+    let sides = findings.list(at, expected);
+    let size: Vec<f64> = sides.iter().filter_map(|side| findings.positive(side, expected)).collect();
+    if sides.len() != 3 && matches!(at.node, Node::List(_)) {
+        let message = format!("found {} entries", sides.len());
+        findings.add(Code::WrongType, at.place(), message, expected, None);
+    }
+    <[f64; 3]>::try_from(size).ok().filter(|_| sides.len() == 3).map(|size| Shape::Box { size })
+}
+
+/// `x`, `1.5`, or `{device: x, scale: 0.001, offset: 1.5}`. A number is in metres, or in degrees.
+fn read_coordinate(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    if let Node::Number(_) = at.node {
+        return fixed(findings, at, units);
+    }
+    let Node::Map(_) = at.node else {
+        findings.text(at, "a device, a number, or a map with a device")?;
+        return of_device(findings, at, [None; 2], init, units);
+    };
+    let [name, scale, offset] = findings.map(at, "a coordinate", COORDINATE_KEYS, &["device"])?;
+    of_device(findings, &name?, [scale, offset], init, units)
+}
+
+/// As people write a fixed angle: in degrees.
+fn own_unit(units: &[(&str, f64)]) -> f64 {
+    units.iter().find(|(unit, _)| ["deg", "deg/s"].contains(unit)).map_or(1.0, |(_, scale)| *scale)
+}
+
+/// A number in metres or degrees.
+pub(super) fn fixed(findings: &mut Reader, at: &At<'_>, units: &[(&str, f64)]) -> Option<Coordinate> {
+    let value = findings.number(at, "a number in metres, or in degrees")?;
+    Some(Coordinate::Fixed(value * own_unit(units)))
+}
+
+/// What a device has as its position, by its unit or by a scale.
+pub(super) fn of_device(
+    findings: &mut Reader,
+    name: &At<'_>,
+    [scale, offset]: [Option<At<'_>>; 2],
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    let text = findings.text(name, "a device of the robot")?;
+    let device = device(findings, name, &text, init)?;
+    let scale = match scale {
+        Some(at) => findings.number(&at, "metres, or degrees, in one unit of the device")? * own_unit(units),
+        None => scale_of(findings, name, device, units)?,
+    };
+    let offset = match offset {
+        Some(at) => {
+            findings.number(&at, "where the device's zero is, in metres or degrees")? * own_unit(units)
+        }
+        None => 0.0,
+    };
+    Some(Coordinate::Device { device: device.id.clone(), scale, offset })
+}
+
+/// What the device of this name has as its position.
+pub(super) fn by_name(
+    findings: &mut Reader,
+    at: &At<'_>,
+    name: &str,
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    let device = device(findings, at, name, init)?;
+    let scale = scale_of(findings, at, device, units)?;
+    Some(Coordinate::Device { device: device.id.clone(), scale, offset: 0.0 })
+}
+
+fn device<'a>(
+    findings: &mut Reader,
+    at: &At<'_>,
+    name: &str,
+    init: &'a InitializationBlock,
+) -> Option<&'a Device> {
+    let moves = |device: &&Device| device.available_control_types.sensor().is_none();
+    let found = device_named(init, name).filter(moves);
+    if found.is_none() {
+        let known = || init.devices.iter().filter(moves).map(|device| device.id.as_str());
+        let message = format!("the robot has no device `{}` that moves", shortened(name));
+        let metres = name.trim_end_matches('m').trim();
+        let fixed = metres.parse::<f64>().ok().filter(|metres| metres.is_finite());
+        let fixed =
+            fixed.map(|_| format!("a coordinate that does not change is a number in metres: `{metres}`"));
+        let hint = fixed.or_else(|| findings.did_you_mean(name, known()));
+        findings.add(Code::UnknownDevice, at.place(), message, one_of(known()), hint);
+    }
+    found
+}
+
+fn scale_of(findings: &mut Reader, at: &At<'_>, device: &Device, units: &[(&str, f64)]) -> Option<f64> {
+    let unit = device.unit.as_ref().map(urrcp::Label::as_str).unwrap_or_default();
+    let known = units.iter().find(|(known, _)| *known == unit);
+    if known.is_none() {
+        let names = one_of(units.iter().map(|(unit, _)| *unit));
+        let message = format!("the device `{}` has the unit `{}`", device.id, shortened(unit));
+        let hint = format!("write how much one unit is, as in `{{device: {}, scale: 0.001}}`", device.id);
+        findings.add(Code::UnknownWord, at.place(), message, names, Some(hint));
+    }
+    known.map(|(_, scale)| *scale)
+}

@@ -1,0 +1,159 @@
+//! How the latency of a robot's devices may be measured: its key `calibrate`.
+
+use std::collections::BTreeMap;
+
+use urrcp::{ControlType, DeviceId, InitializationBlock, Limits, Span};
+
+use super::declared::device_named;
+use super::moves::is_positioned;
+use super::sensors::{sensor, sensor_at};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::{self, Code};
+use downbeat_yaml::shown::shortened;
+
+const CALIBRATE_KEYS: [&str; 6] = ["sensor", "from", "by", "taken", "sensor_delay", "visible"];
+/// A movement is visible from this share of it on, if nothing else is said.
+const VISIBLE_SHARE: f64 = 0.01;
+/// The latest part of a movement that can count as its begin.
+const VISIBLE_SHARE_MAX: f64 = 0.5;
+const SENSOR_DELAY_MAX: Span = Span::from_millis(1_000);
+const TAKEN_WORDS: [(&str, Taken); 3] =
+    [("request", Taken::AtRequest), ("answer", Taken::AtAnswer), ("between", Taken::Between)];
+
+/// How a device may be moved to measure its latency, and which sensor shows that.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// The sensor that shows where the device is, in the unit of the device.
+    pub sensor: DeviceId,
+    /// Where the movement begins; `None`: where the device is.
+    pub from: Option<f64>,
+    /// The small safe amount by which the device may be moved from there, in its unit; not 0.
+    pub by: f64,
+    /// When the sensor's value is taken.
+    pub taken: Taken,
+    /// How old the value is then, which no round trip shows.
+    pub sensor_delay: Span,
+    /// A device that has moved by so much, in its unit, has visibly begun to move. Above 0, and at most half of `by`.
+    pub visible: f64,
+}
+
+/// Where between request and answer the value of a sensor is taken, as far as that is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Taken {
+    /// When the robot receives the request: the sensor's delay lies between the value and the answer.
+    AtRequest,
+    /// When the robot sends its answer: it waits for the next value.
+    AtAnswer,
+    /// Anywhere in between: half of the sensor's delay is the uncertainty.
+    #[default]
+    Between,
+}
+
+/// `{elbow: {sensor: elbow_angle, from: 0, by: 2}}`
+pub(super) fn read(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+) -> BTreeMap<DeviceId, Calibration> {
+    let mut all = BTreeMap::new();
+    for (name, at) in findings.entries(at, "device to the movement by which it is measured") {
+        let device = device_by_position(findings, name, &at, init);
+        let keys = findings.map(&at, "the calibration of a device", CALIBRATE_KEYS, &["by"]);
+        let Some([sensor, from, by, taken, delay, visible]) = keys else { continue };
+        let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
+        let Some(device) = device else { continue };
+        let limits = init
+            .device(device.as_str())
+            .and_then(|device| device.available_control_types.limits(ControlType::Position));
+        let expected = "a number, in the unit of the device";
+        let from_value = from.as_ref().and_then(|at| findings.number(at, expected));
+        let by_value = by.as_ref().and_then(|at| findings.number(at, expected));
+        if let (Some(at), Some(by), Some(limits)) = (&by, by_value, &limits) {
+            movement(findings, at, (from_value, by), limits);
+        }
+        let sensor_delay = delay.and_then(|at| sensor_delay(findings, &at)).unwrap_or_default();
+        let visible = visible
+            .zip(by_value.filter(|by| *by != 0.0))
+            .and_then(|(at, by)| visible_amount(findings, &at, by));
+        let Some(sensor) = sensor_of(findings, sensor.as_ref(), &device, &at, init) else { continue };
+        let Some(by) = by_value else { continue };
+        let visible = visible.unwrap_or(by.abs() * VISIBLE_SHARE);
+        all.insert(device, Calibration { sensor, from: from_value, by, taken, sensor_delay, visible });
+    }
+    all
+}
+
+/// It has to stay within the limits of the device, wherever it begins if that is not said.
+fn movement(findings: &mut Reader, at: &At<'_>, (from, by): (Option<f64>, f64), limits: &Limits) {
+    let (least, largest) = (limits.min_value, limits.max_value);
+    let within = least..=largest;
+    let reached = from.and_then(|from| [from, from + by].into_iter().find(|end| !within.contains(end)));
+    if let Some(reached) = reached {
+        let message = format!("the movement would reach {reached}");
+        let expected = format!("{least} to {largest}, which the device declares");
+        findings.add(Code::OutOfRange, at.place(), message, expected, None);
+    } else if by.abs() > largest - least {
+        let message = format!("the device cannot move by {by}");
+        let expected = format!("less than from {least} to {largest}, which the device declares");
+        findings.add(Code::OutOfRange, at.place(), message, expected, None);
+    } else if by == 0.0 {
+        let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
+        let message = "the device would not move";
+        findings.add(Code::WrongType, at.place(), message, "a number other than 0", hint);
+    }
+}
+
+fn sensor_delay(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let delay = findings.duration(at)?;
+    if delay <= SENSOR_DELAY_MAX {
+        return Some(delay);
+    }
+    let message = format!("{delay} is too long for the delay of a sensor");
+    findings.add(Code::BadDuration, at.place(), message, format!("at most {SENSOR_DELAY_MAX}"), None);
+    None
+}
+
+fn visible_amount(findings: &mut Reader, at: &At<'_>, by: f64) -> Option<f64> {
+    let most = by.abs() * VISIBLE_SHARE_MAX;
+    let expected = "a number above 0, in the unit of the device";
+    let visible = findings.positive(at, expected)?;
+    if visible <= most {
+        return Some(visible);
+    }
+    let message = format!("{visible} is more than half of the movement by {by}");
+    let hint = Some("the amount by which the device has moved once one sees it".to_owned());
+    findings.add(Code::OutOfRange, at.place(), message, format!("at most {most}"), hint);
+    None
+}
+
+/// A device that is driven by position, or a finding where the name stands.
+pub(super) fn device_by_position(
+    findings: &mut Reader,
+    name: &str,
+    at: &At<'_>,
+    init: &InitializationBlock,
+) -> Option<DeviceId> {
+    let driven =
+        || init.devices.iter().filter(|device| is_positioned(device)).map(|device| device.id.as_str());
+    let found =
+        device_named(init, name).filter(|device| is_positioned(device)).map(|device| device.id.clone());
+    if found.is_none() {
+        let message = format!("the robot has no device `{}` that takes positions", shortened(name));
+        let (expected, hint) = (finding::one_of(driven()), findings.did_you_mean(name, driven()));
+        findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
+    }
+    found
+}
+
+/// The sensor that is named, or else the device itself.
+pub(super) fn sensor_of(
+    findings: &mut Reader,
+    named: Option<&At<'_>>,
+    device: &DeviceId,
+    at: &At<'_>,
+    init: &InitializationBlock,
+) -> Option<DeviceId> {
+    let Some(named) = named else { return sensor(findings, device.as_str(), at, init) };
+    let name = findings.name(named, "the id of a sensor")?;
+    sensor_at(findings, &name, named.place(), init)
+}

@@ -1,0 +1,324 @@
+//! How long devices take from a command to visible motion: the key `latency` of a robot, and the file of measured latencies that
+//! `downbeat calibrate` writes. Here they are read, written, and brought together; the compiler compensates them.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fmt;
+use std::path::Path;
+
+use serde::Serialize;
+use urrcp::{Device, DeviceId, InitializationBlock, Latency, RobotId, Span};
+
+use super::RobotKeys;
+use super::declared::device_named;
+use downbeat_import::scalar;
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::duration::written;
+use downbeat_yaml::finding::{Code, Finding, Place};
+use downbeat_yaml::locate::locate;
+use downbeat_yaml::node::{self, Node};
+use downbeat_yaml::shown::shortened;
+use downbeat_yaml::source::Source;
+
+/// The longest latency, and the largest spread of one.
+const LATENCY_MAX: Span = Span::from_millis(10_000);
+const LATENCY_KEYS: [&str; 2] = ["median", "spread"];
+const FILE_KEYS: [&str; 1] = ["latency"];
+const MEASURED_KEYS: [&str; 9] =
+    ["median", "spread", "p95", "trials", "measured", "time_constant", "lags", "later", "tracking_lag"];
+/// Most trials that a file may state for one device.
+const TRIALS_MAX: u32 = 1_000_000;
+
+/// The latency of a device that is compensated, and where it was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct DeviceLatency {
+    /// How long it takes.
+    #[serde(flatten)]
+    pub latency: Latency,
+    /// Who says so.
+    pub from: LatencySource,
+    /// The lag with which the device follows, where it was measured. It is not compensated.
+    #[serde(skip)]
+    pub lag: Option<Lag>,
+}
+
+/// How a device follows what it is told: by equal first-order lags, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lag {
+    /// Of all together: how far behind a ramp the device stays.
+    pub time_constant: Span,
+    /// How many: 1 begins at once with full speed towards the value, 2 begins softly.
+    pub lags: u8,
+    /// So much later than such lags alone it visibly begins, as a device with static friction does; negative if earlier.
+    pub later: Span,
+}
+
+/// Most lags in a row.
+pub const LAGS_MAX: u8 = 2;
+
+/// Where a latency was found, the most trusted first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LatencySource {
+    /// The robot's own key `latency` in the fleet file.
+    Fleet,
+    /// The file of measured latencies.
+    File,
+    /// The robot's initialization block.
+    Robot,
+}
+
+impl fmt::Display for LatencySource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Fleet => "fleet",
+            Self::File => "file",
+            Self::Robot => "robot",
+        })
+    }
+}
+
+/// What was measured of one device.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MeasuredLatency {
+    /// From a command to the first visible motion; half of all trials took no longer.
+    pub median: Span,
+    /// 95 % of all trials lay within the median ± this.
+    pub spread: Option<Span>,
+    /// 95 % of all trials took no longer.
+    pub p95: Option<Span>,
+    /// How many motions were measured.
+    pub trials: Option<u32>,
+    /// When, as text.
+    pub measured: Option<String>,
+    /// How the device follows.
+    pub lag: Option<Lag>,
+    /// How far behind a ramp the device stays.
+    pub tracking_lag: Option<Span>,
+}
+
+/// A file of measured latencies, by the robot's key in the fleet file and its device.
+pub type LatencyFile = BTreeMap<RobotId, BTreeMap<DeviceId, MeasuredLatency>>;
+
+/// Reads a file of measured latencies.
+///
+/// # Errors
+/// Findings when it is none, and when a latency is negative or beyond 10 s.
+pub fn latency_file_of(source: &Source) -> Result<LatencyFile, Vec<Finding>> {
+    let document = node::parse(source).map_err(|finding| vec![finding])?;
+    let mut findings = Reader::default();
+    let file = read_file(&mut findings, &At::document(&document, 0));
+    let findings = locate(std::slice::from_ref(source), findings.finish());
+    if findings.is_empty() { Ok(file) } else { Err(findings) }
+}
+
+/// The same for a file that the user has named.
+///
+/// # Errors
+/// Findings when it cannot be read, and as for [`latency_file_of`].
+pub fn read_latency_file(path: &Path) -> Result<LatencyFile, Vec<Finding>> {
+    latency_file_of(&Source::read(path).map_err(|finding| vec![finding])?)
+}
+
+/// The text of such a file. [`latency_file_of`] reads it back.
+#[must_use]
+pub fn latency_text(file: &LatencyFile) -> String {
+    let mut text = String::from("# Written by `downbeat calibrate`.\nlatency:\n");
+    if file.is_empty() {
+        text = text.replace("latency:\n", "latency: {}\n");
+    }
+    for (robot, devices) in file {
+        text += &format!("  {}:{}\n", scalar(robot.as_str()), if devices.is_empty() { " {}" } else { "" });
+        for (device, measured) in devices {
+            text += &format!("    {}: {{{}}}\n", scalar(device.as_str()), entry(measured));
+        }
+    }
+    text
+}
+
+fn entry(measured: &MeasuredLatency) -> String {
+    let MeasuredLatency { median, spread, p95, trials, measured, lag, tracking_lag } = measured;
+    let time = |key: &str, span: &Option<Span>| span.map(|span| format!("{key}: {}", written(span)));
+    let parts = [
+        time("median", &Some(*median)),
+        time("spread", spread),
+        time("p95", p95),
+        trials.map(|trials| format!("trials: {trials}")),
+        // Quotes keep an instant from being read as a date.
+        measured.as_ref().map(|measured| format!("measured: {}", serde_json::Value::from(measured.as_str()))),
+        time("time_constant", &lag.map(|lag| lag.time_constant)),
+        lag.map(|lag| format!("lags: {}", lag.lags)),
+        time("later", &lag.map(|lag| lag.later).filter(|later| *later != Span::ZERO)),
+        time("tracking_lag", tracking_lag),
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
+/// Reads the document of such a file.
+pub(super) fn read_file(findings: &mut Reader, at: &At<'_>) -> LatencyFile {
+    let mut file = LatencyFile::new();
+    let keys = findings.map(at, "the file of measured latencies", FILE_KEYS, &["latency"]);
+    let Some([Some(latency)]) = keys else { return file };
+    for (name, at) in findings.entries(&latency, "robot id to the latencies of its devices") {
+        let Some(robot) = id(findings, RobotId::new(name), &at, "a robot id of 1 to 256 characters") else {
+            continue;
+        };
+        let devices = file.entry(robot).or_default();
+        for (name, at) in findings.entries(&at, "device id to its latency") {
+            let device = id(findings, DeviceId::new(name), &at, "a device id of 1 to 256 characters");
+            let measured = read_measured(findings, &at);
+            devices.extend(device.zip(measured));
+        }
+    }
+    file
+}
+
+fn id<T>(findings: &mut Reader, id: Result<T, urrcp::LimitError>, at: &At<'_>, expected: &str) -> Option<T> {
+    id.map_err(|wrong| {
+        findings.add(Code::WrongType, at.key_place(), wrong.to_string(), expected, None);
+    })
+    .ok()
+}
+
+fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> {
+    let [median, spread, p95, trials, measured, time_constant, lags, later, tracking_lag] =
+        findings.map(at, "a measured latency", MEASURED_KEYS, &["median"])?;
+    let mut span = |at: Option<At<'_>>| at.and_then(|at| latency_span(findings, &at));
+    let (median, spread, p95) = (span(median), span(spread), span(p95));
+    let (time_constant, tracking_lag) = (span(time_constant), span(tracking_lag));
+    let trials = trials.and_then(|at| findings.count(&at, 1, TRIALS_MAX));
+    let measured = measured.and_then(|at| findings.text(&at, "an instant as text"));
+    let measured = measured.map(Into::into);
+    let lags = lags.and_then(|at| findings.count(&at, 1, u32::from(LAGS_MAX)));
+    let lags = lags.map_or(1, |lags| u8::try_from(lags).unwrap_or(LAGS_MAX));
+    let later =
+        later.and_then(|at| findings.signed_duration(&at).and_then(|span| possible(findings, &at, span)));
+    let later = later.unwrap_or_default();
+    let lag = time_constant.map(|time_constant| Lag { time_constant, lags, later });
+    Some(MeasuredLatency { median: median?, spread, p95, trials, measured, lag, tracking_lag })
+}
+
+/// A time from 0 to [`LATENCY_MAX`].
+fn latency_span(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let span = findings.duration(at)?;
+    possible(findings, at, span)
+}
+
+fn possible(findings: &mut Reader, at: &At<'_>, span: Span) -> Option<Span> {
+    if span.abs() <= LATENCY_MAX {
+        return Some(span);
+    }
+    let message = format!("{span} is too long for a device to begin to move");
+    let hint = Some("a latency is from a command to the first visible motion".to_owned());
+    findings.add(Code::BadDuration, at.place(), message, format!("at most {LATENCY_MAX}"), hint);
+    None
+}
+
+/// The key `latency` of a robot: one time for all devices that take commands, or one for each.
+fn read_own(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<DeviceId, Latency> {
+    let takes_commands = |device: &&Device| device.primary_control_type().is_some();
+    let commanded = init.devices.iter().filter(takes_commands);
+    if !matches!(at.node, Node::Map(_)) {
+        let Some(median) = latency_span(findings, at) else { return BTreeMap::new() };
+        let latency = Latency { median, spread: Span::ZERO };
+        return commanded.map(|device| (device.id.clone(), latency)).collect();
+    }
+    let mut own = BTreeMap::new();
+    for (name, at) in findings.entries(at, "device to its latency") {
+        let known = || init.devices.iter().filter(takes_commands).map(|device| device.id.as_str());
+        let device = device_named(init, name).filter(takes_commands);
+        if device.is_none() {
+            let shown = shortened(name);
+            let message = match device_named(init, name) {
+                Some(_) => format!("the device `{shown}` takes no commands"),
+                None => format!("the robot has no device `{shown}`"),
+            };
+            let hint = findings.did_you_mean(name, known());
+            findings.add(
+                Code::UnknownDevice,
+                at.key_place(),
+                message,
+                downbeat_yaml::finding::one_of(known()),
+                hint,
+            );
+        }
+        let latency = read_latency(findings, &at);
+        own.extend(device.map(|device| device.id.clone()).zip(latency));
+    }
+    own
+}
+
+/// `41ms`, or `{median: 41ms, spread: 3ms}`.
+fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
+    if !matches!(at.node, Node::Map(_)) {
+        return latency_span(findings, at).map(|median| Latency { median, spread: Span::ZERO });
+    }
+    let [median, spread] = findings.map(at, "a latency", LATENCY_KEYS, &["median"])?;
+    let spread = spread.and_then(|at| latency_span(findings, &at));
+    let median = median.and_then(|at| latency_span(findings, &at))?;
+    Some(Latency { median, spread: spread.unwrap_or_default() })
+}
+
+/// The latencies of a robot's devices: of each, what the fleet says, or else what was measured, or else what the robot declares.
+pub(super) fn read(
+    findings: &mut Reader,
+    keys: &RobotKeys<'_>,
+    init: &InitializationBlock,
+    measured: Option<&BTreeMap<DeviceId, MeasuredLatency>>,
+) -> BTreeMap<DeviceId, DeviceLatency> {
+    let own = keys.latency.as_ref().map(|at| read_own(findings, at, init)).unwrap_or_default();
+    let of = |device: &Device| {
+        let from = |from| move |latency| DeviceLatency { latency, from, lag: None };
+        let of_file = |measured: &MeasuredLatency| DeviceLatency {
+            latency: Latency { median: measured.median, spread: measured.spread.unwrap_or_default() },
+            from: LatencySource::File,
+            lag: measured.lag,
+        };
+        let fleet = || own.get(&device.id).copied().map(from(LatencySource::Fleet));
+        let file = || measured?.get(&device.id).map(of_file);
+        let robot = || device.actuation_latency().map(from(LatencySource::Robot));
+        Some((device.id.clone(), fleet().or_else(file).or_else(robot)?))
+    };
+    init.devices.iter().filter_map(of).collect()
+}
+
+/// Where the file says something of a robot, or of one of its devices.
+fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place {
+    let of_file = Place { file, path: Vec::new(), key: true, within: None, used: None };
+    let of_robot = of_file.of_key("latency").of_key(robot.as_str());
+    let place = device.map_or(of_robot.clone(), |device| of_robot.of_key(device.as_str()));
+    Place { key: true, ..place }
+}
+
+/// What the file says of robots, by the names of all robots of the fleet, and of a device that the robot does not have. Neither is
+/// an error: measured latencies outlive fleets.
+pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &LatencyFile, fleet: &Node) {
+    let Node::Map(robots) = fleet else { return };
+    let known = || robots.iter().map(|(name, _)| name.as_str());
+    let names: HashSet<&str> = known().collect();
+    for robot in measured.keys().filter(|robot| !names.contains(robot.as_str())) {
+        let message = format!("a latency of `{robot}`, which the fleet does not have");
+        let hint = findings.did_you_mean(robot.as_str(), known());
+        let expected = downbeat_yaml::finding::one_of(known());
+        findings.add(Code::StaleLatency, place_in_file(file, robot, None), message, expected, hint);
+    }
+}
+
+/// The same for the devices of one robot.
+pub(super) fn warn_of_devices(
+    findings: &mut Reader,
+    file: u16,
+    robot: &RobotId,
+    measured: &BTreeMap<DeviceId, MeasuredLatency>,
+    init: &InitializationBlock,
+) {
+    let known = || init.devices.iter().map(|device| device.id.as_str());
+    for device in measured.keys().filter(|device| init.device(device.as_str()).is_none()) {
+        let message = format!("a latency of `{device}`, which `{robot}` does not have");
+        let hint = findings.did_you_mean(device.as_str(), known());
+        let expected = downbeat_yaml::finding::one_of(known());
+        findings.add(Code::StaleLatency, place_in_file(file, robot, Some(device)), message, expected, hint);
+    }
+}
+
+#[cfg(test)]
+mod tests;

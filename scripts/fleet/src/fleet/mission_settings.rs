@@ -1,0 +1,163 @@
+//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`; `latency` is read in
+//! `latency.rs`, `calibrate` in `calibration.rs`. The mission is handed them as one struct, so that a new one is added here and where it is used.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
+
+use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
+use crate::sensor_range::{SensorRange, sensor_range};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
+
+const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
+const CLOCK_WORDS: [(&str, ClockMode); 2] = [("ntp", ClockMode::Ntp), ("measured", ClockMode::Measured)];
+const ENCODINGS: [Encoding; 2] = [Encoding::Json, Encoding::MessagePack];
+
+/// What a mission needs to know of a robot beyond its description.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MissionSettings {
+    /// How the robot's time is brought to agree with the server's.
+    pub clock: ClockMode,
+    /// How late the robot may wake up for a start. By default a millisecond, as of a timer of an ordinary system.
+    pub wake_up: Span,
+    /// The encoding in which the robot is written to over TCP.
+    pub encoding: Encoding,
+    /// What the robot's sensors have to read before a mission.
+    pub require: Vec<Requirement>,
+    /// How long its devices take from a command to visible motion, where that is known.
+    pub latencies: BTreeMap<DeviceId, DeviceLatency>,
+    /// How the latency of its devices may be measured, and which sensor shows where they are.
+    pub calibrate: BTreeMap<DeviceId, Calibration>,
+}
+
+impl Default for MissionSettings {
+    fn default() -> Self {
+        let (clock, encoding) = (ClockMode::default(), Encoding::default());
+        Self {
+            clock,
+            wake_up: Span::from_millis(1),
+            encoding,
+            require: Vec::new(),
+            latencies: BTreeMap::new(),
+            calibrate: BTreeMap::new(),
+        }
+    }
+}
+
+/// How a robot's time is brought to agree with the server's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockMode {
+    /// Both follow NTP; measurements only verify that.
+    #[default]
+    Ntp,
+    /// The robot has no NTP: what it is sent is translated into its own time.
+    Measured,
+}
+
+/// What a sensor has to read before a mission.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Requirement {
+    /// Which sensor.
+    pub sensor: DeviceId,
+    /// Which readings will do.
+    pub range: SensorRange,
+}
+
+pub(super) fn read(
+    findings: &mut Reader,
+    keys: &RobotKeys<'_>,
+    init: &InitializationBlock,
+    handshake: Handshake,
+) -> MissionSettings {
+    let default = MissionSettings::default();
+    let clock = keys.clock.and_then(|at| findings.word(&at, &CLOCK_WORDS));
+    let wake_up = keys.wake_up.and_then(|at| findings.duration(&at));
+    let encoding = keys.encoding.and_then(|at| read_encoding(findings, &at, init, handshake));
+    let require = keys.require.map(|at| read_require(findings, &at, init, handshake));
+    MissionSettings {
+        clock: clock.unwrap_or(default.clock),
+        wake_up: wake_up.unwrap_or(default.wake_up),
+        encoding: encoding.unwrap_or(default.encoding),
+        require: require.unwrap_or(default.require),
+        ..default
+    }
+}
+
+/// A robot that is asked says for itself what it understands.
+fn read_encoding(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    handshake: Handshake,
+) -> Option<Encoding> {
+    let words = ENCODINGS.map(|encoding| (encoding.as_str(), encoding));
+    let encoding = findings.word(at, &words)?;
+    if handshake == Handshake::Skip && !init.understands(encoding) {
+        findings.add(
+            Code::InitializationBlock,
+            at.place(),
+            format!("the robot does not list the encoding `{encoding}`"),
+            format!("`json`, or `encodings: [{encoding}]` in its initialization block"),
+            Some("with `handshake: skip` the file alone says what it understands".to_owned()),
+        );
+    }
+    Some(encoding)
+}
+
+/// `{battery: above 30}`, or `{battery: {within: [20, 80]}}`.
+fn read_require(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    handshake: Handshake,
+) -> Vec<Requirement> {
+    if handshake == Handshake::Skip {
+        let hint = Some("remove `handshake: skip`, or remove `require`".to_owned());
+        let message = "with `handshake: skip` no sensor is read before the start";
+        findings.add(
+            Code::NeedsHandshake,
+            at.key_place(),
+            message,
+            "`require` only with `handshake: full`",
+            hint,
+        );
+    }
+    let mut required = Vec::new();
+    for (name, at) in findings.entries(at, "sensor to what it has to read") {
+        let range = read_range(findings, &at);
+        let sensor = sensor(findings, name, &at, init);
+        required.extend(sensor.zip(range).map(|(sensor, range)| Requirement { sensor, range }));
+    }
+    required
+}
+
+fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
+    let expected = "`above` or `below` with a number, or {within: [least, largest]}";
+    if let Node::Map(_) = at.node {
+        let [above, below, within] = findings.map(at, "the readings", RANGE_KEYS, &[])?;
+        return sensor_range(findings, at, [above, below, within]);
+    }
+    let text = findings.text(at, expected)?;
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let range = match words.as_slice() {
+        ["above", bound] => bound.parse().ok().map(SensorRange::Above),
+        ["below", bound] => bound.parse().ok().map(SensorRange::Below),
+        _ => None,
+    };
+    if range.is_none() {
+        let message = format!("`{}` is not a range of readings", shortened(&text));
+        let hint = text.trim().split_at_checked(1).and_then(|(sign, bound)| {
+            let word = if sign == ">" { "above" } else { "below" };
+            let bound = bound.trim_start_matches('=').trim();
+            (matches!(sign, "<" | ">") && bound.parse::<f64>().is_ok())
+                .then(|| format!("write `{word} {bound}`"))
+        });
+        findings.add(Code::UnknownWord, at.place(), message, expected, hint);
+    }
+    range
+}

@@ -1,0 +1,61 @@
+//! How the body of a simulated robot follows its devices: `moves` under `simulate`.
+
+use urrcp::{ControlType, DeviceId, InitializationBlock, Span};
+
+use super::calibration::{device_by_position, sensor_of};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+
+const MOVES_KEYS: [&str; 6] = ["latency", "spread", "time_constant", "sensor", "noise", "delay"];
+
+/// How the body behind a device follows what is set, and what the sensor shows of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulatedMoves {
+    /// The device that is driven.
+    pub device: DeviceId,
+    /// From the instant at which a value is set to the first motion.
+    pub latency: Span,
+    /// 95 % of all movements begin within `latency` ± this.
+    pub spread: Span,
+    /// Of the first-order lag with which it follows from then on.
+    pub time_constant: Span,
+    /// The sensor that shows where the body is.
+    pub sensor: DeviceId,
+    /// Standard deviation of what the sensor shows, in its unit.
+    pub noise: f64,
+    /// How long the sensor takes to answer. The value is taken when it is asked.
+    pub delay: Span,
+}
+
+/// `{elbow: {latency: 40ms, spread: 2ms, time_constant: 20ms, sensor: elbow_angle, noise: 0.1, delay: 5ms}}`
+pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Vec<SimulatedMoves> {
+    let mut moves = Vec::new();
+    for (name, at) in findings.entries(at, "device to how its body follows it") {
+        let device = device_by_position(findings, name, &at, init);
+        let keys = findings.map(&at, "the movement of a device", MOVES_KEYS, &[]);
+        let Some([latency, spread, time_constant, sensor, noise, delay]) = keys else { continue };
+        let Some(device) = device else { continue };
+        let mut time = |at: Option<At<'_>>| at.and_then(|at| findings.duration(&at)).unwrap_or_default();
+        let (latency, spread) = (time(latency), time(spread));
+        let (time_constant, delay) = (time(time_constant), time(delay));
+        let noise = noise.and_then(|at| read_noise(findings, &at));
+        let Some(sensor) = sensor_of(findings, sensor.as_ref(), &device, &at, init) else { continue };
+        let noise = noise.unwrap_or_default();
+        moves.push(SimulatedMoves { device, latency, spread, time_constant, sensor, noise, delay });
+    }
+    moves
+}
+
+fn read_noise(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+    let expected = "a number, 0 or more, in the unit of the sensor";
+    let noise = findings.number(at, expected)?;
+    if noise < 0.0 {
+        findings.add(Code::WrongType, at.place(), format!("found the number {noise}"), expected, None);
+    }
+    Some(noise.max(0.0))
+}
+
+/// Whether a device can be driven by position.
+pub(super) fn is_positioned(device: &urrcp::Device) -> bool {
+    device.available_control_types.limits(ControlType::Position).is_some()
+}

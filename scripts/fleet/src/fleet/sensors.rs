@@ -1,0 +1,40 @@
+//! Sensors that are named in a fleet file.
+
+use urrcp::{Device, DeviceId, InitializationBlock};
+
+use super::declared::device_named;
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::{Code, Place, did_you_mean, one_of};
+use downbeat_yaml::shown::shortened;
+
+/// A sensor of the robot, or a finding where the name stands.
+pub fn sensor(
+    findings: &mut Reader,
+    name: &str,
+    at: &At<'_>,
+    init: &InitializationBlock,
+) -> Option<DeviceId> {
+    sensor_at(findings, name, at.key_place(), init)
+}
+
+/// The same for a name that stands elsewhere than in a key.
+pub(super) fn sensor_at(
+    findings: &mut Reader,
+    name: &str,
+    place: Place,
+    init: &InitializationBlock,
+) -> Option<DeviceId> {
+    let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
+    let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
+    let found = device_named(init, name).filter(is_sensor).map(|device| device.id.clone());
+    if found.is_none() {
+        let message = format!("the robot has no sensor `{}`", shortened(name));
+        let expected = match sensors().next() {
+            Some(_) => one_of(sensors()),
+            None => "a device that takes `sensor`, but the description of the robot has none".to_owned(),
+        };
+        let hint = did_you_mean(name, sensors());
+        findings.add(Code::UnknownSensor, place, message, expected, hint);
+    }
+    found
+}

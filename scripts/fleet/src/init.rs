@@ -1,0 +1,112 @@
+//! A robot's description: an initialization block, or the dictionary of devices that Thrift robots tell of themselves.
+
+mod dictionary;
+mod faults;
+mod keys;
+mod supplement;
+
+use std::path::Path;
+
+use urrcp::InitializationBlock;
+
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::{Code, Finding};
+use downbeat_yaml::identify::{self, Document};
+use downbeat_yaml::locate::locate;
+use downbeat_yaml::node::{self, Node};
+use downbeat_yaml::source::Source;
+
+pub use self::supplement::{Supplement, read as read_supplements};
+
+/// What a description is, for messages.
+const EXPECTED: &str = "an initialization block: id, api_version, devices with their available_control_types";
+
+/// Reads a robot's description from a YAML or JSON file.
+///
+/// # Errors
+/// Findings when the file cannot be read or describes no robot.
+pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
+    init_of(&Source::read(path).map_err(|finding| vec![finding])?)
+}
+
+/// Reads a robot's description, as YAML or JSON.
+///
+/// # Errors
+/// Findings when it describes no robot.
+pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
+    Init::read(source.clone())?.block(&Supplement::none())
+}
+
+/// A description as the text of an init file, YAML. [`init_of`] reads it back.
+#[must_use]
+pub fn init_text(block: &InitializationBlock) -> String {
+    // Maps with texts as keys, numbers and lists: there is nothing that YAML could not say.
+    serde_yaml::to_string(block).unwrap_or_default()
+}
+
+/// A description as it was read.
+#[derive(Clone, Debug)]
+pub enum Init {
+    /// It is complete; with warnings.
+    Block(Box<InitializationBlock>, Vec<Finding>),
+    /// The description of a Thrift robot: devices as a dictionary, which may be incomplete.
+    Dictionary(Source, Node),
+}
+
+impl Init {
+    /// Reads a description.
+    pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
+        let wrong = match block_of(&source) {
+            Ok(block) => return Ok(Self::Block(Box::new(block), keys::ignored(&source))),
+            Err(finding) => finding,
+        };
+        let document = node::parse(&source);
+        if let Some(mistaken) =
+            document.as_ref().ok().and_then(|document| identify::mistaken(&source, document, Document::Robot))
+        {
+            return Err(vec![mistaken]);
+        }
+        match document {
+            Ok(document) if dictionary::is_one(&document) && !dictionary::is_block(&document) => {
+                Ok(Self::Dictionary(source, document))
+            }
+            _ => {
+                let found = faults::of(&source);
+                Err(if found.is_empty() { vec![wrong] } else { found })
+            }
+        }
+    }
+
+    /// The complete block: a dictionary takes what it lacks from the supplements, by device.
+    pub fn block(&self, supplements: &[(String, Supplement)]) -> Result<InitializationBlock, Vec<Finding>> {
+        match self {
+            Self::Block(block, _) => Ok(block.as_ref().clone()),
+            Self::Dictionary(source, document) => {
+                let mut findings = Reader::default();
+                let block = dictionary::block(&mut findings, &At::document(document, 0), supplements);
+                let findings = locate(std::slice::from_ref(source), findings.finish());
+                block.filter(|_| findings.is_empty()).ok_or(findings)
+            }
+        }
+    }
+
+    /// The ids of its devices.
+    pub fn devices(&self) -> Vec<&str> {
+        match self {
+            Self::Block(block, _) => block.devices.iter().map(|device| device.id.as_str()).collect(),
+            Self::Dictionary(_, document) => dictionary::device_ids(document),
+        }
+    }
+}
+
+fn block_of(source: &Source) -> Result<InitializationBlock, Finding> {
+    serde_yaml::from_str(&source.text).map_err(|error| {
+        let mut finding = downbeat_yaml::syntax::syntax_finding(source, &error);
+        finding.code = Code::InitializationBlock;
+        finding.expected = EXPECTED.into();
+        finding
+    })
+}
+
+#[cfg(test)]
+mod tests;

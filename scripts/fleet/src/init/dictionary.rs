@@ -1,0 +1,235 @@
+//! The description of a Thrift robot, whose `devices` are a dictionary with a range each, as an initialization block.
+//!
+//! What it never says is filled in: a device is driven by position, takes scripts of 1000 steps, two of them ahead, and
+//! has a granularity of the largest power of ten of which a thousand fit into its range. Keys that are not known here,
+//! as those of the robot's own software, are passed over.
+
+use serde_json::{Map, Value, json};
+use urrcp::{ControlType, Device, InitializationBlock, Label, RobotId, RobotType};
+
+use super::Supplement;
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
+
+/// Steps of one script by default: the edge plays them itself, and holds them all in little memory.
+const STEPS: u32 = 1_000;
+/// Scripts that a device holds: one plays while the next waits.
+const QUEUE: u32 = 2;
+
+/// What an edge speaks.
+const API_VERSION: &str = "1";
+
+const SETTER: &str = "set_device_double_value";
+const READERS: [&str; 2] = ["get_sensor_double_value", "get_sensor_string_value"];
+
+/// Whether a document is such a description.
+pub(super) fn is_one(document: &Node) -> bool {
+    matches!(value(document, "devices"), Some(Node::Map(_)))
+}
+
+/// Whether its devices are those of an initialization block, which lists them.
+pub(super) fn is_block(document: &Node) -> bool {
+    let Some(Node::Map(devices)) = value(document, "devices") else { return false };
+    devices.iter().any(|(_, device)| value(device, "available_control_types").is_some())
+}
+
+fn value<'a>(node: &'a Node, key: &str) -> Option<&'a Node> {
+    let Node::Map(entries) = node else { return None };
+    entries.iter().find(|(name, _)| name == key).map(|(_, value)| value)
+}
+
+/// The ids of its devices and sensors.
+pub(super) fn device_ids(document: &Node) -> Vec<&str> {
+    let named = ["devices", "sensors"].into_iter().filter_map(|key| value(document, key));
+    let entries = named.filter_map(|node| match node {
+        Node::Map(entries) => Some(entries),
+        _ => None,
+    });
+    entries.flatten().map(|(id, _)| id.as_str()).collect()
+}
+
+/// A key of a map, or of none.
+fn at<'a>(parent: &'a At<'a>, key: &'a str) -> Option<At<'a>> {
+    value(parent.node, key).filter(|node| **node != Node::Null).map(|node| parent.entry(key, 0, node))
+}
+
+pub(super) fn block(
+    findings: &mut Reader,
+    root: &At<'_>,
+    supplements: &[(String, Supplement)],
+) -> Option<InitializationBlock> {
+    let id = required(findings, root, "id").and_then(|text| valid(findings, root, "id", RobotId::new(text)));
+    // The robot's own is that of the Thrift form; what the scheduler talks to is the edge.
+    let api_version = valid(findings, root, "api_version", Label::new(API_VERSION));
+    let mut label = |key| {
+        let text = findings.name(&at(root, key)?, "a text")?;
+        valid(findings, root, key, Label::new(text))
+    };
+    let (name, manufacture, version) = (label("name"), label("manufacture"), label("version"));
+    let robot_type = label("type").map(|text| robot_type(text.as_str()));
+    let mut devices = Vec::new();
+    for (group, otherwise) in [("devices", SETTER), ("sensors", READERS[0])] {
+        let Some(group) = at(root, group) else { continue };
+        for (id, at) in findings.entries(&group, "device id to its driver and its range") {
+            let supplement = supplements.iter().find(|(device, _)| device == id).map(|(_, added)| added);
+            let added = supplement.cloned().unwrap_or_default();
+            devices.extend(device(findings, id, &at, otherwise, &added));
+        }
+    }
+    let (id, api_version) = (id?, api_version?);
+    let described = |block: InitializationBlock| {
+        let block = block.and_answers_inquiries();
+        InitializationBlock { name, robot_type, manufacture, version, api_version, reports: true, ..block }
+    };
+    let block = InitializationBlock::new(id, devices).map(described).map_err(|error| error.to_string());
+    // Once through the wire's own checks, which look at every device.
+    let through = |block| serde_json::to_value(&block).and_then(serde_json::from_value);
+    match block.and_then(|block: InitializationBlock| through(block).map_err(|error| error.to_string())) {
+        Ok(block) => Some(block),
+        Err(error) => {
+            invalid(findings, root, &error);
+            None
+        }
+    }
+}
+
+fn required(findings: &mut Reader, root: &At<'_>, key: &'static str) -> Option<String> {
+    match at(root, key) {
+        Some(at) => findings.name(&at, "a text"),
+        None => {
+            let message = format!("the description has no `{key}`");
+            findings.add(Code::MissingKey, root.place(), message, format!("a key `{key}`"), None);
+            None
+        }
+    }
+}
+
+fn valid<T>(
+    findings: &mut Reader,
+    root: &At<'_>,
+    key: &str,
+    read: Result<T, urrcp::LimitError>,
+) -> Option<T> {
+    read.map_err(|error| {
+        let place = at(root, key).map_or_else(|| root.place(), |at| at.place());
+        findings.add(Code::WrongType, place, error.to_string(), "a text of 1 to 256 characters", None);
+    })
+    .ok()
+}
+
+/// Types come in any case.
+fn robot_type(text: &str) -> RobotType {
+    match text.to_ascii_lowercase().as_str() {
+        "industrial" => RobotType::Industrial,
+        "transport" => RobotType::Transport,
+        "anthropomorphic" => RobotType::Anthropomorphic,
+        "military" => RobotType::Military,
+        _ => RobotType::Other,
+    }
+}
+
+fn invalid(findings: &mut Reader, at: &At<'_>, message: &str) {
+    findings.add(
+        Code::InitializationBlock,
+        at.place(),
+        message,
+        "a description within the limits of URRCP",
+        None,
+    );
+}
+
+fn device(
+    findings: &mut Reader,
+    id: &str,
+    at_device: &At<'_>,
+    otherwise: &str,
+    added: &Supplement,
+) -> Option<Device> {
+    let Node::Map(_) = at_device.node else {
+        findings.wrong_type(at_device, "a map with type, min_value, max_value");
+        return None;
+    };
+    let call = match at(at_device, "type") {
+        Some(at) => findings.text(&at, "the call that drives or reads it")?.into_owned(),
+        None => otherwise.to_owned(),
+    };
+    let is_sensor = READERS.contains(&call.as_str());
+    if !is_sensor && call != SETTER {
+        let message = format!("unknown call `{}`", shortened(&call));
+        let expected = format!("{SETTER}, {} or {}", READERS[0], READERS[1]);
+        let place = at(at_device, "type").map_or_else(|| at_device.place(), |at| at.place());
+        findings.add(Code::UnknownWord, place, message, expected, None);
+        return None;
+    }
+    let mut number = |key| at(at_device, key).and_then(|at| findings.number(&at, "a number"));
+    let min = added.min_value.or_else(|| number("min_value"));
+    let max = added.max_value.or_else(|| number("max_value"));
+    let default = added.default_value.or_else(|| number("default_value"));
+    let (Some(min), Some(max)) = (min, max) else {
+        missing_range(findings, id, at_device, &call);
+        return None;
+    };
+    if !is_sensor && default.is_some_and(|default| !(min..=max).contains(&default)) {
+        invalid(findings, at_device, &format!("default_value of `{id}` lies outside {min} to {max}"));
+        return None;
+    }
+    let types = if is_sensor { sensor(min, max, added) } else { driven(min, max, added) };
+    let mut device = json!({"id": id, "name": id, "available_control_types": types});
+    if !is_sensor {
+        device["script_queue"] = json!(added.script_queue.unwrap_or(QUEUE));
+        device["interpolation"] = json!(added.interpolation.unwrap_or_default());
+        device["default_value"] = default.map_or(Value::Null, |default| json!(default));
+    }
+    device["unit"] = added.unit.as_ref().map_or(Value::Null, |unit| json!(unit));
+    // Read as if it had come by the wire, so that every limit of the protocol holds.
+    serde_json::from_value(device).map_err(|error| invalid(findings, at_device, &error.to_string())).ok()
+}
+
+/// A sensor that answers in words has no range, and cannot be read as a number either: it is left out.
+fn missing_range(findings: &mut Reader, id: &str, at: &At<'_>, call: &str) {
+    if call == READERS[1] {
+        return;
+    }
+    for key in ["min_value", "max_value"] {
+        if value(at.node, key).is_none() {
+            let message = format!("device `{}` has no `{key}`", shortened(id));
+            let hint =
+                Some(format!("`devices: {{{}: {{{key}: ...}}}}` in the fleet file adds it", shortened(id)));
+            findings.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
+        }
+    }
+}
+
+fn sensor(min: f64, max: f64, added: &Supplement) -> Value {
+    let mut limits = json!({"min_value": min, "max_value": max});
+    if let Some(error) = added.max_error {
+        limits["max_error"] = json!(error);
+    }
+    json!({"sensor": limits})
+}
+
+fn driven(min: f64, max: f64, added: &Supplement) -> Value {
+    let control_type = added.control_type.unwrap_or(ControlType::Position);
+    let granularity = added.granularity.unwrap_or_else(|| granularity(min, max));
+    let mut limits = json!({"min_value": min, "max_value": max, "granularity": granularity});
+    if let Some(error) = added.max_error {
+        limits["max_error"] = json!(error);
+    }
+    let mut script = limits.clone();
+    script["max_number_of_steps"] = json!(added.max_number_of_steps.unwrap_or(STEPS));
+    let types = [(control_type.to_string(), limits), (ControlType::Script.to_string(), script)];
+    Value::Object(types.into_iter().collect::<Map<_, _>>())
+}
+
+/// The largest power of ten of which a thousand fit into the range: what people write as a value lies on that grid.
+fn granularity(min: f64, max: f64) -> f64 {
+    let thousandth = (max - min) / 1_000.0;
+    if !thousandth.is_normal() || thousandth < 0.0 {
+        return 0.001;
+    }
+    let exponent = thousandth.log10().floor();
+    // As text, so that 0.1 is 0.1.
+    format!("1e{exponent}").parse().unwrap_or(thousandth)
+}

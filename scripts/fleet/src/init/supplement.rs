@@ -1,0 +1,82 @@
+//! What a fleet file adds to the description of a robot that says too little of itself: `devices:` of a robot.
+
+use urrcp::{ControlType, Interpolation};
+
+use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
+use downbeat_yaml::finding::{Code, did_you_mean, one_of};
+use downbeat_yaml::shown::shortened;
+
+keys! {
+    /// What is said of one device.
+    DeviceKeys, DEVICE_KEYS {
+        control_type, granularity, unit, max_number_of_steps, interpolation, min_value, max_value, default_value,
+        max_error, script_queue,
+    }
+}
+
+/// What is added to one device.
+#[derive(Clone, Debug, Default)]
+pub struct Supplement {
+    pub(super) control_type: Option<ControlType>,
+    pub(super) granularity: Option<f64>,
+    pub(super) unit: Option<String>,
+    pub(super) max_number_of_steps: Option<u32>,
+    pub(super) interpolation: Option<Interpolation>,
+    pub(super) min_value: Option<f64>,
+    pub(super) max_value: Option<f64>,
+    pub(super) default_value: Option<f64>,
+    pub(super) max_error: Option<f64>,
+    pub(super) script_queue: Option<u32>,
+}
+
+impl Supplement {
+    /// No supplements.
+    pub const fn none() -> [(String, Self); 0] {
+        []
+    }
+}
+
+/// Reads `devices:` of a robot, for the devices that its description has.
+pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
+    let mut read = Vec::new();
+    for (device, at) in findings.entries(at, "device to what its description lacks") {
+        if !known.contains(&device) {
+            let message = format!("the robot has no device `{}`", shortened(device));
+            let expected = one_of(known.iter().copied());
+            let hint = did_you_mean(device, known.iter().copied());
+            findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
+            continue;
+        }
+        read.extend(one(findings, &at).map(|supplement| (device.to_owned(), supplement)));
+    }
+    read
+}
+
+fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
+    let keys = DeviceKeys::of(findings.map(at, "the device", DEVICE_KEYS, &[])?);
+    let types = [
+        ("position", ControlType::Position),
+        ("speed", ControlType::Speed),
+        ("acceleration", ControlType::Acceleration),
+    ];
+    let ways = [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
+    let mut number =
+        |at: Option<At<'_>>| at.and_then(|at| findings.number(&at, "a number in the device's unit"));
+    let (min_value, max_value) = (number(keys.min_value), number(keys.max_value));
+    let (default_value, max_error) = (number(keys.default_value), number(keys.max_error));
+    Some(Supplement {
+        control_type: keys.control_type.and_then(|at| findings.word(&at, &types)),
+        granularity: keys
+            .granularity
+            .and_then(|at| findings.positive(&at, "a number above 0, in the device's unit")),
+        unit: keys.unit.and_then(|at| findings.text(&at, "a unit such as deg").map(Into::into)),
+        max_number_of_steps: keys.max_number_of_steps.and_then(|at| findings.count(&at, 1, u32::MAX)),
+        interpolation: keys.interpolation.and_then(|at| findings.word(&at, &ways)),
+        min_value,
+        max_value,
+        default_value,
+        max_error,
+        script_queue: keys.script_queue.and_then(|at| findings.count(&at, 1, u32::MAX)),
+    })
+}

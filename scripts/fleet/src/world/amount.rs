@@ -1,0 +1,86 @@
+//! Amounts that are fixed or drawn.
+
+use urrcp::Span;
+
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+use downbeat_yaml::shown::shortened;
+
+const BETWEEN_KEYS: [&str; 2] = ["from", "to"];
+
+/// Drawn uniformly once a trial, or, where an amount belongs to a message, once a message; the same twice: fixed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Between<T> {
+    /// The least that it can be.
+    pub least: T,
+    /// The largest that it can be.
+    pub largest: T,
+}
+
+impl<T: Copy> Between<T> {
+    /// Always this.
+    #[must_use]
+    pub const fn fixed(value: T) -> Self {
+        Self { least: value, largest: value }
+    }
+}
+
+/// A value, or `{from: VALUE, to: VALUE}`.
+pub(super) fn between<T: Copy + PartialOrd>(
+    findings: &mut Reader,
+    at: &At<'_>,
+    read: impl Fn(&mut Reader, &At<'_>) -> Option<T>,
+) -> Option<Between<T>> {
+    if !matches!(at.node, Node::Map(_)) {
+        return read(findings, at).map(Between::fixed);
+    }
+    let [from, to] = findings.map(at, "a random amount", BETWEEN_KEYS, &BETWEEN_KEYS)?;
+    let (from, to) = (from?, to?);
+    let (least, largest) = (read(findings, &from), read(findings, &to));
+    let (least, largest) = (least?, largest?);
+    if largest < least {
+        let expected = "`from` not above `to`";
+        findings.add(Code::TimeOrder, to.place(), "`to` lies below `from`", expected, None);
+        return None;
+    }
+    Some(Between { least, largest })
+}
+
+pub(super) fn duration(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    findings.duration(at)
+}
+
+pub(super) fn signed_duration(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    findings.signed_duration(at)
+}
+
+/// A duration above zero.
+pub(super) fn positive_duration(findings: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let span = findings.duration(at)?;
+    if span > Span::ZERO {
+        return Some(span);
+    }
+    findings.add(Code::BadDuration, at.place(), "found a time of zero", "a time above zero", None);
+    None
+}
+
+/// `5%`, or a number from 0 to 1.
+pub(super) fn probability(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+    let expected = "a probability from 0% to 100%, or from 0 to 1";
+    let (found, value) = match at.node {
+        Node::Text(text) => {
+            let percent = text.strip_suffix('%').and_then(|number| number.trim().parse::<f64>().ok());
+            (format!("`{}`", shortened(text)), percent.map(|percent| percent / 100.0))
+        }
+        _ => {
+            let number = findings.number(at, expected)?;
+            (format!("the number {number}"), Some(number))
+        }
+    };
+    let value = value.filter(|value| (0.0..=1.0).contains(value));
+    if value.is_none() {
+        findings.add(Code::WrongType, at.place(), format!("found {found}"), expected, None);
+    }
+    value
+}

@@ -1,0 +1,120 @@
+//! The links of a world: how long messages travel, what is lost on the way, and when nothing passes.
+
+use urrcp::Span;
+
+use super::amount::{self, Between, between};
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+
+const LINK_KEYS: [&str; 5] = ["delay", "jitter", "loss", "resent_after", "interruptions"];
+const INTERRUPTION_KEYS: [&str; 2] = ["every", "lasts"];
+const QUANTILE_KEYS: [&str; 5] = ["least", "p50", "p90", "p99", "largest"];
+/// The shares of messages that are as fast as the quantiles of [`Delay::Quantiles`], or faster.
+pub const QUANTILES: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.0];
+/// The least retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298 has a second.
+const RESENT_AFTER: Span = Span::from_millis(200);
+
+/// The link of a robot, the same each way. It is a TCP connection: messages keep their order, and none is lost for good.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkWorld {
+    /// How long a message travels one way.
+    pub delay: Delay,
+    /// Mean of the exponentially distributed time that is added.
+    pub jitter: Span,
+    /// Probability that a message is lost, and sent again.
+    pub loss: f64,
+    /// After how long it is sent again; twice as long after each further loss.
+    pub resent_after: Span,
+    /// When nothing passes.
+    pub interruptions: Vec<Interruptions>,
+}
+
+impl LinkWorld {
+    /// A link that does nothing but delay.
+    #[must_use]
+    pub const fn with_delay(delay: Delay) -> Self {
+        Self { delay, jitter: Span::ZERO, loss: 0.0, resent_after: RESENT_AFTER, interruptions: Vec::new() }
+    }
+}
+
+/// How long a message travels one way.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Delay {
+    /// Drawn uniformly for each message.
+    Between(Between<Span>),
+    /// By the quantiles of [`QUANTILES`], linear between them.
+    Quantiles([Span; 5]),
+}
+
+/// Times at which nothing passes on a link. They come at random: the time from the beginning of one to the next is exponentially
+/// distributed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Interruptions {
+    /// Mean time between two.
+    pub every: Span,
+    /// How long each lasts.
+    pub lasts: Between<Span>,
+}
+
+pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<LinkWorld> {
+    let what = format!("the link of `{name}`");
+    let [delay, jitter, loss, resent_after, interruptions] = findings.map(at, &what, LINK_KEYS, &[])?;
+    let read_delay = delay.map(|at| read_delay(findings, &at));
+    let jitter = jitter.map(|at| (at, findings.duration(&at)));
+    if let (Some(Some(Delay::Quantiles(_))), Some((at, _))) = (&read_delay, &jitter) {
+        let expected = "quantiles, or a delay with jitter";
+        let message = "the quantiles of the delay have its jitter already";
+        findings.add(Code::WrongType, at.key_place(), message, expected, Some("remove `jitter`".into()));
+    }
+    let loss = loss.map(|at| (at, amount::probability(findings, &at)));
+    if let Some((at, Some(loss))) = &loss
+        && *loss >= 1.0
+    {
+        let hint = Some("an incident `link_down` interrupts a link".to_owned());
+        findings.add(Code::WrongType, at.place(), "every message is lost", "less than 100%", hint);
+    }
+    let resent_after = resent_after.map(|at| amount::positive_duration(findings, &at));
+    let interruptions = interruptions.map(|at| read_interruptions(findings, &at)).unwrap_or_default();
+    Some(LinkWorld {
+        delay: read_delay.unwrap_or(Some(Delay::Between(Between::fixed(Span::ZERO))))?,
+        jitter: jitter.map_or(Some(Span::ZERO), |(_, jitter)| jitter)?,
+        loss: loss.map_or(Some(0.0), |(_, loss)| loss)?,
+        resent_after: resent_after.unwrap_or(Some(RESENT_AFTER))?,
+        interruptions,
+    })
+}
+
+fn read_delay(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
+    let is_quantiles = |(key, _): &(String, Node)| QUANTILE_KEYS.contains(&key.as_str());
+    match at.node {
+        Node::Map(entries) if entries.iter().any(is_quantiles) => quantiles(findings, at),
+        _ => between(findings, at, amount::duration).map(Delay::Between),
+    }
+}
+
+fn quantiles(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
+    let keys = findings.map(at, "the quantiles of a delay", QUANTILE_KEYS, &QUANTILE_KEYS)?;
+    let spans = keys.map(|at| at.and_then(|at| Some((at, findings.duration(&at)?))));
+    for (pair, names) in spans.windows(2).zip(QUANTILE_KEYS.windows(2)) {
+        let ([Some((_, before)), Some((at, after))], [smaller, larger]) = (pair, names) else { continue };
+        if after < before {
+            let message = format!("`{larger}` lies below `{smaller}`");
+            findings.add(Code::TimeOrder, at.place(), message, "quantiles in ascending order", None);
+            return None;
+        }
+    }
+    let [least, p50, p90, p99, largest] = spans.map(|span| span.map(|(_, span)| span));
+    Some(Delay::Quantiles([least?, p50?, p90?, p99?, largest?]))
+}
+
+fn read_interruptions(findings: &mut Reader, at: &At<'_>) -> Vec<Interruptions> {
+    let items = findings.list(at, "a list of interruptions, as `[{every: 2min, lasts: 300ms}]`");
+    let mut read = |at: &At<'_>| {
+        let [every, lasts] = findings.map(at, "an interruption", INTERRUPTION_KEYS, &INTERRUPTION_KEYS)?;
+        let every = every.and_then(|at| amount::positive_duration(findings, &at));
+        let lasts = lasts.and_then(|at| between(findings, &at, amount::duration));
+        Some(Interruptions { every: every?, lasts: lasts? })
+    };
+    items.iter().filter_map(&mut read).collect()
+}

@@ -1,0 +1,212 @@
+//! The world file: what a mission meets on the day. Links delay, lose and are interrupted, clocks are off, robots die, stall and
+//! refuse, sensors read, the operator hesitates; each of it fixed or random. `docs/world.md` has the keys.
+
+mod amount;
+mod incident;
+mod link;
+mod outside;
+
+use std::path::Path;
+
+use urrcp::RobotId;
+
+use crate::fleet::Fleet;
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::composed::{composed, is_same};
+use downbeat_yaml::finding::{Code, Finding};
+use downbeat_yaml::identify::{self, Document};
+use downbeat_yaml::locate::locate;
+use downbeat_yaml::node::{self, Node};
+use downbeat_yaml::shown::shortened;
+use downbeat_yaml::source::Source;
+use downbeat_yaml::tags::foreign_tags;
+
+pub use amount::Between;
+pub use incident::{Incident, Trouble};
+pub use link::{Delay, Interruptions, LinkWorld, QUANTILES};
+pub use outside::{ClockWorld, OperatorWorld, Reading, SensorWorld};
+
+const WORLD_KEYS: [&str; 6] = ["world", "links", "clocks", "sensors", "operator", "incidents"];
+/// Every robot that has no entry of its own or of a group.
+const ALL: &str = "all";
+
+/// What a mission meets on the day.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// Its name.
+    pub name: String,
+    /// For each robot of the fleet, in the order of its file; `None`: as the fleet file says.
+    pub links: Vec<Option<LinkWorld>>,
+    /// The same for clocks.
+    pub clocks: Vec<Option<ClockWorld>>,
+    /// What sensors read.
+    pub sensors: Vec<SensorWorld>,
+    /// How the operator behaves; `None`: says go after a second.
+    pub operator: Option<OperatorWorld>,
+    /// What goes wrong, in the order of the file.
+    pub incidents: Vec<Incident>,
+}
+
+/// Reads a world file for a fleet and for the acts of a choreography. All findings come together; the world is there only without.
+#[must_use]
+pub fn read_world(path: &Path, fleet: &Fleet, acts: &[&str]) -> (Option<World>, Vec<Finding>) {
+    let source = match Source::read(path) {
+        Ok(source) => source,
+        Err(finding) => return (None, vec![finding]),
+    };
+    let document = match node::parse(&source) {
+        Ok(document) => document,
+        Err(finding) => return (None, vec![finding]),
+    };
+    if let Some(mistaken) = identify::mistaken(&source, &document, Document::World) {
+        return (None, vec![mistaken]);
+    }
+    let tags = foreign_tags(&source);
+    if !tags.is_empty() {
+        return (None, tags);
+    }
+    let mut reader = WorldReader { findings: Reader::default(), fleet, acts };
+    let world = reader.world(&At::document(&document, 0));
+    let findings = locate(std::slice::from_ref(&source), reader.findings.finish());
+    (world.filter(|_| findings.is_empty()), findings)
+}
+
+struct WorldReader<'a> {
+    findings: Reader,
+    fleet: &'a Fleet,
+    acts: &'a [&'a str],
+}
+
+impl WorldReader<'_> {
+    fn world(&mut self, at: &At<'_>) -> Option<World> {
+        let [world, links, clocks, sensors, operator, incidents] =
+            self.findings.map(at, "the world file", WORLD_KEYS, &["world"])?;
+        let name = world.and_then(|at| self.findings.name(&at, "a name for this world"));
+        let links = links.map(|at| self.per_robot(&at, "robot or group to its link", link::read));
+        let clocks = clocks.map(|at| self.per_robot(&at, "robot or group to its clock", outside::read_clock));
+        let robots = self.fleet.robots.len();
+        Some(World {
+            name: name.unwrap_or_default(),
+            links: links.unwrap_or_else(|| vec![None; robots]),
+            clocks: clocks.unwrap_or_else(|| vec![None; robots]),
+            sensors: sensors.map(|at| self.sensors(&at)).unwrap_or_default(),
+            operator: operator.and_then(|at| outside::read_operator(&mut self.findings, &at)),
+            incidents: incidents.map(|at| self.incidents(&at)).unwrap_or_default(),
+        })
+    }
+
+    /// A robot's own entry counts before that of its group, and that before `all`; among groups the last one counts.
+    fn per_robot<T: Clone>(
+        &mut self,
+        at: &At<'_>,
+        what: &str,
+        read: impl Fn(&mut Reader, &At<'_>, &str) -> Option<T>,
+    ) -> Vec<Option<T>> {
+        let mut found: Vec<(u8, Option<T>)> = vec![(0, None); self.fleet.robots.len()];
+        for (name, at) in self.findings.entries(at, what) {
+            let named = self.named(name);
+            let Some((rank, robots)) = named else {
+                self.unknown_robot(name, &at, true);
+                continue;
+            };
+            let Some(value) = read(&mut self.findings, &at, name) else { continue };
+            for robot in robots {
+                if rank >= found[robot].0 {
+                    found[robot] = (rank, Some(value.clone()));
+                }
+            }
+        }
+        found.into_iter().map(|(_, value)| value).collect()
+    }
+
+    /// The robots that a name stands for, and how closely it names them.
+    fn named(&self, name: &str) -> Option<(u8, Vec<usize>)> {
+        let robots = &self.fleet.robots;
+        let of = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);
+        if let Some(index) = robots.iter().position(|robot| is_same(robot.id.as_str(), name)) {
+            return Some((3, vec![index]));
+        }
+        if let Some(group) = self.fleet.groups.get(composed(name).as_ref()) {
+            return Some((2, group.iter().filter_map(of).collect()));
+        }
+        (name == ALL).then(|| (1, (0..robots.len()).collect()))
+    }
+
+    fn unknown_robot(&mut self, name: &str, at: &At<'_>, key: bool) {
+        let robots = self.fleet.robots.iter().map(|robot| robot.id.as_str());
+        let known: Vec<&str> =
+            robots.chain(self.fleet.groups.keys().map(String::as_str)).chain([ALL]).collect();
+        let hint = self.findings.did_you_mean(name, known.iter().copied());
+        let message = format!("no robot or group `{}` in the fleet", shortened(name));
+        let expected = downbeat_yaml::finding::one_of(known);
+        let place = if key { at.key_place() } else { at.place() };
+        self.findings.add(Code::UnknownRobot, place, message, expected, hint);
+    }
+
+    fn sensors(&mut self, at: &At<'_>) -> Vec<SensorWorld> {
+        let mut sensors = Vec::new();
+        for (name, at) in self.findings.entries(at, "ROBOT/SENSOR to what it reads") {
+            let reading = outside::read_reading(&mut self.findings, &at);
+            let Some((robot, sensor)) = name.split_once('/') else {
+                let message = format!("`{}` is not a robot and its sensor", shortened(name));
+                let expected = "ROBOT/SENSOR, as in rover-1/range";
+                self.findings.add(Code::WrongType, at.key_place(), message, expected, None);
+                continue;
+            };
+            let found = self.fleet.robots.iter().find(|known| is_same(known.id.as_str(), robot));
+            let Some(robot) = found else {
+                self.unknown_robot(robot, &at, true);
+                continue;
+            };
+            let sensor = robot
+                .init
+                .as_ref()
+                .and_then(|init| crate::fleet::sensor(&mut self.findings, sensor, &at, init));
+            sensors.extend(sensor.zip(reading).map(|(sensor, reading)| SensorWorld {
+                robot: robot.id.clone(),
+                sensor,
+                reading,
+            }));
+        }
+        sensors
+    }
+
+    fn incidents(&mut self, at: &At<'_>) -> Vec<Incident> {
+        let items = self.findings.list(at, "a list of incidents");
+        items.iter().filter_map(|at| self.incident(at)).collect()
+    }
+
+    fn incident(&mut self, at: &At<'_>) -> Option<Incident> {
+        let keys = incident::keys(&mut self.findings, at)?;
+        let robots = keys.robot.and_then(|at| {
+            let name = self.findings.name(&at, "a robot or group")?;
+            let named = self.named(&name);
+            if named.is_none() {
+                self.unknown_robot(&name, &at, false);
+            }
+            Some(named?.1)
+        });
+        let act = keys.act.and_then(|at| {
+            let name = self.findings.name(&at, "the name of an act")?;
+            if !self.acts.contains(&name.as_str()) {
+                let hint = self.findings.did_you_mean(&name, self.acts.iter().copied());
+                let message = format!("no act `{}`", shortened(&name));
+                let expected = match self.acts {
+                    [] => "no `act`: the scenario has none".to_owned(),
+                    acts => downbeat_yaml::finding::one_of(acts.iter().copied()),
+                };
+                self.findings.add(Code::UnknownAct, at.place(), message, expected, hint);
+            }
+            Some(name)
+        });
+        incident::read(&mut self.findings, at, &keys, robots?, act)
+    }
+}
+
+/// A map in which a `null` stands for nothing.
+fn is_null(at: &At<'_>) -> bool {
+    *at.node == Node::Null
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,105 @@
+//! Clocks, sensors and the operator of a world.
+
+use urrcp::{DeviceId, RobotId, Span};
+
+use super::amount::{self, Between, between};
+use super::is_null;
+use downbeat_reader::fields::{At, Reader};
+use downbeat_yaml::finding::Code;
+use downbeat_yaml::node::Node;
+
+const CLOCK_KEYS: [&str; 3] = ["offset", "drift", "error"];
+const OPERATOR_KEYS: [&str; 2] = ["go_after", "never"];
+
+/// The clock of a robot; what is not given stays as the fleet file says.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClockWorld {
+    /// Its raw clock minus the true one.
+    pub offset: Option<Between<Span>>,
+    /// How much faster its raw clock runs, in parts per million.
+    pub drift_ppm: Option<Between<f64>>,
+    /// NTP leaves it off by up to this, either way.
+    pub error: Option<Span>,
+}
+
+/// What a sensor reads.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorWorld {
+    /// Whose sensor.
+    pub robot: RobotId,
+    /// Which one.
+    pub sensor: DeviceId,
+    /// What it reads.
+    pub reading: Reading,
+}
+
+/// The readings of a sensor, in its unit.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Reading {
+    /// Drawn once a trial.
+    Drawn(Between<f64>),
+    /// From each of these times on, counted from the beginning of the mission and drawn once a trial, what is drawn with it; 0 before
+    /// the first of them.
+    OverTime(Vec<(Between<Span>, Between<f64>)>),
+}
+
+/// How the operator behaves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OperatorWorld {
+    /// So long after an act has begun to wait for it, the operator says go.
+    pub go_after: Between<Span>,
+    /// Probability, for each act that waits, that the operator never does.
+    pub never: f64,
+}
+
+pub(super) fn read_clock(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<ClockWorld> {
+    let what = format!("the clock of `{name}`");
+    let [offset, drift, error] = findings.map(at, &what, CLOCK_KEYS, &[])?;
+    Some(ClockWorld {
+        offset: offset.and_then(|at| between(findings, &at, amount::signed_duration)),
+        drift_ppm: drift.and_then(|at| between(findings, &at, crate::fleet::drift_ppm)),
+        error: error.and_then(|at| findings.duration(&at)),
+    })
+}
+
+pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<OperatorWorld> {
+    if is_null(at) {
+        return None;
+    }
+    let [go_after, never] = findings.map(at, "`operator`", OPERATOR_KEYS, &[])?;
+    let go_after = go_after.map(|at| between(findings, &at, amount::duration));
+    let never = never.map(|at| amount::probability(findings, &at));
+    Some(OperatorWorld {
+        go_after: go_after.unwrap_or(Some(Between::fixed(Span::from_millis(1_000))))?,
+        never: never.unwrap_or(Some(0.0))?,
+    })
+}
+
+/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, in which each may be drawn as well.
+pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
+    let number =
+        |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");
+    if !matches!(at.node, Node::List(_)) {
+        return between(findings, at, number).map(Reading::Drawn);
+    }
+    let mut points: Vec<(Between<Span>, Between<f64>)> = Vec::new();
+    for item in findings.list(at, "a list of times and readings") {
+        let expected = "a time and a reading, as [5s, 0.4]";
+        let pair = findings.list(&item, expected);
+        let [time, value] = pair.as_slice() else {
+            if matches!(item.node, Node::List(_)) {
+                let message = format!("found {} entries", pair.len());
+                findings.add(Code::WrongType, item.place(), message, expected, None);
+            }
+            continue;
+        };
+        let (at, value) = (between(findings, time, amount::duration), between(findings, value, number));
+        let (Some(at), Some(value)) = (at, value) else { continue };
+        if points.last().is_some_and(|(before, _)| before.largest >= at.least) {
+            let expected = "ascending times";
+            findings.add(Code::TimeOrder, time.place(), "not after the time before", expected, None);
+        }
+        points.push((at, value));
+    }
+    Some(Reading::OverTime(points))
+}
