@@ -1,7 +1,7 @@
 //! How late six processes that wait for one instant wake up, and how far apart: ways of waiting side by side with tokio's
 //! timer, in turn within one run, idle or with all cores busy.
 //!
-//! `cargo bench -p downbeat-robot --bench wait_strategies -- [busy] [rounds N] ['sleep' 'spin 200 us' ...]`
+//! `cargo bench -p downbeat-realtime --bench wait_strategies -- [busy] [rounds N] ['sleep' 'spin 200 us' ...]`
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -17,7 +17,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant, SystemTime};
 
-use downbeat_robot::realtime::{PreciseWait, Realtime, Scheduling, Woken};
+use downbeat_realtime::{PreciseWait, Realtime, Scheduling, Woken};
 
 const PROCESSES: usize = 6;
 /// What a robot does once it has set its first value.

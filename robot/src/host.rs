@@ -29,7 +29,7 @@ use crate::parties::Claimant;
 use crate::peer::Peer;
 use crate::refusals::Refusals;
 use crate::robot::Input;
-use crate::scheduling::{Realtime, Scheduling};
+use downbeat_realtime::{Realtime, Scheduling};
 
 /// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
 const WINDOW: usize = 32;

@@ -101,19 +101,13 @@ mod outgoing;
 mod parties;
 mod peer;
 mod plans;
-#[cfg(feature = "host")]
-mod precise_wait;
 mod reach;
-#[cfg(feature = "host")]
-pub mod realtime;
 #[cfg(feature = "host")]
 mod refusals;
 mod robot;
 mod role;
 #[cfg(feature = "host")]
 mod run;
-#[cfg(feature = "host")]
-mod scheduling;
 #[cfg(feature = "sealed")]
 pub mod sealed;
 #[cfg(feature = "host")]
@@ -124,14 +118,14 @@ pub mod simulated;
 #[cfg(feature = "tls")]
 pub mod tls;
 mod tolerance;
-#[cfg(feature = "host")]
-mod wake_up;
 #[cfg(feature = "zenoh")]
 pub mod zenoh;
 
 pub use confirmation::Ticket;
 pub use counts::Counts;
 pub use device::{Motion, MotionLimits};
+#[cfg(feature = "host")]
+pub use downbeat_realtime as realtime;
 pub use hardware::ReadingId;
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};

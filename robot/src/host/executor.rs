@@ -18,10 +18,10 @@ use crate::figures::Figures;
 use crate::ids::LinkId;
 use crate::outgoing::Outgoing;
 use crate::parties::Claimant;
-use crate::precise_wait::{PreciseWait, Woken};
 use crate::refusals::{Reason, Refusals};
 use crate::robot::Input;
-use crate::scheduling::{Realtime, Scheduling};
+use downbeat_realtime::{PreciseWait, Woken};
+use downbeat_realtime::{Realtime, Scheduling};
 
 /// A sleep may end so late.
 const MOVES_SOON: Span = Span::from_millis(3);
