@@ -55,6 +55,7 @@ mod limits;
 mod message;
 mod number;
 mod object;
+mod role;
 #[cfg(feature = "schema")]
 mod schema;
 mod text;
@@ -79,6 +80,7 @@ pub use message::{
     RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
     StopCondition,
 };
+pub use role::{Proof, Role, Roles};
 #[cfg(feature = "schema")]
 pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};

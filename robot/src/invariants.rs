@@ -23,10 +23,10 @@ use urrcp::{
 
 use crate::ids::LinkId;
 use crate::robot::{Input, Output, Robot};
-use crate::role::{Proof, Role};
 pub use described::drive_all;
 use judge::Judge;
 pub use operation::{Operation, Pause, Question, Request, operations};
+use urrcp::{Proof, Role};
 
 /// An invariant does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -93,8 +93,6 @@ mod host;
 mod ids;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
-#[cfg(any(feature = "sealed", feature = "tls"))]
-mod key_file;
 mod late_steps;
 mod lease;
 mod outgoing;
@@ -105,11 +103,8 @@ mod reach;
 #[cfg(feature = "host")]
 mod refusals;
 mod robot;
-mod role;
 #[cfg(feature = "host")]
 mod run;
-#[cfg(feature = "sealed")]
-pub mod sealed;
 #[cfg(feature = "host")]
 mod serve;
 pub mod set_log;
@@ -124,20 +119,21 @@ pub mod zenoh;
 pub use confirmation::Ticket;
 pub use counts::Counts;
 pub use device::{Motion, MotionLimits};
+#[cfg(any(feature = "sealed", feature = "tls"))]
+pub use downbeat_key_file::KeyFileError;
 #[cfg(feature = "host")]
 pub use downbeat_realtime as realtime;
+#[cfg(feature = "sealed")]
+pub use downbeat_sealed as sealed;
 pub use hardware::ReadingId;
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
 pub use ids::LinkId;
-#[cfg(any(feature = "sealed", feature = "tls"))]
-pub use key_file::KeyFileError;
 pub use peer::Peer;
 pub use plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};
 #[cfg(feature = "host")]
 pub use refusals::{Reason, Refusals};
 pub use robot::{Input, Output, Robot, SetValue};
-pub use role::{Proof, Role, Roles};
 #[cfg(feature = "host")]
 pub use run::{RunError, run};
 #[cfg(feature = "host")]
@@ -148,6 +144,7 @@ pub use serve::serve_zenoh;
 pub use serve::{Door, serve_behind};
 /// The types of the protocol, in the version that this crate uses.
 pub use urrcp;
+pub use urrcp::{Proof, Role, Roles};
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]

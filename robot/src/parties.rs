@@ -9,7 +9,7 @@ use urrcp::{Label, Robot, SessionId, Span, Timestamp};
 
 use crate::ids::LinkId;
 use crate::lease::LastHeard;
-use crate::role::Proof;
+use urrcp::Proof;
 
 /// An idle robot whose session has been silent for this long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
@@ -200,7 +200,7 @@ impl Parties {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::role::Roles;
+    use urrcp::Roles;
 
     const ONE: LinkId = LinkId(1);
     const TWO: LinkId = LinkId(2);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use urrcp::Label;
 
-use crate::role::Proof;
+use urrcp::Proof;
 
 /// Who is at the other end of a link, as far as this is known: from where it connects, and under which name if it has proven one.
 ///
@@ -104,7 +104,7 @@ impl fmt::Display for Peer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::role::Roles;
+    use urrcp::Roles;
 
     #[test]
     fn quotas_are_counted_by_host_and_not_on_the_loopback_interface() {

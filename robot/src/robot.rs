@@ -26,8 +26,8 @@ use crate::lease::LastHeard;
 use crate::parties::Claimant;
 use crate::parties::Parties;
 use crate::plans::{PlanCancel, PlanPart, Plans};
-use crate::role::Proof;
 use crate::tolerance::Tolerance;
+use urrcp::Proof;
 
 /// What reaches a robot on a link.
 #[derive(Clone, Debug)]

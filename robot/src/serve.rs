@@ -20,14 +20,14 @@ use crate::host::HostHandle;
 use crate::peer::Peer;
 #[cfg(any(feature = "sealed", feature = "tls"))]
 use crate::refusals::Reason;
-#[cfg(any(feature = "sealed", feature = "tls"))]
-use crate::role::Proof;
-#[cfg(feature = "sealed")]
-use crate::sealed;
 #[cfg(feature = "tls")]
 use crate::tls;
 #[cfg(feature = "zenoh")]
 use crate::zenoh;
+#[cfg(feature = "sealed")]
+use downbeat_sealed as sealed;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use urrcp::Proof;
 
 /// How often a new connection asks for room again, where all others are as new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);

@@ -61,6 +61,7 @@ fn no_module_imports_one_that_imports_it() {
     for source in [
         "protocol/src",
         "robot/realtime/src",
+        "robot/sealed/src",
         "robot/src",
         "scripts/yaml/src",
         "scripts/motion/src",

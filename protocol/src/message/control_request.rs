@@ -101,6 +101,14 @@ impl ControlRequest {
         }
     }
 
+    /// Whether it is an empty script that counts at once: it ends what the device does, whichever session asked for that. One that sends
+    /// the device home moves it, and is none.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        let empty = matches!(&self.command, Command::Script(script) if script.is_empty());
+        empty && self.starts_at().is_none() && !self.home
+    }
+
     /// A request that starts at an instant of the server's clock, given as the time of sending and the time from there to the
     /// start; without a lease. All requests of one start should carry the same `timestamp`.
     #[must_use]

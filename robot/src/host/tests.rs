@@ -244,10 +244,10 @@ async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
 }
 
 /// Of an operator who may drive.
-fn proof(name: &str) -> crate::role::Proof {
-    crate::role::Proof {
+fn proof(name: &str) -> urrcp::Proof {
+    urrcp::Proof {
         name: urrcp::Label::new(name).unwrap(),
-        roles: [crate::role::Role::Observe, crate::role::Role::Drive].into_iter().collect(),
+        roles: [urrcp::Role::Observe, urrcp::Role::Drive].into_iter().collect(),
     }
 }
 

@@ -9,7 +9,7 @@ use super::{Now, Output, Robot, tell};
 use crate::device::{DeviceMachine, Rest};
 use crate::ids::CommandId;
 use crate::ids::LinkId;
-use crate::role::{Role, is_stop};
+use urrcp::Role;
 
 /// The party to which the robot belongs.
 pub(super) enum Owner {
@@ -89,7 +89,7 @@ impl Robot {
     /// the robot: the mission from which the robot was seized does not stop the one that has it now.
     fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
         let may = || self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop));
-        is_stop(request) && request.session.is_none() && may()
+        request.is_stop() && request.session.is_none() && may()
     }
 
     /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has

@@ -7,7 +7,7 @@ use urrcp::{
 
 use super::{Now, Output, Robot, tell};
 use crate::ids::LinkId;
-use crate::role::Role;
+use urrcp::Role;
 
 impl Robot {
     /// Why the peer of this link may not send this.

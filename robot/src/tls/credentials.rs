@@ -6,7 +6,7 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
 use super::identity::{Identity, IdentityError};
-use crate::key_file::{KeyFileError, read_private};
+use downbeat_key_file::{KeyFileError, read_private};
 
 /// An identity file cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -13,7 +13,7 @@ use super::config::server_config;
 use super::credentials::Credentials;
 use super::identity::Identity;
 use super::revoked::Revoked;
-use crate::role::Proof;
+use urrcp::Proof;
 
 /// What a robot proves itself with, and whom it lets in: operators with a certificate of its authority that is not revoked.
 #[derive(Debug)]

@@ -11,7 +11,7 @@ use urrcp::{Label, RobotId};
 use x509_parser::extensions::GeneralName;
 use x509_parser::prelude::{FromDer, X509Certificate};
 
-use crate::role::{Proof, Role, Roles};
+use urrcp::{Proof, Role, Roles};
 
 /// What stays as it is: the unreserved characters of RFC 3986.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');

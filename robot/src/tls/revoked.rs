@@ -7,7 +7,7 @@ use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
 
 use super::credentials::CredentialsError;
-use crate::key_file::read_regular;
+use downbeat_key_file::read_regular;
 
 /// Bytes of a list at most: an entry takes some 40.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;

@@ -14,7 +14,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsConnector;
 
 use super::*;
-use crate::role::Role;
+use urrcp::Role;
 
 /// A folder of this test alone, gone in the end.
 struct Folder(PathBuf);

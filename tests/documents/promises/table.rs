@@ -1832,7 +1832,7 @@ pub const PROMISES: &[Promise] = &[
         "The handshake is three lines, each ended by `\\n`, the first two of at most 8,192 bytes with \
          their end.",
         &[Test(
-            "robot/src/sealed/tests.rs::a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes",
+            "robot/sealed/src/tests.rs::a_first_line_is_taken_up_to_the_longest_that_there_may_be_however_it_comes",
         )],
     ),
     (
@@ -1843,21 +1843,21 @@ pub const PROMISES: &[Promise] = &[
     (
         Protocol,
         "To a line that begins otherwise the robot says nothing and hangs up.",
-        &[Test("robot/src/sealed/tests.rs::what_speaks_something_else_is_not_waited_for")],
+        &[Test("robot/sealed/src/tests.rs::what_speaks_something_else_is_not_waited_for")],
     ),
     (
         Protocol,
         "The receiver ends the connection at the first wrong code or length and hears nothing of that \
          record.",
         &[Test(
-            "robot/src/sealed/record.rs::a_record_that_is_altered_repeated_left_out_or_out_of_order_ends_it_all",
+            "robot/sealed/src/record.rs::a_record_that_is_altered_repeated_left_out_or_out_of_order_ends_it_all",
         )],
     ),
     (
         Protocol,
         "A record carries 16 KiB at most, because a robot has to keep all of it until it knows its code; \
          more memory than that would be needed for nothing but this.",
-        &[Test("robot/src/sealed/record.rs::a_length_that_no_record_has_is_not_waited_for")],
+        &[Test("robot/sealed/src/record.rs::a_length_that_no_record_has_is_not_waited_for")],
     ),
 ];
 

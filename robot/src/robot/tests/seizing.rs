@@ -2,7 +2,7 @@
 
 use super::sessions::{OTHER, hello, of, operator, stop_of};
 use super::*;
-use crate::role::Role;
+use urrcp::Role;
 use urrcp::SessionId;
 
 const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];

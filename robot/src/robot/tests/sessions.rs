@@ -1,8 +1,8 @@
 //! The session to which a robot belongs, and how it comes to rest on a stop.
 
 use super::*;
-use crate::role::{Proof, Role};
 use urrcp::SessionId;
+use urrcp::{Proof, Role};
 
 pub(super) const OTHER: LinkId = LinkId(2);
 

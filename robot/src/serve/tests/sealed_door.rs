@@ -1,8 +1,8 @@
 //! A robot that shares a secret: what proves nothing, and what was altered on its way.
 
 use super::*;
-use crate::role::Role;
-use crate::sealed::{Claim, Guard, Held, Secret, connect};
+use downbeat_sealed::{Claim, Guard, Held, Secret, connect};
+use urrcp::Role;
 
 /// A robot behind a secret, and a pass to it.
 async fn sealed(patience: Patience) -> (Host, SocketAddr, Held) {

@@ -4,10 +4,10 @@ use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 
 use super::*;
-use crate::role::{Role, Roles};
-use crate::sealed::handshake::NotSealed;
-use crate::sealed::passes::Held;
-use crate::sealed::{Claim, Keys, connect};
+use crate::handshake::NotSealed;
+use crate::passes::Held;
+use crate::{Claim, Keys, connect};
+use urrcp::{Role, Roles};
 
 const LATER: i64 = 4_000_000_000;
 
@@ -320,7 +320,7 @@ impl Drop for Kept {
 
 #[test]
 fn passes_are_read_as_they_were_written_and_found_by_their_robot() {
-    use crate::sealed::Passes;
+    use crate::Passes;
     let secret = Secret::generate().unwrap();
     let (first, second) = (held(&secret, "cf 1/ö", claim(&[Role::Drive])), held(&secret, "cf2", claim(&[])));
     let written = Passes::new(vec![first.clone(), second]);

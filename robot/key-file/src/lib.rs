@@ -32,12 +32,12 @@ pub enum KeyFileError {
 }
 
 /// What is in the file with a key, if it is a regular one that others cannot read.
-pub(crate) fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
+pub fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
     read_private_of(path, BYTES_MAX)
 }
 
 /// The same with so many bytes at most.
-pub(crate) fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
+pub fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     let (file, stat) = open_regular(path)?;
     let mode = stat.st_mode & 0o777;
     // A file of root may be handed to a service by its group, as systemd does with credentials.
@@ -49,7 +49,7 @@ pub(crate) fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, Ke
 }
 
 /// What is in the file, so many bytes at most, if it is a regular one. It may be public.
-pub(crate) fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
+pub fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     read(path, open_regular(path)?.0, bytes_max)
 }
 

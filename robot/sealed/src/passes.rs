@@ -7,7 +7,7 @@ use urrcp::RobotId;
 use super::claim::{Claim, encoded, robot_id};
 use super::secret::Pass;
 use super::{SecretError, hex};
-use crate::key_file::read_private_of;
+use downbeat_key_file::read_private_of;
 
 /// Bytes of a file of passes at most: a pass takes some 200.
 const BYTES_MAX: u64 = 16 * 1024 * 1024;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::key_file::{KeyFileError, read_regular};
+use downbeat_key_file::{KeyFileError, read_regular};
 
 /// Bytes of a list at most: a number takes some 60.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;

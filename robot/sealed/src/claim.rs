@@ -6,7 +6,7 @@ use std::str::FromStr;
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use urrcp::{Label, RobotId};
 
-use crate::role::{Proof, Roles};
+use urrcp::{Proof, Roles};
 
 /// What stays as it is in a name: the unreserved characters of RFC 3986. So no name can hold a space or end a line.
 const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
@@ -86,7 +86,7 @@ impl FromStr for Claim {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::role::Role;
+    use urrcp::Role;
 
     #[test]
     fn a_claim_has_one_form() {

@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
 
-use urrcp::{Command, ControlRequest, Message};
+use crate::message::{Command, ControlRequest, Message};
+use crate::text::Label;
 
 /// What an operator may do, each by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -49,20 +50,15 @@ impl Role {
         }
     }
 
-    pub(crate) fn needed_for_request(request: &ControlRequest) -> &'static [Self] {
+    /// What a control request takes: any of these.
+    #[must_use]
+    pub fn needed_for_request(request: &ControlRequest) -> &'static [Self] {
         match &request.command {
             Command::ReadSensor => &[Self::Observe, Self::Drive],
-            _ if is_stop(request) => &[Self::Stop, Self::Drive],
+            _ if request.is_stop() => &[Self::Stop, Self::Drive],
             _ => &[Self::Drive],
         }
     }
-}
-
-/// An empty script that counts at once: it ends what the device does, whichever session asked for that. One that sends the device
-/// home moves it, and is none.
-pub(crate) fn is_stop(request: &ControlRequest) -> bool {
-    let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
-    empty && request.starts_at().is_none() && !request.home
 }
 
 impl fmt::Display for Role {
@@ -114,7 +110,7 @@ impl fmt::Display for Roles {
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Proof {
     /// Its name.
-    pub name: urrcp::Label,
+    pub name: Label,
     /// What it may do.
     pub roles: Roles,
 }

@@ -11,7 +11,7 @@ use super::handshake::{Hello, Refused};
 use super::revoked::RevokedSerials;
 use super::secret::{Pass, Secret};
 use super::stream::{Sealed, accept};
-use crate::role::Proof;
+use urrcp::Proof;
 
 /// What a robot knows, and whom it lets in: operators with a pass for it that counts.
 #[derive(Debug)]
@@ -59,7 +59,7 @@ impl Guard {
     ///
     /// # Errors
     /// The peer does not prove who it is.
-    pub(crate) async fn accept<S>(&self, stream: S) -> io::Result<(Sealed<S>, Proof)>
+    pub async fn accept<S>(&self, stream: S) -> io::Result<(Sealed<S>, Proof)>
     where
         S: AsyncRead + AsyncWrite + Unpin,
     {

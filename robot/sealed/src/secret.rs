@@ -9,7 +9,7 @@ use urrcp::RobotId;
 
 use super::claim::Claim;
 use super::hex;
-use crate::key_file::{KeyFileError, read_private};
+use downbeat_key_file::{KeyFileError, read_private};
 
 /// Bytes of a secret, of a pass and of a whole code.
 const BYTES: usize = 32;
