@@ -5,7 +5,7 @@ use super::Judge::{Conformance, Falsified, Open, Simulation, Test};
 use super::{Document, Promise};
 
 /// The number of open promises may not exceed this. Lower it with each promise that gets a judge or a planted fault.
-pub const OPEN_MAX: usize = 16;
+pub const OPEN_MAX: usize = 15;
 
 /// Each sentence that promises a behaviour, with its judges.
 pub const PROMISES: &[Promise] = &[
@@ -23,7 +23,9 @@ pub const PROMISES: &[Promise] = &[
     (
         Mission,
         "The mission connects to all robots at once.",
-        &[Open("No test makes the link to one robot wait for the link to another.")],
+        &[Test(
+            "scheduler/mission/src/drive/tests.rs::links_to_all_robots_are_begun_before_anything_happens_on_one_of_them",
+        )],
     ),
     (
         Mission,

@@ -19,7 +19,12 @@ fn mission() -> Mission {
 }
 
 fn mission_with(options: MissionOptions) -> Mission {
+    mission_of(&["r"], options)
+}
+
+fn mission_of(robots: &[&str], options: MissionOptions) -> Mission {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
+    let ids: Vec<RobotId> = robots.iter().map(|id| RobotId::new(*id).unwrap()).collect();
     let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
     let step = Step {
         offset: Millis::ZERO,
@@ -38,9 +43,10 @@ fn mission_with(options: MissionOptions) -> Mission {
         start_tolerance: Span::from_millis(10),
         lead: None,
         stop_condition,
-        robots: vec![RobotPlan { robot: RobotId::new("r").unwrap(), scripts: vec![script] }],
+        robots: ids.iter().map(|id| RobotPlan { robot: id.clone(), scripts: vec![script.clone()] }).collect(),
     };
-    let participants = vec![Participant::new(block.id.clone(), Some(block))];
+    let described = |id: &RobotId| InitializationBlock { id: id.clone(), ..block.clone() };
+    let participants = ids.iter().map(|id| Participant::new(id.clone(), Some(described(id)))).collect();
     Mission::of_plan(plan, participants, options, BEGIN).unwrap()
 }
 
@@ -51,7 +57,8 @@ struct Silent {
     happens: VecDeque<Happened>,
     journal: Filed,
     cut: Vec<LinkNumber>,
-    connected: Vec<(LinkNumber, Span)>,
+    /// The robots to which a link was begun, each with the pause before it.
+    connected: Vec<(usize, Span)>,
     told: Vec<Progress>,
     /// Happens once a script has been sent.
     once_it_sends: Option<Event>,
@@ -90,8 +97,8 @@ impl World for Silent {
         happened
     }
 
-    fn connect(&mut self, _: usize, link: LinkNumber, after: Span) {
-        self.connected.push((link, after));
+    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+        self.connected.push((robot, after));
         self.now = self.now + after;
         self.on_link(link, Event::LinkUp { robot: 0 });
     }
@@ -133,6 +140,14 @@ fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
     assert!(world.connected.len() > 2, "it is tried again as long as patience lasts");
     let failures: Vec<_> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(failures.iter().any(|failure| failure.contains("does not read")), "{failures:?}");
+}
+
+#[test]
+fn links_to_all_robots_are_begun_before_anything_happens_on_one_of_them() {
+    let mut world = Silent::new(0, Filed::AtOnce);
+    world.happens.push_back(Happened::Left);
+    at_once(drive(&mut mission_of(&["r", "s", "t"], MissionOptions::default()), &mut world)).unwrap();
+    assert_eq!(world.connected, [0, 1, 2].map(|robot| (robot, Span::ZERO)));
 }
 
 #[test]
