@@ -55,6 +55,44 @@ fn a_stop_that_is_not_confirmed_is_sent_again_and_given_up_when_patience_ends() 
     assert!(mission.outcome().is_some());
 }
 
+/// An act of two robots, `before_brink` ahead of the brink. The second robot is silent during the last rounds.
+fn awaits_word(before_brink: Span) -> Played {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    let participant = |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let participants = ["r0", "r1"].map(participant).to_vec();
+    let mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
+    let mut played = Played::begun(mission);
+    let timing = played.mission.acts[0].timing().unwrap().clone();
+    played.run_until(timing.critical() - ms(30));
+    played.mutes(1);
+    played.run_until(timing.brink() - before_brink);
+    assert!(!played.mission.acts[0].is_committed() && played.now >= timing.critical());
+    played
+}
+
+#[test]
+fn a_stop_is_sent_at_once_while_everything_else_waits_for_the_commitment() {
+    for by_operator in [true, false] {
+        let mut played = awaits_word(ms(14));
+        let (now, mission) = (played.now, &mut played.mission);
+        mission.read(now, 0, "b".parse().unwrap(), super::super::robot_state::Reading::Wait(0));
+        assert!(mission.actions.is_empty() && mission.deferred.len() == 1, "it waits for the commitment");
+        let actions = if by_operator {
+            mission.handle(now, Event::StopRequested { rest: Rest::InPlace, by: None })
+        } else {
+            mission.fail(now, 0, super::course::broken());
+            std::mem::take(&mut mission.actions)
+        };
+        let urgent = |action: &Action| match action {
+            Action::Send { robot, urgent: true, .. } => Some(*robot),
+            _ => None,
+        };
+        assert_eq!(actions.iter().filter_map(urgent).collect::<Vec<_>>(), [0, 1], "{by_operator}");
+        assert_eq!(stops_in(&actions).len(), 2, "{by_operator}: the reading is not sent");
+    }
+}
+
 #[test]
 fn on_a_slow_link_a_stop_has_three_round_trips_to_be_confirmed() {
     let mut mission = sent();
