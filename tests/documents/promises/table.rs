@@ -5,7 +5,7 @@ use super::Judge::{Conformance, Falsified, Open, Simulation, Test};
 use super::{Document, Promise};
 
 /// The number of open promises may not exceed this. Lower it with each promise that gets a judge or a planted fault.
-pub const OPEN_MAX: usize = 14;
+pub const OPEN_MAX: usize = 13;
 
 /// Each sentence that promises a behaviour, with its judges.
 pub const PROMISES: &[Promise] = &[
@@ -1022,7 +1022,9 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "A robot that was taken may still slow down: as long as a device does not stand where its first \
          keyframe expects it, the mission reads its position again, for at most 4 s.",
-        &[Open("No test measures the time for which the mission reads the position again.")],
+        &[Test(
+            "scheduler/mission/src/tests/greeting.rs::a_robot_that_was_taken_and_still_moves_is_read_again_for_at_most_four_seconds",
+        )],
     ),
     (
         Mission,

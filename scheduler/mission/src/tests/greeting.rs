@@ -195,6 +195,31 @@ fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at
     }
 }
 
+#[test]
+fn a_robot_that_was_taken_and_still_moves_is_read_again_for_at_most_four_seconds() {
+    for (arrives, outcome) in [(None, Outcome::NotStarted), (Some(at(3_900)), Outcome::Done)] {
+        let mut mission = may_seize();
+        mission.robots[0].block.as_mut().unwrap().devices[0].interpolation = urrcp::Interpolation::Linear;
+        mission.robots[0].ownership = Ownership::Seizing;
+        let mut played = Played::linked(mission, &[0]);
+        played.positions = [("a".parse().unwrap(), 10.0)].into();
+        if let Some(arrives) = arrives {
+            played.run_until(arrives);
+            played.positions = [("a".parse().unwrap(), 45.0)].into();
+        }
+        assert_eq!(played.run_to_the_end(), outcome);
+        let reads =
+            |message: &Message| matches!(message, Message::Inquiry(asked) if !asked.devices.is_empty());
+        let read = played.sent.iter().filter(|(.., message)| reads(message)).map(|(at, ..)| *at);
+        let (first, last) = (read.clone().min().unwrap(), read.max().unwrap());
+        let still_moves = played.mission.robots[0].failures.iter().any(
+            |failure| matches!(&failure.kind, FailureKind::Position { reading, .. } if *reading == 10.0),
+        );
+        assert_eq!(still_moves, arrives.is_none());
+        assert!(last - first > ms(3_850) && last - first <= ms(4_000), "{first} to {last}");
+    }
+}
+
 fn asked() -> Mission {
     let mut mission = begins_at_once(Everything);
     mission.options.greeting = Greeting::Full;
