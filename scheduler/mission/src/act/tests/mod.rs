@@ -1,6 +1,7 @@
 //! An act without a mission: answers, the disk and time are made by hand.
 
 mod approaching;
+mod drift;
 mod dropped;
 mod playing;
 mod preparing;

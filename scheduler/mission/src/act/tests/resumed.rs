@@ -3,7 +3,7 @@
 use super::super::Reached;
 use super::*;
 use crate::record::Promise;
-use crate::{ActReport, DeviceState};
+use crate::{ActReport, ClockMode, DeviceState};
 
 fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
     let tells = vec![Tells::Everything; scripts.len()];
@@ -14,7 +14,7 @@ fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
 }
 
 /// The other process died, and this one takes over so long before the start. What the robots held they hold.
-fn taken_up(reached: Reached, before_start: Span) -> Bench {
+pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
     let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
     let (other, promise) = promised(&scripts);
     let robots = robots(&[Tells::Everything; 2], 2);
@@ -204,5 +204,27 @@ fn a_script_of_which_a_robot_reports_the_hash_was_accepted_and_may_have_begun() 
         let report = urrcp::RequestReport { error: bench::refusal(ErrorCode::Internal), ..report };
         let _noted = bench.act.reported(script, &report, (now, by_robot(now), now), &bench.robots);
         assert_eq!(bench.state(0, 0) == &ScriptState::Unknown, accepted);
+    }
+}
+
+#[test]
+fn offsets_continue_from_those_in_the_journal_no_faster_than_clocks_drift() {
+    let (other, mut promise) = promised(&[&[("a", 0, 400), ("a", 10_000, 400), ("a", 30_000, 400)]]);
+    promise.scripts.iter_mut().for_each(|script| script.shift = ms(7));
+    let mut robots = robots(&[Tells::Everything], 2);
+    robots[0].settings.clock = ClockMode::Measured;
+    let take_up = || {
+        let choreography = Arc::clone(&other.act.choreography);
+        Act::take_up(choreography, &promise, Reached::Commitment, &robots, promise.start).unwrap()
+    };
+    // 100 ppm of the 10 s and the 20 s between the starts.
+    for (shows, expected) in [(500, [8, 10]), (-500, [6, 4]), (7, [7, 7])] {
+        let mut act = take_up();
+        let mut shift = |script: usize| {
+            let script = ScriptRef { act: 0, member: 0, script };
+            let _changed = act.translate(script, 0, |_| Some(ms(shows)));
+            act.members()[0].shift_of(act.script(script))
+        };
+        assert_eq!([shift(1), shift(2)], expected.map(ms), "a clock that is {shows} ms ahead");
     }
 }

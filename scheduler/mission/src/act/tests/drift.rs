@@ -1,0 +1,70 @@
+//! Clocks at the end of an act, compared with the offsets by which its scripts were sent.
+
+use super::*;
+use crate::ClockMode;
+use crate::clock::ClockEstimate;
+
+/// An exchange with a clock that is ahead by so many milliseconds.
+fn shows(now: Timestamp<Server>, ahead: i64) -> ClockSample {
+    let there = by_robot(now) + ms(ahead);
+    ClockSample::from_exchange(now, there, there, now)
+}
+
+/// A clock that has come to be ahead by so many milliseconds.
+fn drifted(now: Timestamp<Server>, ahead: i64) -> ClockEstimate {
+    let mut clock = ClockEstimate::default();
+    clock.add(shows(now, ahead));
+    clock
+}
+
+/// Two robots whose clocks are measured have played their act.
+fn both_have_played(mut bench: Bench) -> Bench {
+    bench.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
+    (0..2).for_each(|robot| bench.ask(robot));
+    bench.run_until(bench.now + ms(2_000));
+    assert!(bench.act.members().iter().all(|member| member.is_done()), "{:?}", bench.failed);
+    bench
+}
+
+fn played() -> Bench {
+    let mut bench = Bench::pair();
+    bench.play(Leases::Shortened);
+    both_have_played(bench)
+}
+
+/// The act of [`played`], which another process had begun.
+fn resumed() -> Bench {
+    both_have_played(super::resumed::taken_up(super::super::Reached::Commitment, ms(-100)))
+}
+
+/// Milliseconds by which the robots were certainly apart or off their plan.
+fn apart(bench: &Bench) -> f64 {
+    bench.act.drifted_apart(&bench.robots).unwrap().as_millis_f64().round()
+}
+
+#[test]
+fn a_robot_whose_clock_was_set_meanwhile_is_not_judged() {
+    let mut bench = played();
+    let now = bench.now;
+    bench.robots[0].clock = drifted(now, 0);
+    bench.robots[1].clock = drifted(now, 30);
+    assert_eq!(apart(&bench), 30.0);
+    let mut set = drifted(now - ms(1_000), 0);
+    set.add(shows(now, 30));
+    assert_eq!(set.steps(), 1);
+    bench.robots[1].clock = set;
+    assert_eq!(apart(&bench), 0.0);
+}
+
+#[test]
+fn in_an_act_that_was_resumed_robots_are_compared_only_with_each_other() {
+    for (mut bench, ahead, expected) in
+        [(played(), [30, 30], 30.0), (resumed(), [30, 30], 0.0), (resumed(), [0, 30], 30.0)]
+    {
+        let now = bench.now;
+        for (robot, ahead) in bench.robots.iter_mut().zip(ahead) {
+            robot.clock = drifted(now, ahead);
+        }
+        assert_eq!(apart(&bench), expected, "{ahead:?}");
+    }
+}
