@@ -93,3 +93,47 @@ fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
     assert_eq!(bench.statuses()[3..], ["Failed link_lost", "Failed link_lost"]);
     assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0), "it stays");
 }
+
+/// What a robot reports of the command `a` of a device after its end, for a minute in which it hears nothing. After 150 ms, the device
+/// may be cancelled.
+fn reported_after_the_end(device: &str, command: Command, cancels: bool) -> Vec<String> {
+    let mut bench = Bench::new();
+    bench.request(ControlRequest {
+        stop_condition: lease(400.0, 400.0),
+        ..timed(device, "a", 100.0, command)
+    });
+    bench.until(150);
+    if cancels {
+        let cancel = Command::Script(Script::cancel());
+        bench.request(ControlRequest::immediate(DeviceId::new(device).unwrap(), cancel));
+    }
+    bench.until(60_000);
+    let of_it = bench
+        .responses()
+        .into_iter()
+        .filter(|said| said.request_id.as_ref().is_some_and(|id| id.as_str() == "a"));
+    let told = |said: &ControlResponse| match &said.error {
+        Some(error) => format!("{} {}", said.status, error.code),
+        None => said.status.to_string(),
+    };
+    let is_open = |said: &&ControlResponse| matches!(said.status, Status::Accepted | Status::Started);
+    of_it.skip_while(is_open).map(told).skip(1).collect()
+}
+
+#[test]
+fn the_only_report_after_an_end_is_that_of_a_rate_left_on_whose_lease_ends() {
+    let speed = |value| script(ControlType::Speed, &[(0.0, value)]);
+    let position = script(ControlType::Position, &[(0.0, 45.0)]);
+    for (device, command, cancels, expected) in [
+        ("wheel", speed(5.0), false, &["Failed link_lost"][..]),
+        ("wheel", speed(5.0), true, &[]),
+        ("wheel", speed(0.0), false, &[]),
+        ("wheel", speed(11.0), false, &[]),
+        ("arm", position, false, &[]),
+        ("arm", paper(), false, &[]),
+        ("arm", paper(), true, &[]),
+    ] {
+        let reported = reported_after_the_end(device, command.clone(), cancels);
+        assert_eq!(reported, expected, "{device}, {command:?}, cancelled: {cancels}");
+    }
+}
