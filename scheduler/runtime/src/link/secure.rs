@@ -284,12 +284,19 @@ struct Denied(String);
 #[cfg(test)]
 mod tests {
     use std::net::SocketAddr;
+    use std::time::Duration;
 
     use downbeat_robot::simulated::{Settings, SimulatedRobot};
     use downbeat_robot::{Door, Host, HostOptions, serve_behind};
     use rustls::{AlertDescription, CertificateError, Error, InvalidMessage};
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::sync::mpsc;
 
     use super::*;
+    use crate::drive::{Happened, LinkNumber};
+    use crate::link::{Endpoint, Link, LinkEncoding};
+    use crate::mission::{Event, Loss};
+    use crate::server_clock::ServerClock;
 
     #[test]
     fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
@@ -380,6 +387,60 @@ mod tests {
             let why = refused.as_ref().and_then(denial);
             let told = why.as_deref().zip(expected).is_some_and(|(why, part)| why.starts_with(part));
             assert!(told || refused.is_none() && expected.is_none(), "{meant:?}, {named:?}: {refused:?}");
+        }
+        drop(host);
+    }
+
+    /// Where somebody answers the first connection with this line, in place of the robot.
+    async fn forged(line: String) -> SocketAddr {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        tokio::spawn(async move {
+            let (mut stream, _) = listener.accept().await.unwrap();
+            let mut hello = [0; 1];
+            stream.read_exact(&mut hello).await.unwrap();
+            stream.write_all(line.as_bytes()).await.unwrap();
+            // Until the operator hangs up.
+            let _gone = tokio::io::copy(&mut stream, &mut tokio::io::sink()).await;
+        });
+        address
+    }
+
+    /// The link to the robot `b`, with what happens on it first.
+    async fn link_to_b(at: SocketAddr, security: &Security) -> (Link, mpsc::Receiver<Happened>, Event) {
+        let endpoint = Endpoint::Tcp {
+            host: at.ip().to_string(),
+            port: at.port(),
+            encoding: LinkEncoding::default(),
+            security: security.clone(),
+        };
+        let (events, mut happened) = mpsc::channel(9);
+        let clock = ServerClock::anchored(urrcp::Span::ZERO);
+        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
+        let Some(Happened::OnLink { event, .. }) = happened.recv().await else { panic!("nothing happened") };
+        (link, happened, *event)
+    }
+
+    #[tokio::test]
+    async fn from_a_forged_refusal_follows_only_that_the_operator_is_not_let_in() {
+        let secret = sealed::Secret::generate().unwrap();
+        let (host, address) = robot_b(secret.clone()).await;
+        let passes = Arc::new(Passes::new(vec![held_by(&secret, "b")]));
+        let security = Security::Hmac(Arc::new(Hmac { passes, robot: Some("b".parse().unwrap()) }));
+        for refused in [
+            Refused::Expired,
+            Refused::Revoked,
+            Refused::Unreadable,
+            Refused::OtherRobot("a".parse().unwrap()),
+        ] {
+            let (_link, _more, event) = link_to_b(forged(refused.line()).await, &security).await;
+            // Neither that no process of the robot runs, nor that another robot is there.
+            assert!(matches!(event, Event::LinkDown { loss: Loss::Denied, .. }), "{refused:?}: {event:?}");
+            let (_link, _more, event) = link_to_b(address, &security).await;
+            assert!(
+                matches!(event, Event::Proven { .. }),
+                "the pass counts as before {refused:?}: {event:?}"
+            );
         }
         drop(host);
     }
