@@ -93,10 +93,9 @@ fn a_mission_that_ended_is_known_as_such() {
     assert_eq!(read(&path).unwrap().kept.outcome, Some(serde_json::json!("done")));
 }
 
-#[test]
-fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases() {
-    let script = |device: &str, running| PromisedScript {
-        robot: RobotId::new("arm").unwrap(),
+fn promised_script(robot: &str, device: &str, running: Option<urrcp::Millis>) -> PromisedScript {
+    PromisedScript {
+        robot: RobotId::new(robot).unwrap(),
         device: device.parse().unwrap(),
         request_id: format!("s/{device}").parse().unwrap(),
         content_hash: urrcp::Command::ReadSensor.content_hash(),
@@ -104,16 +103,26 @@ fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases
         start: urrcp::Millis::default(),
         duration: Span::from_millis(500),
         running,
-    };
-    let promise = |number, scripts| match prepared(number) {
+    }
+}
+
+fn promise(number: u32, scripts: Vec<PromisedScript>) -> Record {
+    match prepared(number) {
         Record::Prepared(promise) => Record::Prepared(Promise { scripts, ..promise }),
         other => other,
-    };
+    }
+}
+
+#[test]
+fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases() {
     let lease = urrcp::Millis::new(2_000.0).ok();
     let folder = tempfile::tempdir().unwrap();
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    for record in [promise(0, vec![script("a", lease)]), promise(1, vec![script("b", None)])] {
+    for record in [
+        promise(0, vec![promised_script("arm", "a", lease)]),
+        promise(1, vec![promised_script("arm", "b", None)]),
+    ] {
         journal.append(at(2), &record).unwrap();
     }
     let left = read(&folder.path().join("journal")).unwrap().kept.left();
@@ -322,6 +331,27 @@ fn a_line_that_was_cut_off_or_changed_ends_what_is_believed() {
     let bytes = changed.len() - lines[1] - 1;
     assert_eq!(kept.torn, Some(Torn { line: 3, bytes, whole_after: 1 }));
     assert_eq!(kept.fate(), Fate::Withdraw("its journal is damaged"));
+}
+
+#[test]
+fn robots_that_only_lines_after_the_damage_name_are_withdrawn_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("journal");
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    let scripts = [("arm", "a"), ("lamp", "b"), ("wheel", "c")];
+    for (number, (robot, device)) in (0..).zip(scripts) {
+        journal.append(at(2), &promise(number, vec![promised_script(robot, device, None)])).unwrap();
+    }
+    let mut bytes = std::fs::read(&path).unwrap();
+    let second = bytes.iter().enumerate().filter(|(_, byte)| **byte == b'\n').nth(1).unwrap().0;
+    bytes[second + 15] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let kept = read(&path).unwrap().kept;
+    assert_eq!(kept.fate(), Fate::Withdraw("its journal is damaged"));
+    let left = kept.left();
+    let robots: Vec<_> = left.robots.iter().map(|(robot, on)| (robot.as_str(), on.devices.len())).collect();
+    assert_eq!(robots, [("arm", 1), ("wheel", 1)], "the damaged line alone is unknown");
 }
 
 #[test]
