@@ -118,6 +118,7 @@ mod tests {
     use crate::Address;
     use crate::compile::compile;
     use crate::files::NoFiles;
+    use crate::finding::Code;
     use crate::fleet::FleetRobot;
     use crate::source::Source;
 
@@ -206,6 +207,35 @@ acts:
         // 1.875 * 50 / 60 = 1.5625 s, and 2 %.
         assert_eq!(script.script.duration().as_millis_f64().round(), 1_594.0);
         assert_eq!(show.approach(1, &fleet, &approach(0, 30.0).from).unwrap(), None);
+    }
+
+    /// The acts that are planned for the arm, which stands at 80 degrees, before the show and after a stop. Another robot has come to
+    /// rest at 40 degrees, on a rail at a distance of `y` metres from that of the arm.
+    fn past_another(y: f64) -> [Result<Act, Vec<Finding>>; 2] {
+        let (show, mut fleet) = show();
+        let mut other = fleet.robots[0].clone();
+        other.id = "other".parse().unwrap();
+        let block = other.init.as_mut().unwrap();
+        (block.id, block.devices[0].default_value) = (other.id.clone(), Some(-100.0));
+        fleet.robots.push(other);
+        poses::on_rails(&mut fleet, &[0.0, y]);
+        let mut approach = approach(5, 80.0);
+        approach.from.insert("other".parse().unwrap(), [("joint".parse().unwrap(), 40.0)].into());
+        let ahead = show.clone().approached(0, &fleet, &approach);
+        let after = show.approach(0, &fleet, &approach.from);
+        [ahead.map(|(show, _)| show.acts[0].clone()), after.map(Option::unwrap)]
+    }
+
+    #[test]
+    fn an_approach_that_would_collide_with_a_robot_that_stays_is_refused() {
+        for act in past_another(0.0) {
+            let findings = act.unwrap_err();
+            let collides = |finding: &Finding| finding.code == Code::TooClose;
+            assert!(findings.iter().any(collides), "{findings:?}");
+        }
+        for act in past_another(0.5) {
+            assert_eq!(act.unwrap().plan.robots.len(), 1);
+        }
     }
 
     #[test]

@@ -112,6 +112,7 @@ mod tests {
     use crate::Address;
     use crate::compile::compile;
     use crate::files::NoFiles;
+    use crate::finding::Code;
     use crate::fleet::FleetRobot;
     use crate::source::Source;
 
@@ -153,6 +154,35 @@ acts:
         // 1.875 * 150 / 60 = 4.6875 s, and 2 %.
         let lasts = scripts.iter().map(|script| script.script.duration()).max().unwrap();
         assert_eq!(lasts.as_millis_f64().round(), 4_781.0);
+    }
+
+    /// The way home of the arm from 80 degrees. Another robot, whose joint has no default position, has come to rest at 40 degrees, on a
+    /// rail at a distance of `y` metres from that of the arm.
+    fn home_past_another(y: f64) -> Result<Act, Vec<Finding>> {
+        let (show, mut fleet) = show();
+        let mut other = fleet.robots[0].clone();
+        other.id = "other".parse().unwrap();
+        let block = other.init.as_mut().unwrap();
+        block.id = other.id.clone();
+        block.devices.iter_mut().for_each(|device| device.default_value = None);
+        fleet.robots.push(other);
+        poses::on_rails(&mut fleet, &[0.0, y]);
+        let mut from = from(&[("joint", 80.0)]);
+        from.insert("other".parse().unwrap(), [("joint".parse().unwrap(), 40.0)].into());
+        show.home(0, &fleet, &from).map(Option::unwrap)
+    }
+
+    #[test]
+    fn a_way_home_that_would_collide_with_a_robot_that_stays_is_refused() {
+        let findings = home_past_another(0.0).unwrap_err();
+        assert!(findings.iter().any(|finding| finding.code == Code::TooClose), "{findings:?}");
+    }
+
+    #[test]
+    fn a_device_without_a_default_position_does_not_go_home() {
+        let home = home_past_another(0.5).unwrap();
+        let moved: Vec<_> = home.plan.robots.iter().map(|planned| planned.robot.as_str()).collect();
+        assert_eq!(moved, ["arm"]);
     }
 
     #[test]

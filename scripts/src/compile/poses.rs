@@ -134,3 +134,15 @@ pub(crate) const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "still", "name": "still", "default_value": 0, "available_control_types": {
      "position": {"min_value": 0, "max_value": 100, "granularity": 1},
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 200}}}]}"#;
+
+/// Puts each robot of the fleet on a rail along x at the given y, in metres. Its joint moves it there by a centimetre for each degree.
+#[cfg(test)]
+pub(crate) fn on_rails(fleet: &mut Fleet, y: &[f64]) {
+    use crate::space::{Body, Coordinate, Shape, Space};
+    fleet.space = Space { distance: Some(0.1), ..Space::default() };
+    for (robot, y) in fleet.robots.iter_mut().zip(y) {
+        let x = Coordinate::Device { device: "joint".parse().unwrap(), scale: 0.01, offset: 0.0 };
+        let coordinates = [x, Coordinate::Fixed(*y), Coordinate::Fixed(0.0), Coordinate::Fixed(0.0)];
+        robot.body = Some(Body { coordinates, shape: Shape::Ball { radius: 0.05 }, ..Body::default() });
+    }
+}
