@@ -221,19 +221,29 @@ impl Mission {
     fn ask_pose(&mut self, now: Timestamp<Server>, robot: usize) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         // The act also has to avoid collisions with devices that stay.
-        let devices = &self.robots[robot].touched | &self.first_devices(to, robot);
+        let devices = self.devices_to_place(to, robot);
         self.robots[robot].forget_positions();
         self.ask_positions_of(now, robot, &Vec::from_iter(devices));
     }
 
-    /// Handles an answer of a robot. Its positions count once it has stated all of them.
+    /// The devices of a robot whose positions the transfer needs.
+    fn devices_to_place(&self, to: Destination, robot: usize) -> BTreeSet<DeviceId> {
+        &self.robots[robot].touched | &self.first_devices(to, robot)
+    }
+
+    /// Handles an answer of a robot. Its positions count once it has stated all of them. A robot may state those of devices that it
+    /// was not asked about, which the transfer must not move.
     pub(super) fn pose_stated(&mut self, robot: usize) {
+        let Stage::Wanted { to, .. } = self.transfer.stage else { return };
+        let devices = self.devices_to_place(to, robot);
         let state = &self.robots[robot];
         let Some(pose) = self.transfer.poses.get_mut(&robot).filter(|_| state.positions_owed == 0) else {
             return;
         };
-        pose.rests = pose.stated.as_ref() == Some(&state.commanded);
-        pose.stated = Some(state.commanded.clone());
+        let mut stated = state.commanded.clone();
+        stated.retain(|device, _| devices.contains(device));
+        pose.rests = pose.stated.as_ref() == Some(&stated);
+        pose.stated = Some(stated);
     }
 
     /// Begins the transfer at the end of a stop. Returns whether the mission continues with it.

@@ -29,6 +29,10 @@ pub(super) struct Played {
     pub(super) mute: Vec<usize>,
     /// The positions that the robots state for their devices.
     pub(super) positions: HashMap<DeviceId, f64>,
+    /// Whether robots state the positions of all devices in each answer to an inquiry.
+    pub(super) states_all: bool,
+    /// The times by which the clocks of robots are ahead of the server's.
+    pub(super) ahead: HashMap<usize, Span>,
     pub(super) told: Vec<Progress>,
     pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
     pub(super) recorded: Vec<Record>,
@@ -52,10 +56,21 @@ impl Played {
     /// The links of these robots are about to stand.
     pub(super) fn linked(mission: Mission, robots: &[usize]) -> Self {
         let arrivals = robots.iter().map(|robot| (at(0), Event::LinkUp { robot: *robot })).collect();
-        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
-        let (scripts, ended, mute) = (HashMap::new(), HashMap::new(), Vec::new());
-        let (now, positions) = (at(0), HashMap::new());
-        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
+        Self {
+            mission,
+            now: at(0),
+            records: 0,
+            scripts: HashMap::new(),
+            ended: HashMap::new(),
+            arrivals,
+            mute: Vec::new(),
+            positions: HashMap::new(),
+            states_all: false,
+            ahead: HashMap::new(),
+            told: Vec::new(),
+            sent: Vec::new(),
+            recorded: Vec::new(),
+        }
     }
 
     /// The process has died, and another one resumes the mission at this instant and is about to connect. Robots have continued,
@@ -68,11 +83,10 @@ impl Played {
         let mission =
             Mission::resume(choreography, participants, options, kept, ended.into_iter(), now).unwrap();
         let all: Vec<usize> = (0..mission.robots.len()).collect();
-        let arrivals = all.into_iter().map(|robot| (now, Event::LinkUp { robot })).collect();
-        let (told, sent, recorded) = (Vec::new(), Vec::new(), Vec::new());
-        let (scripts, ended, mute) = (self.scripts.clone(), self.ended.clone(), Vec::new());
-        let positions = self.positions.clone();
-        Self { mission, now, records: 0, scripts, ended, arrivals, mute, positions, told, sent, recorded }
+        let (scripts, ended) = (self.scripts.clone(), self.ended.clone());
+        let (positions, ahead) = (self.positions.clone(), self.ahead.clone());
+        let arrivals = all.iter().map(|robot| (now, Event::LinkUp { robot: *robot })).collect();
+        Self { now, scripts, ended, arrivals, positions, ahead, ..Self::linked(mission, &[]) }
     }
 
     pub(super) fn run_until(&mut self, until: Timestamp<Server>) {
@@ -134,7 +148,7 @@ impl Played {
     }
 
     fn answer(&mut self, robot: usize, message: &Message) {
-        let there = by_robot(self.now + ROUND_TRIP / 2);
+        let there = self.shown(robot, self.now + ROUND_TRIP / 2);
         let answer = match message {
             Message::AvailabilityRequest(request) => {
                 let response = AvailabilityResponse::new(request, there, there, Status::Ok);
@@ -143,14 +157,19 @@ impl Played {
             Message::InitializationRequest(_) => {
                 Message::InitializationBlock(self.mission.robots[robot].block.clone().unwrap())
             }
-            Message::Inquiry(inquiry) => Message::InquiryResponse(self.inquired(inquiry)),
+            Message::Inquiry(inquiry) => Message::InquiryResponse(self.inquired(robot, inquiry)),
             Message::ControlRequest(request) => self.asked_to(robot, request),
             other => panic!("{other:?}"),
         };
         self.says(self.now + ROUND_TRIP, robot, answer);
     }
 
-    fn inquired(&self, inquiry: &Inquiry) -> InquiryResponse {
+    /// What the clock of a robot shows at this instant.
+    fn shown(&self, robot: usize, at: Timestamp<Server>) -> Timestamp<urrcp::Robot> {
+        by_robot(at + self.ahead.get(&robot).copied().unwrap_or_default())
+    }
+
+    fn inquired(&self, robot: usize, inquiry: &Inquiry) -> InquiryResponse {
         let when = self.now + ROUND_TRIP / 2;
         let requests = inquiry.requests.iter().map(|id| {
             if let Some((code, steps_done)) = self.ended.get(id) {
@@ -165,7 +184,8 @@ impl Played {
                 Some(_) => RequestState::Ended,
             };
             let begun = matches!(state, RequestState::Running | RequestState::Ended);
-            let start = self.scripts.get(id).filter(|_| begun).map(|(.., start, _)| by_robot(*start));
+            let start =
+                self.scripts.get(id).filter(|_| begun).map(|(.., start, _)| self.shown(robot, *start));
             RequestReport { event_timestamp: start, ..report(id, state, None) }
         });
         let requests = requests.collect();
@@ -173,17 +193,18 @@ impl Played {
             let position = self.positions.get(device).copied();
             DeviceReport { device_id: device.clone(), room: 2, position }
         };
-        let devices = inquiry.devices.iter().map(stated).collect();
-        InquiryResponse {
-            requests,
-            devices,
-            ..InquiryResponse::new(inquiry, by_robot(when), by_robot(when), Status::Ok)
-        }
+        let devices = match self.states_all {
+            false => inquiry.devices.iter().map(stated).collect(),
+            true => self.positions.keys().map(stated).collect(),
+        };
+        let there = self.shown(robot, when);
+        InquiryResponse { requests, devices, ..InquiryResponse::new(inquiry, there, there, Status::Ok) }
     }
 
     fn asked_to(&mut self, robot: usize, request: &ControlRequest) -> Message {
         let (device, id) = (&request.device_id, request.request_id.as_ref());
-        let says = |status, at| Message::ControlResponse(response(device, id, status, at));
+        let ahead = self.ahead.get(&robot).copied().unwrap_or_default();
+        let says = |status, at| Message::ControlResponse(response(device, id, status, at + ahead));
         let there = self.now + ROUND_TRIP / 2;
         let Command::Script(script) = &request.command else { return says(Status::Failed, there) };
         let Some((sent, offset)) = request.timestamp.zip(request.time_offset_to_start) else {
@@ -198,13 +219,13 @@ impl Played {
             self.arrivals.retain(|(_, event)| !matches!(event, Event::Received { robot: of, message } if *of == robot && own(message)));
             return says(Status::Ok, there);
         };
-        let start = sent + offset.span();
+        let start = sent + offset.span() - ahead;
         let end = start + script.duration();
         let known = self.scripts.insert(id.unwrap().clone(), (robot, device.clone(), start, end)).is_some();
         if self.mission.robots[robot].reports() && !known {
-            let of = (response(device, id, Status::Started, start), response(device, id, Status::Ok, end));
-            self.says(start + ROUND_TRIP / 2, robot, Message::ControlResponse(of.0));
-            self.says(end + ROUND_TRIP / 2, robot, Message::ControlResponse(of.1));
+            let of = (says(Status::Started, start), says(Status::Ok, end));
+            self.says(start + ROUND_TRIP / 2, robot, of.0);
+            self.says(end + ROUND_TRIP / 2, robot, of.1);
         }
         says(Status::Accepted, there)
     }

@@ -87,6 +87,20 @@ fn robots_come_to_rest_and_then_play_the_way_home_that_was_planned_from_their_po
 }
 
 #[test]
+fn the_way_home_is_planned_only_for_devices_that_the_mission_has_moved() {
+    for states_all in [false, true] {
+        let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+        played.positions = ["a", "b", "c"].map(|device| (device.parse().unwrap(), 45.0)).into();
+        played.states_all = states_all;
+        says(&mut played, Rest::Home);
+        assert_eq!(played.run_to_the_end(), Outcome::Stopped);
+        let from = planner.from.lock().unwrap();
+        let devices: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.keys()).collect();
+        assert_eq!(devices, [&"a".parse::<DeviceId>().unwrap(); 2], "it states all devices: {states_all}");
+    }
+}
+
+#[test]
 fn a_robot_that_has_nothing_to_move_has_confirmed_its_stop() {
     let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
     *planner.skips.lock().unwrap() = Some("r1");
