@@ -137,8 +137,10 @@ fn inquiry(trial: &Trial) -> Checked {
     answering(trial)?;
     let mut line = trial.connect()?;
     let ids: Vec<_> = (0..3).filter_map(|_| RequestId::new(trial.fresh_id()).ok()).collect();
+    let (_, _, before) = line.availability()?;
     let timestamp = Some(trial.stamp());
     let inquired = line.inquire(&Inquiry { timestamp, requests: ids.clone(), ..Inquiry::default() })?;
+    let (_, _, after) = line.availability()?;
     let said = &inquired.response;
     if said.status != Status::Ok || said.error.is_some() {
         return Err(inquired.differs("status `OK`"));
@@ -146,6 +148,11 @@ fn inquiry(trial: &Trial) -> Checked {
     if said.originate_timestamp != timestamp || said.receive_timestamp > said.timestamp {
         return Err(inquired
             .differs("its timestamp as originate_timestamp, and receive_timestamp not after timestamp"));
+    }
+    let (from, until) = (before.message.timestamp, after.message.receive_timestamp);
+    if said.receive_timestamp < from || said.timestamp > until {
+        let expected = format!("times from {from} to {until}, those of the exchanges before and after it");
+        return Err(inquired.differs(&expected));
     }
     let unknown = ids.into_iter().map(|id| RequestReport::new(id, RequestState::Unknown));
     match said.requests.iter().cloned().eq(unknown) {

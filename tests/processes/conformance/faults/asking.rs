@@ -41,6 +41,15 @@ pub fn of_inquiries() -> Vec<Mutant> {
                 }
             })
         }),
+        mutant("the time of an inquiry is not echoed", &["inquiry"], |_, passing| {
+            edit_answer(passing, |answer| remove(answer, "originate_timestamp"))
+        }),
+        mutant("an inquiry is answered by a clock that is behind", &["inquiry"], |_, passing| {
+            edit_answer(passing, |answer| {
+                shift(&mut answer["receive_timestamp"], -1_000);
+                shift(&mut answer["timestamp"], -1_000);
+            })
+        }),
         mutant("the planned start is told a second late", &["inquiry-held"], |_, passing| {
             edit_told(passing, "held", |report| {
                 shift(&mut report["start_timestamp"], 1_000);
