@@ -1,9 +1,18 @@
 //! Devices that are not where an act expects them: the start is refused, or they move there first.
 
+use std::time::Duration;
+
+use rustix::process::Signal;
+use stage::quiet::await_that;
 use stage::{Stage, Via, with_devices};
 
 /// Two robots with a joint that moves linearly, at most 60 degrees per second.
 fn stage() -> Stage {
+    stage_with(Via::Direct)
+}
+
+/// The same, where the second robot is reached so.
+fn stage_with(second: Via) -> Stage {
     let mut stage = Stage::new();
     let joint = "  - id: joint
     name: joint
@@ -22,7 +31,7 @@ fn stage() -> Stage {
             .file(&format!("{name}.yaml"), format!("scenario: {name}\nstart_tolerance: 1s\ncues: [{cue}]\n"));
     }
     stage.robot("arm.yaml", Via::Direct);
-    stage.robot("arm.yaml", Via::Direct);
+    stage.robot("arm.yaml", second);
     stage
 }
 
@@ -74,6 +83,27 @@ fn an_approach_moves_devices_to_their_first_positions_at_no_more_than_their_spee
             let way = (pair[1].value - pair[0].value).abs();
             assert!(way <= 60.0 * seconds + 1.0, "{} jumps: {pair:?}", robot.id);
         }
+    }
+}
+
+#[test]
+fn a_signal_ends_the_command_while_it_asks_the_robots_and_nothing_has_moved() {
+    let stage = stage_with(Via::Proxy);
+    let before = left_at_80(&stage);
+    // The second robot never answers, and the first one is asked at the same time.
+    stage.robots[1].link.as_ref().unwrap().silence();
+    for signal in [Signal::INT, Signal::TERM] {
+        await_that("the end of earlier connections", || stage.robots[0].connections() == 0);
+        let running = stage.start(&["run", "back.yaml", "--approach", "3s", "--patience", "120s"]);
+        await_that("the question", || stage.robots[0].connections() > 0);
+        running.process.signal(signal);
+        let ended = running.ended_within(Duration::from_secs(60));
+        let ended = ended.unwrap_or_else(|told| panic!("{signal:?} does not end it: {told}"));
+        // There is nothing to stop, so the signal itself ends the process.
+        assert_eq!(ended.code, None, "{ended}");
+    }
+    for (robot, before) in stage.robots.iter().zip(before) {
+        assert_eq!(robot.log().len(), before, "{} moved", robot.id);
     }
 }
 
