@@ -1,5 +1,6 @@
 //! Clocks that turn out to be others than an act was sent by.
 
+use super::played::Played;
 use super::*;
 use crate::bench::ms;
 
@@ -52,4 +53,34 @@ fn a_robot_whose_clock_has_strayed_from_what_two_acts_were_sent_by_is_blamed_onc
     mission.take_times(at(2), 2, shows(-50));
     let blamed = blamed(&mission);
     assert_eq!(blamed.len(), 2, "{blamed:?}");
+}
+
+/// Two acts of a robot whose clock is 400 ms ahead, and whose scripts have this running lease. Returns when the second act is sent and
+/// when the robot ends the first one.
+fn second_is_sent(running: i64) -> (Timestamp<Server>, Timestamp<Server>) {
+    let mut mission = waits_in(2);
+    mission.options.greeting = Greeting::Full;
+    for act in &mut Arc::make_mut(&mut mission.choreography).acts {
+        act.plan.start_tolerance = ms(1_000);
+        let running = Some(urrcp::Millis::from_span(ms(running)));
+        let scripts = act.plan.robots.iter_mut().flat_map(|robot| &mut robot.scripts);
+        scripts.for_each(|script| script.stop_condition.running = running);
+    }
+    let ahead = ms(400);
+    let mut played = Played::linked(mission, &[0]);
+    played.ahead = [(0, ahead)].into();
+    played.run_until(at(50));
+    let end = played.mission.acts[0].timing().unwrap().end - ahead;
+    assert_eq!(played.run_to_the_end(), Outcome::Done, "{:?}", played.mission.robots[0].failures);
+    let script = |message: &Message| matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_some());
+    let sent = played.sent.iter().filter(|(.., message)| script(message)).nth(1).unwrap();
+    (sent.0, end)
+}
+
+#[test]
+fn an_act_that_needs_a_longer_silence_than_the_leases_of_another_is_sent_after_its_end() {
+    let (sent, end) = second_is_sent(2_000);
+    assert!(sent < end, "the lease is longer than the silence: {sent}, {end}");
+    let (sent, end) = second_is_sent(300);
+    assert!(sent >= end, "{sent}, {end}");
 }
