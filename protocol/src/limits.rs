@@ -88,6 +88,12 @@ pub enum LimitError {
         /// Upper bound.
         max: f64,
     },
+    /// A count that is at least 1 is 0.
+    #[error("{key} 0, expected at least 1")]
+    NoneAtAll {
+        /// The key that counts.
+        key: &'static str,
+    },
     /// An actuation latency, or its spread, is negative or beyond [`LATENCY_MS_MAX`].
     #[error("a latency of {millis} ms, expected 0 to {LATENCY_MS_MAX} ms")]
     Latency {

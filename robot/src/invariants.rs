@@ -61,7 +61,7 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -20, "max_value": 90, "granularity": 0.25, "max_number_of_steps": 5, "control_types": ["position", "speed"]}}},
   {"id": "lamp", "name": "lamp", "script_queue": 2, "available_control_types": {"custom_1": {"colours": 3},
      "script": {"min_value": 0, "max_value": 1, "granularity": 1, "max_number_of_steps": 4}}},
-  {"id": "shut", "name": "takes nothing", "script_queue": 0, "available_control_types": {
+  {"id": "shut", "name": "takes one", "available_control_types": {
      "position": {"min_value": 0, "max_value": 90, "granularity": 0.5}}},
   {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
 

@@ -179,7 +179,8 @@ pub struct ScriptParameters {
     #[serde(flatten)]
     #[cfg_attr(feature = "schema", schemars(with = "InheritedLimits"))]
     pub limits: Limits,
-    /// Largest number of steps in one script.
+    /// Largest number of steps in one script; at least 1.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub max_number_of_steps: u32,
     /// Control types that steps may use; without it all of the device but script and sensor (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -231,6 +232,9 @@ impl WrittenScript {
     /// With what it leaves out taken from the control type that it supports. Of several with different limits none is meant.
     fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
         let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
+        if max_number_of_steps == 0 {
+            return Err(LimitError::NoneAtAll { key: "max_number_of_steps" }.to_string());
+        }
         let supported = |control_type: &ControlType| {
             control_types.as_ref().is_none_or(|listed| listed.contains(control_type))
         };

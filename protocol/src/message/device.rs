@@ -47,6 +47,7 @@ pub struct Device {
     pub interpolation: Interpolation,
     /// How many scripts that have not ended the device holds (our extension).
     #[serde(default = "one_script")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
     pub script_queue: u32,
     /// From the instant at which a value is handed over to the first visible motion, in the middle (our extension).
     #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
@@ -158,6 +159,14 @@ impl Device {
     pub(super) fn check_latency(&self) -> Result<(), LimitError> {
         match (self.latency, self.latency_spread) {
             (None, Some(_)) => Err(LimitError::SpreadAlone { id: self.id.to_string() }),
+            _ => Ok(()),
+        }
+    }
+
+    /// A device that holds no command at all could not be commanded.
+    pub(super) const fn check_queue(&self) -> Result<(), LimitError> {
+        match self.script_queue {
+            0 => Err(LimitError::NoneAtAll { key: "script_queue" }),
             _ => Ok(()),
         }
     }

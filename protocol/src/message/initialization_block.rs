@@ -154,6 +154,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
         }
         raw.devices.iter().try_for_each(|Object(device)| device.check_default())?;
         raw.devices.iter().try_for_each(|Object(device)| device.check_latency())?;
+        raw.devices.iter().try_for_each(|Object(device)| device.check_queue())?;
         Ok(Self {
             id: raw.id,
             name: raw.name,

@@ -68,9 +68,6 @@ fn initialization(trial: &Trial) -> Checked {
     let wrong = |what: String| Err(differs(&sent, &first.text, &what));
     for device in &block.devices {
         let id = &device.id;
-        if device.script_queue == 0 {
-            return wrong(format!("script_queue of `{id}` of at least 1"));
-        }
         let primary = device.primary_control_type();
         let limits = primary.and_then(|primary| device.available_control_types.limits(primary));
         if let (Some(value), Some(limits)) = (device.default_value, limits)
@@ -82,9 +79,6 @@ fn initialization(trial: &Trial) -> Checked {
             ));
         }
         let Some(script) = device.available_control_types.script() else { continue };
-        if script.max_number_of_steps == 0 {
-            return wrong(format!("max_number_of_steps of `{id}` of at least 1"));
-        }
         let lists = script.control_types.iter().flatten();
         let mut stray = lists.filter(|t| {
             matches!(t, ControlType::Script | ControlType::Sensor)

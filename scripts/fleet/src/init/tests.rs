@@ -60,6 +60,26 @@ fn faults_of_a_description_are_found_with_their_lines() {
 }
 
 #[test]
+fn a_device_without_room_for_a_command_or_a_step_is_found_at_its_key() {
+    let block = |queue: u32, steps: u32| {
+        format!(
+            "id: r\napi_version: \"1\"\ndevices:\n- id: d\n  default_value: 0\n  script_queue: {queue}\n  available_control_types:\n    \
+             position: {{min_value: 0, max_value: 9, granularity: 1}}\n    script:\n      max_number_of_steps: {steps}\n"
+        )
+    };
+    assert!(init_of(&source(&block(1, 1))).is_ok());
+    for (text, found, line) in [
+        (block(0, 1), "script_queue 0, for the device `d`", 6),
+        (block(1, 0), "max_number_of_steps 0, for `script` of the device `d`", 10),
+    ] {
+        let findings = init_of(&source(&text)).unwrap_err();
+        let [finding] = findings.as_slice() else { panic!("{findings:#?}") };
+        assert_eq!((finding.message.as_ref(), finding.line), (found, line));
+        assert_eq!(finding.expected, "at least 1");
+    }
+}
+
+#[test]
 fn the_default_granularity_is_a_power_of_ten_of_which_a_thousand_fit() {
     let block = |range: &str| {
         init_of(&source(&format!("{{id: a, api_version: 1, devices: {{d: {{{range}}}}}}}"))).unwrap()
