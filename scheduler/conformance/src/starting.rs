@@ -42,7 +42,7 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "status-value",
-        demands: "`Accepted` carries the accepted value, `Started` the first value set, `OK` the last, and a refusal null.",
+        demands: "`Accepted` carries the accepted value, `Started` the first value set, `OK` the last; a refusal and the `OK` to an empty script carry null.",
         section: "Control response",
         check: status_value,
     },
@@ -207,7 +207,12 @@ fn script_value(trial: &Trial) -> Checked {
     let Ok(actor) = trial.scripted() else { return pass() };
     let mut line = trial.connect()?;
     let cancel = line.ask(&trial.cancel(actor))?;
-    line.answer(cancel)?;
+    let rests = line.answer(cancel)?;
+    // Whether it is confirmed is the concern of `cancel-pending`.
+    if rests.message.status == Status::Ok && rests.message.status_value != StatusValue::Null {
+        let expected = "status_value null with the `OK` to an empty script";
+        return Err(differs(&line.asked(cancel).text, &rests.text, expected));
+    }
     let request = trial.pending(actor);
     let ticket = line.held(&request)?;
     let accepted = line.answer(ticket)?;

@@ -279,6 +279,19 @@ pub fn of_times() -> Vec<Mutant> {
                 }
             })
         }),
+        mutant("stops are answered with a value", &["status-value"], |memory, passing| {
+            if let Some(request) = passing.request() {
+                let id = request["request_id"].as_str().filter(|_| is_cancel(request)).map(str::to_owned);
+                memory.order.extend(id);
+                return Then::Pass;
+            }
+            edit_response(passing, |response| {
+                let stops = memory.order.iter().any(|id| response["request_id"] == id.as_str());
+                if stops && response["status"] == "OK" {
+                    response["status_value"] = json!(0);
+                }
+            })
+        }),
         mutant("steps are put in order", &["script-order"], |_, passing| {
             edit(passing, |request| {
                 if let Some(steps) = request["control_value"].as_array_mut() {
