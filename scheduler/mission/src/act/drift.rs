@@ -57,25 +57,59 @@ impl Act {
     /// whose clock was set meanwhile is not judged: its plan may not follow that clock.
     pub(crate) fn drifted_apart(&self, robots: &[RobotState]) -> Option<Span> {
         let start = self.timing.as_ref()?.start;
-        let range = |member: &Member| {
+        let deviation = |member: &Member| {
             let robot = &robots[member.robot];
             let last = member.scripts().iter().max_by_key(|script| script.plan.start.span())?;
             let is_same = robot.clock.steps() == member.clock_steps.unwrap_or_default();
-            let reading = robot.clock_at(planned_end(start, last)).filter(|_| is_same)?;
+            let end = planned_end(start, last);
+            let reading = robot.clock_at(end).filter(|_| is_same)?;
             let off = reading.offset - member.shift_of(last);
-            // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well. The plan of an act
-            // that was taken up is that of the clock that this machine had before.
-            let by_plan = robot.settings.clock == ClockMode::Measured && member.clock_steps.is_some();
-            Some((off - reading.uncertainty, off + reading.uncertainty, by_plan))
+            let is_measured = robot.settings.clock == ClockMode::Measured;
+            Some(Deviation {
+                end,
+                least: off - reading.uncertainty,
+                most: off + reading.uncertainty,
+                is_measured,
+                // The plan of a robot that follows NTP is that of its own clock: this machine's may be off as well. The plan of an
+                // act that was taken up is that of the clock that this machine had before.
+                by_plan: is_measured && member.clock_steps.is_some(),
+            })
         };
         let played = self.present().filter(|member| member.is_done());
-        let ranges: Vec<_> = played.filter_map(range).collect();
-        let least = ranges.iter().map(|(_, to, _)| *to).min()?;
-        let most = ranges.iter().map(|(from, ..)| *from).max()?;
-        let by_plan = ranges.iter().filter(|(.., by_plan)| *by_plan);
-        let off_plan = by_plan.map(|(from, to, _)| (*from).max(Span::ZERO - *to)).max();
-        off_plan.max(Some(most - least)).map(|apart| apart.max(Span::ZERO))
+        let mut all: Vec<_> = played.filter_map(deviation).collect();
+        all.sort_by_key(|deviation| deviation.end);
+        let by_plan = all.iter().filter(|deviation| deviation.by_plan);
+        let off_plan = by_plan.map(|deviation| deviation.least.max(Span::ZERO - deviation.most)).max();
+        let measured = apart(all.iter().filter(|deviation| deviation.is_measured), 0.0);
+        let apart = off_plan.max(measured).max(apart(all.iter(), DRIFT_BOUND));
+        apart.map(|apart| apart.max(Span::ZERO))
     }
+}
+
+/// How far a robot was off its plan at its end, by the clock of this machine.
+struct Deviation {
+    end: Timestamp<Server>,
+    least: Span,
+    most: Span,
+    is_measured: bool,
+    by_plan: bool,
+}
+
+/// How far apart two of these robots certainly were. They come in the order of their ends, between which the clock of this machine
+/// may have drifted at this rate. It does not matter for robots whose plans follow that clock.
+fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span> {
+    let mut all = all.peekable();
+    let first = all.peek()?.end;
+    let (mut greatest, mut smallest, mut apart) = (None, None, None);
+    for Deviation { end, least, most, .. } in all {
+        let drift = Span::from_millis_f64((*end - first).as_millis_f64() * rate);
+        greatest = greatest.max(Some(*least + drift));
+        smallest = smallest.into_iter().chain([*most - drift]).min();
+        let ahead = smallest.map(|smallest| *least - drift - smallest);
+        let behind = greatest.map(|greatest| greatest - drift - *most);
+        apart = apart.max(ahead).max(behind);
+    }
+    apart
 }
 
 impl Member {

@@ -2,6 +2,7 @@
 
 mod approaching;
 mod drift;
+mod drifted_apart;
 mod dropped;
 mod playing;
 mod preparing;
