@@ -318,3 +318,15 @@ fn a_device_that_moved_before_the_resumption_moves_on_as_the_scenario_says() {
     resumed.positions.insert("a".parse().unwrap(), 0.0);
     assert_eq!(resumed.run_to_the_end(), Outcome::Done, "{:?}", resumed.mission.robots[0].failures);
 }
+
+#[test]
+fn a_mission_that_continued_after_a_stop_is_withdrawn_so_no_device_that_the_stop_left_adrift_moves() {
+    let mut played = Played::begun(waits_in(2));
+    played.run_until(played.mission.acts[0].timing().unwrap().end + ms(10));
+    assert_eq!(kept(&played).0.fate(), crate::Fate::Resume);
+    let promises = |record: &Record| matches!(record, Record::Prepared(promise) if promise.number == 1);
+    let second = played.recorded.iter().position(promises).unwrap();
+    let stopping = Record::Stopping { outcome: Outcome::Failed, rest: Rest::InPlace, by: None };
+    played.recorded.insert(second, stopping);
+    assert!(matches!(kept(&played).0.fate(), crate::Fate::Withdraw(_)));
+}
