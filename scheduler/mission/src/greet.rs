@@ -164,10 +164,16 @@ impl Mission {
         }
         match what {
             Reading::Requirement(index) => self.robots[robot].readings[index] = value,
-            Reading::Position(device) => match value {
-                Some(value) => self.robots[robot].positions.push((device, value)),
-                None => self.robots[robot].shown.push((device, None)),
-            },
+            Reading::Position(device) => {
+                match value {
+                    Some(value) => self.robots[robot].positions.push((device, value)),
+                    None if matches!(self.phase, Phase::Greeting { .. }) => {
+                        self.robots[robot].shown.push((device, None));
+                    }
+                    None => {}
+                }
+                self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+            }
             Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);

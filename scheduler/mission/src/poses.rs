@@ -42,6 +42,21 @@ impl RobotState {
         self.reads.is_empty() && self.positions_owed == 0
     }
 
+    /// Whether the robot has not answered all questions for the positions of its devices.
+    fn owes_positions(&self) -> bool {
+        self.positions_owed > 0 || self.reads.values().any(|what| matches!(what, Reading::Position(_)))
+    }
+
+    /// Whether the robot can be asked for the position of a device: by an inquiry, or else by its sensor.
+    fn can_tell_position(&self, device: &DeviceId) -> bool {
+        let described = || self.block.as_ref()?.device(device.as_str())?.available_control_types.sensor();
+        self.takes_inquiries() || described().is_some()
+    }
+
+    fn known_position(&self, device: &DeviceId) -> Option<f64> {
+        self.known_positions().find_map(|(known, position)| (known == device).then_some(position))
+    }
+
     /// The known positions of devices: the reading of the sensor, or else the commanded position.
     pub(super) fn known_positions(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
         let is_read = |device: &DeviceId| self.positions.iter().any(|(read, _)| read == device);
@@ -50,8 +65,9 @@ impl RobotState {
         read.chain(commanded.map(|(device, position)| (device, *position)))
     }
 
-    /// Discards the known positions of its devices.
+    /// Discards the known positions of its devices, and the answers that it owes.
     pub(super) fn forget_positions(&mut self) {
+        self.reads.retain(|_, what| !matches!(what, Reading::Position(_)));
         self.positions.clear();
         self.commanded.clear();
     }
@@ -139,10 +155,16 @@ impl Mission {
                 let devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
                 self.robots[robot].forget_positions();
                 self.robots[robot].positions_asked = Some((number, now));
-                self.ask_positions_of(now, robot, &devices);
+                if self.robots[robot].takes_inquiries() {
+                    self.ask_positions_of(now, robot, &devices);
+                } else {
+                    for device in devices {
+                        self.read(now, robot, device.clone(), Reading::Position(device));
+                    }
+                }
             }
             let until = at + answers_within(&self.robots[robot]);
-            if self.robots[robot].positions_owed > 0 {
+            if self.robots[robot].owes_positions() {
                 match now < until {
                     true => due = due.max(Some(until)),
                     false => silent.push(robot),
@@ -168,7 +190,7 @@ impl Mission {
     pub(super) fn unplaced_that_jump(&self, index: usize) -> Vec<(usize, FailureKind)> {
         let act = &self.acts[index];
         let jump = |robot: usize, script: &DeviceScript| {
-            let reading = *self.robots[robot].commanded.get(&script.device)?;
+            let reading = self.robots[robot].known_position(&script.device)?;
             let expected = self.expected_in(act, robot, script)?;
             let device = script.device.clone();
             // An approach moves devices before the first act, to the positions from which they first move by `next`.
@@ -188,7 +210,7 @@ impl Mission {
     /// The failure of a robot that has not stated the positions of devices that no check covers: one of them may well jump.
     fn hides_its_pose(&self, act: &Act, robot: usize) -> Option<(usize, FailureKind)> {
         let state = &self.robots[robot];
-        let hides = state.positions_owed > 0
+        let hides = state.owes_positions()
             && self.unplaced_of(act, robot).any(|script| !self.is_checked(act, robot, &script.device));
         let within = answers_within(state);
         let kind = || FailureKind::Silent { awaited: "positions of its devices".to_owned(), within };
@@ -203,7 +225,8 @@ impl Mission {
 
     /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift,
     /// and devices that may have to jump and that the mission has not moved yet, if no check of their positions applies to this
-    /// act. With `handshake: skip`, the mission asks only for devices adrift.
+    /// act. With `handshake: skip`, the mission asks only for devices adrift. It does not ask for a device whose position the robot
+    /// cannot tell.
     fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;
@@ -212,9 +235,9 @@ impl Mission {
             let is_unchecked = || state.unplaced || !self.is_checked(act, robot, device);
             let is_untouched = asks && !state.touched.contains(device) && is_unchecked();
             let may_jump = || self.expected_in(act, robot, script).is_some();
-            state.adrift.contains(device) || is_untouched && may_jump()
+            state.can_tell_position(device) && (state.adrift.contains(device) || is_untouched && may_jump())
         };
-        let member = act.member(robot).filter(|_| state.takes_inquiries()).into_iter();
+        let member = act.member(robot).into_iter();
         member.flat_map(|member| member.firsts()).map(|script| &script.plan).filter(is_unplaced)
     }
 
@@ -242,9 +265,10 @@ impl Mission {
     /// Devices that may have to jump, because their positions are unknown.
     pub(super) fn unknown_positions(&self, index: usize) -> Vec<DeviceId> {
         let robot = &self.robots[index];
-        let is_known = |device: &DeviceId| robot.known_positions().any(|(known, _)| known == device);
         let devices = self.used_devices(index).into_iter();
-        devices.filter(|id| !is_known(id) && self.expected_position(index, id).is_some()).collect()
+        devices
+            .filter(|id| robot.known_position(id).is_none() && self.expected_position(index, id).is_some())
+            .collect()
     }
 
     /// Where an act ahead has to begin: where the last command has left a device, unless its sensor shows that it is elsewhere.

@@ -776,16 +776,21 @@ fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_d
 }
 
 /// The devices of `r0` move linearly. The first act moves `a`, and the other two move `b` as well. The second act follows by
-/// `next`, and the act `on_timeout` follows if no go comes in time.
-fn leads_to(on_timeout: usize) -> Played {
+/// `next`, and the act `on_timeout` follows if no go comes in time. If the robot takes no inquiries, its devices have sensors.
+fn leads_to(tells: Tells, on_timeout: usize) -> Played {
     let mut show = choreography(&[&[("a", 0, 10_000)]]);
     let mut another = choreography(&[&[("a", 0, 400), ("b", 0, 400)]]).acts.remove(0);
     another.name = "another".to_owned();
     show.acts.extend([another.clone(), another]);
     (show.acts[0].next, show.acts[0].wait) = (Way::Act(1), Wait::Operator);
     (show.acts[0].timeout, show.acts[0].on_timeout) = (Some(ms(1_000)), Way::Act(on_timeout));
-    let mut block = robot("r0", Everything, 2).block.unwrap();
-    block.devices.iter_mut().for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+    let mut block = robot("r0", tells, 2).block.unwrap();
+    for device in block.devices.iter_mut() {
+        device.interpolation = urrcp::Interpolation::Linear;
+        if !block.inquiry {
+            *device = device.clone().with_sensor(urrcp::SensorParameters::new(0.0, 90.0).unwrap());
+        }
+    }
     let participants = vec![Participant::new(RobotId::new("r0").unwrap(), Some(block))];
     let mission = Mission::new(Arc::new(show), participants, MissionOptions::default(), at(0)).unwrap();
     let mut played = Played::linked(mission, &[0]);
@@ -808,32 +813,46 @@ fn refuses_b(played: &Played) -> bool {
 
 #[test]
 fn a_device_that_first_moves_in_an_act_that_does_not_follow_by_next_may_not_jump_either() {
-    for (stands_at, fails) in [(0.0, true), (45.0, false)] {
-        let mut played = leads_to(2);
-        played.positions.insert("b".parse().unwrap(), stands_at);
-        let outcome = played.run_to_the_end();
-        assert_eq!(refuses_b(&played), fails, "at {stands_at}: {outcome}");
-        assert_eq!(outcome == Outcome::NotStarted, fails, "at {stands_at}: {outcome}");
+    for tells in [Everything, Tells::Reports] {
+        for (stands_at, fails) in [(0.0, true), (45.0, false)] {
+            let mut played = leads_to(tells, 2);
+            played.positions.insert("b".parse().unwrap(), stands_at);
+            let outcome = played.run_to_the_end();
+            assert_eq!(refuses_b(&played), fails, "{tells:?} at {stands_at}: {outcome}");
+            assert_eq!(outcome == Outcome::NotStarted, fails, "{tells:?} at {stands_at}: {outcome}");
+        }
     }
 }
 
 #[test]
-fn a_robot_that_does_not_state_where_its_untouched_device_is_does_not_move_it() {
-    let mut played = leads_to(2);
-    played.mute = vec![0];
-    assert_eq!(played.run_to_the_end(), Outcome::NotStarted);
+fn a_device_whose_sensor_reads_nothing_begins_the_act_wherever_it_is() {
+    let mut played = leads_to(Tells::Reports, 2);
+    played.positions.clear();
+    let outcome = played.run_to_the_end();
     let robot = &played.mission.robots[0];
-    let awaited = "positions of its devices";
-    let silent =
-        |failure: &Failure| matches!(&failure.kind, FailureKind::Silent { awaited: of, .. } if of == awaited);
-    assert!(robot.failures.iter().any(silent), "{:?}", robot.failures);
-    assert!(robot.touched.is_empty());
+    assert!(!robot.has_failed() && robot.touched.contains("b"), "{outcome}: {:?}", robot.failures);
+}
+
+#[test]
+fn a_robot_that_does_not_state_where_its_untouched_device_is_does_not_move_it() {
+    for tells in [Everything, Tells::Reports] {
+        let mut played = leads_to(tells, 2);
+        played.mute = vec![0];
+        assert_eq!(played.run_to_the_end(), Outcome::NotStarted, "{tells:?}");
+        let robot = &played.mission.robots[0];
+        let awaited = "positions of its devices";
+        let silent = |failure: &Failure| matches!(&failure.kind, FailureKind::Silent { awaited: of, .. } if of == awaited);
+        assert!(robot.failures.iter().any(silent), "{tells:?}: {:?}", robot.failures);
+        assert!(robot.touched.is_empty());
+    }
 }
 
 #[test]
 fn a_device_that_moves_later_than_others_of_its_robot_is_asked_for_again_on_a_new_link() {
-    for (stands_at, fails) in [(0.0, true), (45.0, false)] {
-        let mut played = leads_to(2);
+    let all =
+        [Everything, Tells::Reports].into_iter().flat_map(|tells| [(tells, 0.0, true), (tells, 45.0, false)]);
+    for (tells, stands_at, fails) in all {
+        let mut played = leads_to(tells, 2);
         played.happens(Event::Go { act: None, by: None });
         played.run_to_the_start();
         let reason = "closed".to_owned();

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use urrcp::{
-    AvailabilityResponse, Command, ControlRequest, DeviceReport, Inquiry, InquiryResponse, RequestReport,
-    RequestState,
+    AvailabilityResponse, Command, ControlRequest, ControlResponse, DeviceReport, Inquiry, InquiryResponse,
+    RequestReport, RequestState, StatusValue,
 };
 
 use super::*;
@@ -206,7 +206,12 @@ impl Played {
         let ahead = self.ahead.get(&robot).copied().unwrap_or_default();
         let says = |status, at| Message::ControlResponse(response(device, id, status, at + ahead));
         let there = self.now + ROUND_TRIP / 2;
-        let Command::Script(script) = &request.command else { return says(Status::Failed, there) };
+        let Command::Script(script) = &request.command else {
+            let Some(position) = self.positions.get(device) else { return says(Status::Failed, there) };
+            let reading = response(device, id, Status::Provide, there);
+            let status_value = StatusValue::Number(*position);
+            return Message::ControlResponse(ControlResponse { status_value, ..reading });
+        };
         let Some((sent, offset)) = request.timestamp.zip(request.time_offset_to_start) else {
             let now = self.now;
             let cancelled =
