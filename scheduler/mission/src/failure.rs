@@ -23,7 +23,10 @@ impl Mission {
         }
         let state = &mut self.robots[robot];
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
-        state.link = Link::Lost(Lost { reason: reason.clone(), loss, since, connecting: false, give_up });
+        let lost = Lost { reason: reason.clone(), loss, since, failed: now, connecting: false, give_up };
+        state.link = Link::Lost(lost);
+        // An act may have waited for an attempt to reach it.
+        self.acts.iter_mut().for_each(|act| act.look_again_at(None));
         match self.phase {
             Phase::Greeting { deadline } => self.link_down_in_greeting(now, deadline, robot, reason),
             Phase::Performing if self.robots[robot].standing == Standing::Absent => self.reconnect(robot),
@@ -48,7 +51,8 @@ impl Mission {
     ) {
         let loss = Loss::Flooding { messages, bytes };
         let state = &mut self.robots[robot];
-        state.link = Link::Lost(Lost { reason, loss, since: now, connecting: false, give_up: None });
+        let lost = Lost { reason, loss, since: now, failed: now, connecting: false, give_up: None };
+        state.link = Link::Lost(lost);
         let floods = |failure: &Failure| matches!(failure.kind, FailureKind::Flooding { .. });
         let known = self.robots[robot].failures.iter().any(floods);
         let kind = FailureKind::Flooding { messages, bytes };
@@ -101,6 +105,13 @@ impl Mission {
         {
             let after = state.next_attempt();
             self.actions.push(Action::Reconnect { robot, after });
+        }
+    }
+
+    /// Makes a link again at once, in place of an attempt that may have to wait.
+    pub(super) fn reconnect_at_once(&mut self, robot: usize) {
+        if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
+            self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
         }
     }
 

@@ -126,7 +126,7 @@ impl Mission {
         }
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
         let (reason, loss) = ("another robot answers".to_owned(), Loss::Unreachable);
-        state.link = Link::Lost(Lost { reason, loss, since, connecting: false, give_up });
+        state.link = Link::Lost(Lost { reason, loss, since, failed: now, connecting: false, give_up });
         self.reconnect(robot);
         match self.robots[robot].standing {
             Standing::In if self.phase == Phase::Performing => self.fail(now, robot, kind),

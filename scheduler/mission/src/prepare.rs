@@ -6,7 +6,7 @@ use super::act::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
 use super::act::{Act, Member, Timing};
 use super::failure_kind::{FailureKind, Slow};
 use super::lead::{self, LeadTime};
-use super::robot_state::{RobotState, Standing};
+use super::robot_state::{Link, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
@@ -83,6 +83,9 @@ impl Mission {
             return self.refuse_or_look_again(now, index, failing);
         }
         if let Some(until) = self.links_known_at(&self.acts[index]).filter(|until| now < *until) {
+            return self.acts[index].look_again_at(Some(until));
+        }
+        if let Some(until) = self.await_links(now, index, need.lead.total()) {
             return self.acts[index].look_again_at(Some(until));
         }
         if let Some(due) = self.await_positions(now, index) {
@@ -234,6 +237,27 @@ impl Mission {
             Some((robot, linked + within)).filter(|(_, until)| now < *until)
         };
         act.present().filter_map(|member| unmeasured(member.robot)).collect()
+    }
+
+    /// Tries to reach members without a link, because one of them may be back with another clock. Returns the time by which the attempts
+    /// have to end, if one still lasts. A robot that cannot be reached is promised the act nevertheless: it may be back in time.
+    fn await_links(&mut self, now: Timestamp<Server>, index: usize, lead: Span) -> Option<Timestamp<Server>> {
+        let act = &mut self.acts[index];
+        let failed = |robot: usize| match &self.robots[robot].link {
+            Link::Lost(lost) if lost.connecting => Some((robot, lost.failed)),
+            _ => None,
+        };
+        let lost: Vec<_> = act.present().filter_map(|member| failed(member.robot)).collect();
+        let within = lost.iter().map(|(robot, _)| answers_within(&self.robots[*robot])).max()?;
+        let begun = act.links_tried().unwrap_or(now);
+        if act.links_tried().is_none() {
+            act.tries_links(now);
+            lost.iter().for_each(|(robot, _)| self.reconnect_at_once(*robot));
+        }
+        let until = begun + within;
+        let until = self.acts[index].target().map_or(until, |target| until.min(target - lead));
+        let lasts = now < until && lost.iter().any(|(_, failed)| *failed <= begun);
+        lasts.then_some(until)
     }
 
     fn await_answers(

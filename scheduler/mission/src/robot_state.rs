@@ -40,6 +40,8 @@ pub(crate) struct Lost {
     pub(crate) loss: Loss,
     /// When it broke for the first time since the robot was last heard.
     pub(crate) since: Timestamp<Server>,
+    /// When it broke, or when the last attempt to make it failed.
+    pub(crate) failed: Timestamp<Server>,
     /// A new connection is being made.
     pub(crate) connecting: bool,
     /// When the robot is given up; `None`: not yet.

@@ -14,8 +14,6 @@ use super::play::{Kind, Played, Struck, Told, What};
 use stage::{Logged, nanos};
 
 const MILLIS: i64 = 1_000_000;
-/// A mission asks each robot at least this often.
-const ASKED_WITHIN: i64 = 1_000 * MILLIS;
 /// A robot that is held up longer over a start does not start.
 const START_LATE: i64 = 51 * MILLIS;
 /// A step that comes so late on a busy machine, and is reported as late, is excused and counted.
@@ -406,11 +404,11 @@ impl Judge<'_> {
         else {
             return unknown;
         };
-        // It came back with another clock, and the budget was stated before the next question showed that.
+        // It came back with another clock after the budget was stated, or so shortly before that no attempt could show it.
         let unseen = |struck: &Struck| {
             matches!(struck.what, What::Robot(Fault::Restarted(Back::OtherClock)))
                 && struck.from <= promise.start
-                && struck.until >= promise.sent - ASKED_WITHIN
+                && struck.until >= promise.sent - UNDER_WAY
         };
         if self.faults(Some(robot)).any(unseen) {
             return unknown;

@@ -140,6 +140,8 @@ pub(crate) struct Act {
     before: Option<Timestamp<Server>>,
     /// When nothing before it plays any more.
     alone_since: Option<Timestamp<Server>>,
+    /// When the mission began to try to reach its robots without a link, before it promises the act.
+    links_tried: Option<Timestamp<Server>>,
     timing: Option<Timing>,
     members: Vec<Member>,
     /// For each robot of the mission, by its index, where it stands in `members`; those that come after the last member are left out.
@@ -171,6 +173,7 @@ impl Act {
             since,
             before,
             alone_since: None,
+            links_tried: None,
             timing: None,
             place: places(&members),
             members,
@@ -211,6 +214,16 @@ impl Act {
         self.since
     }
 
+    /// When the mission began to try to reach its robots without a link; `None` if it has not.
+    pub(crate) const fn links_tried(&self) -> Option<Timestamp<Server>> {
+        self.links_tried
+    }
+
+    /// The mission tries to reach its robots without a link.
+    pub(crate) const fn tries_links(&mut self, now: Timestamp<Server>) {
+        self.links_tried = Some(now);
+    }
+
     /// How often the act was withdrawn and prepared again.
     pub(crate) const fn attempts(&self) -> u32 {
         self.attempts
@@ -219,6 +232,7 @@ impl Act {
     /// Sets the number of withdrawn attempts. The act no longer waits, because its condition has been met.
     pub(crate) fn is_attempted_again(&mut self, attempts: u32) {
         self.attempts = attempts;
+        self.links_tried = None;
         self.stage = Stage::Ready { target: self.fixed, look: None };
     }
 

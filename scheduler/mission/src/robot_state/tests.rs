@@ -191,8 +191,14 @@ fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
 fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_it() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     robot.questions.asked(at(1));
-    let lost =
-        Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
+    let lost = Lost {
+        reason: "cut".into(),
+        loss: Loss::Closed,
+        since: at(2),
+        failed: at(2),
+        connecting: true,
+        give_up: None,
+    };
     robot.link = Link::Lost(lost.clone());
     assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
     robot.connected(at(0));

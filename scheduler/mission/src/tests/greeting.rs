@@ -896,3 +896,42 @@ fn an_act_is_promised_only_once_a_robot_has_answered_on_its_new_link() {
         assert_eq!(outcome == Outcome::Done, answers, "{answers} {says_its_name}: {outcome}");
     }
 }
+
+#[test]
+fn an_act_is_promised_to_a_robot_without_a_link_only_after_an_attempt_to_reach_it() {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].wait = Wait::Operator;
+    let choreography = Arc::new(choreography);
+    let participant =
+        |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Tells::Everything, 2).block);
+    let down = |played: &mut Played| {
+        let reason = "refused".to_owned();
+        played.happens(Event::LinkDown { robot: 1, loss: Loss::Refused, reason });
+    };
+    let is_promised =
+        |played: &Played| played.recorded.iter().any(|record| matches!(record, Record::Prepared(_)));
+    for (is_back, answers_at_all) in [(true, true), (false, true), (false, false)] {
+        let participants = ["r0", "r1"].map(participant).to_vec();
+        let mission = Mission::new(Arc::clone(&choreography), participants, MissionOptions::default(), at(0));
+        let mut played = Played::linked(mission.unwrap(), &[0, 1]);
+        played.run_until(at(1_000));
+        // The robot has been away for a while, so the mission waits for a second before it tries again.
+        for _ in 0..10 {
+            down(&mut played);
+        }
+        let tried = played.reconnects.len();
+        played.happens(Event::Go { act: None, by: None });
+        assert_eq!(played.reconnects[tried..], [(1, Span::ZERO)], "it tries at once");
+        assert!(!is_promised(&played));
+        played.run_until(played.now + ms(20));
+        assert!(!is_promised(&played), "the attempt has not ended");
+        match (is_back, answers_at_all) {
+            (true, _) => played.happens(Event::LinkUp { robot: 1 }),
+            (false, true) => down(&mut played),
+            (false, false) => played.run_until(played.now + ms(250)),
+        }
+        assert_eq!(is_promised(&played), !is_back);
+        let outcome = played.run_to_the_end();
+        assert_eq!(outcome == Outcome::Done, is_back, "{outcome}");
+    }
+}

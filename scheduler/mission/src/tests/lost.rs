@@ -315,6 +315,7 @@ fn lost_robots_are_given_up_each_at_its_own_time() {
             reason,
             loss: Loss::Closed,
             since: at(0),
+            failed: at(0),
             connecting: true,
             give_up: Some(give_up),
         };

@@ -36,6 +36,8 @@ pub(super) struct Played {
     pub(super) told: Vec<Progress>,
     pub(super) sent: Vec<(Timestamp<Server>, usize, Message)>,
     pub(super) recorded: Vec<Record>,
+    /// The attempts to reach robots again, each with the pause before it.
+    pub(super) reconnects: Vec<(usize, Span)>,
 }
 
 impl Played {
@@ -70,6 +72,7 @@ impl Played {
             told: Vec::new(),
             sent: Vec::new(),
             recorded: Vec::new(),
+            reconnects: Vec::new(),
         }
     }
 
@@ -142,7 +145,8 @@ impl Played {
                     self.recorded.push(record);
                 }
                 Action::Tell(progress) => self.told.push(progress),
-                Action::Reconnect { .. } | Action::Answer(_) => {}
+                Action::Reconnect { robot, after } => self.reconnects.push((robot, after)),
+                Action::Answer(_) => {}
             }
         }
     }

@@ -31,6 +31,8 @@ struct Place {
     stalls_until: Timestamp<Server>,
     /// `None`: the robot delays its messages itself, and nothing is lost.
     link: Option<Link>,
+    /// The newest attempt to reach it: those before it end.
+    attempt: Option<LinkNumber>,
     /// The connections that it has.
     connections: BTreeSet<LinkNumber>,
 }
@@ -96,6 +98,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
             died: None,
             stalls_until: begin,
             link,
+            attempt: None,
             connections: BTreeSet::new(),
         };
         let mut world = Self {
@@ -213,6 +216,8 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
 
     fn happen(&mut self, item: Item) {
         match item {
+            Item::Connect { robot, link } | Item::Connected { robot, link }
+                if self.places[robot].attempt != Some(link) => {}
             Item::Connect { robot, link } => self.begin_connection(robot, link),
             Item::Connected { robot, link } => match self.places[robot].machine {
                 Some(_) => {
@@ -428,6 +433,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
             let older: Vec<LinkNumber> = self.places[robot].connections.iter().copied().collect();
             older.into_iter().for_each(|older| self.send_there(robot, older, Input::LinkDown));
         }
+        self.places[robot].attempt = Some(link);
         self.put(self.now + after, Item::Connect { robot, link });
     }
 

@@ -51,6 +51,8 @@ pub(super) struct Scheduler {
     arrived: VecDeque<drive::Happened>,
     /// The links as the process sees them.
     links: Vec<Option<LinkId>>,
+    /// The newest attempt to reach each robot: those before it end.
+    attempts: Vec<Option<LinkId>>,
     /// `None` only while it changes hands.
     journal: Option<Journal<SimulatedDisk>>,
     /// Records that wait for the disk.
@@ -108,6 +110,7 @@ impl Scheduler {
             timers_first: false,
             arrived: VecDeque::new(),
             links: vec![None; drawn.robots.len()],
+            attempts: vec![None; drawn.robots.len()],
             journal,
             unwritten: VecDeque::new(),
             disk: DiskState::Idle,
@@ -397,6 +400,7 @@ impl drive::World for World {
         }
         let link = self.scheduler.id_of(link);
         self.scheduler.links[robot] = None;
+        self.scheduler.attempts[robot] = Some(link);
         self.put(self.now + after, Item::Connect { robot, link });
     }
 
@@ -466,7 +470,8 @@ fn by_true_time(record: Record, ahead: Span) -> Record {
 impl World {
     /// The process sees this link from now on; an older one is forgotten.
     pub(super) fn links_to(&mut self, robot: usize, link: LinkId) -> bool {
-        let lives = self.scheduler.is_running() && self.scheduler.number_of(link).is_some();
+        let is_newest = self.scheduler.attempts[robot] == Some(link);
+        let lives = self.scheduler.is_running() && self.scheduler.number_of(link).is_some() && is_newest;
         if lives {
             self.scheduler.links[robot] = Some(link);
         }

@@ -398,7 +398,7 @@ impl Bench {
 
     fn break_link(&mut self, robot: usize) {
         let (reason, loss) = ("cut".to_owned(), Loss::Closed);
-        let lost = Lost { reason, loss, since: self.now, connecting: true, give_up: None };
+        let lost = Lost { reason, loss, since: self.now, failed: self.now, connecting: true, give_up: None };
         self.robots[robot].link = Link::Lost(lost);
     }
 }
