@@ -4,8 +4,8 @@ use super::*;
 use crate::ClockMode;
 use crate::clock::ClockEstimate;
 
-/// Two robots that have played, and that end this many milliseconds after the start. Their clocks are ahead at the start by so many
-/// milliseconds, and gain so many millionths on the clock of this machine.
+/// Two robots that have played. Each has the time from the start to its end in milliseconds, the offset of its clock at the start in
+/// milliseconds, and the drift of its clock against that of this machine in ppm.
 fn played(clock: ClockMode, robots: [(i64, i64, f64); 2]) -> Bench {
     let scripts = robots.map(|(lasts, ..)| [("a", 0, lasts)]);
     let scripts: Vec<&[Planned]> = scripts.iter().map(<[Planned; 1]>::as_slice).collect();
