@@ -10,8 +10,14 @@ fn a_dry_run_that_ends_because_of_its_bound_says_so() {
             "  - {{act: {name}, {more}cues: [{{robots: arms, tracks: {{shoulder: [{{at: 0s, to: 0}}, {{at: 1s, to: 9}}, {{at: 2s, to: 0}}]}}}}]}}\n"
         )
     };
-    session
-        .file("loop.yaml", format!("scenario: loop\nacts:\n{}{}", act("one", ""), act("two", "next: one, ")));
+    session.file(
+        "loop.yaml",
+        format!(
+            "scenario: loop\nacts:\n{}{}",
+            act("one", "wait: operator, timeout: 1m, otherwise: end, "),
+            act("two", "next: one, ")
+        ),
+    );
     let bound = "ended because 3 acts had begun, the bound; another would have followed";
     session.run(&["dry-run", "loop.yaml", "--acts", "3"]).says(0, &[bound]);
     session.file("once.yaml", format!("scenario: once\nacts:\n{}{}", act("one", ""), act("two", "")));

@@ -1,5 +1,6 @@
 //! Prepares an act again if it was withdrawn before anything moved, because this machine was too slow to start it.
 
+use downbeat_scripts::OnFailure;
 use urrcp::{ErrorCode, Server, Span, Timestamp};
 
 use super::act::{Member, Progressed};
@@ -12,7 +13,7 @@ use super::{Mission, Outcome, Phase};
 const AGAIN_MAX: u32 = 2;
 /// The shortest delay to allow for: a machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is overdue for longer than this has missed a round. If leases end then, this machine is the cause.
+/// An act that is overdue for longer than this, now or a few seconds ago, has missed a round. If leases end then, this machine is the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
 /// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the
@@ -37,9 +38,9 @@ impl Mission {
         }
     }
 
-    /// Handles the failure of robots in an act. If most of them did not accept in time although their links are up, the
-    /// cause may be this machine. Before the robots count as failed, the mission prepares the act again: once, or twice if no
-    /// robot has accepted.
+    /// Handles the failure of robots in an act. If leases end or robots are silent before the commitment, and this machine has called
+    /// the mission late, or if most robots did not accept in time although their links are up, the cause may be this machine.
+    /// Before the robots count as failed, the mission prepares the act again.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,
@@ -50,9 +51,19 @@ impl Mission {
         let act = self.acts.iter().find(|act| act.number() == number);
         let act = act.filter(|_| self.phase == Phase::Performing);
         let act = act.filter(|_| self.may_be_prepared_again(now, number));
-        let overdue = act.filter(|act| !act.is_committed()).and_then(|act| Some(now - act.wakeup()?));
-        if let Some(by) = overdue.filter(|by| *by > OVERDUE && failing.iter().all(|(_, kind)| is_lease(kind)))
-        {
+        // A round that was sent late lets leases end a little later, when the mission is no longer overdue. Robots on the same machine
+        // answer as late.
+        let overdue = act.filter(|act| !act.is_committed()).map(|act| {
+            let by = act.wakeup().map_or(Span::ZERO, |due| now - due);
+            by.max(self.lateness.largest())
+        });
+        let is_slowness = |(robot, kind): &(usize, FailureKind)| match kind {
+            FailureKind::Silent { .. } => {
+                self.policy_of(*robot).is_none_or(|(what, _)| what != OnFailure::Without)
+            }
+            kind => is_lease(kind),
+        };
+        if let Some(by) = overdue.filter(|by| *by > OVERDUE && failing.iter().all(is_slowness)) {
             let decided = act.is_some_and(|act| act.progress() > Progressed::Preparing);
             let outcome = if decided { Outcome::CommitmentLate { by } } else { Outcome::DecisionLate { by } };
             return self.prepare_again(now, outcome, failing);
@@ -106,7 +117,7 @@ impl Mission {
         };
         let hold_up = (late * 2).max(HOLD_UP_MIN).max(self.hold_up * 2);
         let reason = match suspended.as_slice() {
-            [(_, FailureKind::Silent { .. }), ..] => {
+            [(_, FailureKind::Silent { .. }), ..] if act.progress() == Progressed::Preparing => {
                 let (count, all) = (suspended.len(), act.present().count());
                 format!("{count} of {all} robots have not accepted in time")
             }

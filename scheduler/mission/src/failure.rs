@@ -257,21 +257,11 @@ impl Mission {
 
     /// The strictest policy of those that failed: stop, then home, then going on without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
-        let Some(current) = self.acts.first() else {
+        if self.acts.is_empty() {
             let reason = self.reason_of(robots);
             return self.abort_because(now, (Outcome::Failed, reason), Rest::InPlace, None);
-        };
-        let policies = robots.iter().map(|robot| {
-            // That of the newest act that it takes part in.
-            let act = self
-                .acts
-                .iter()
-                .rfind(|act| act.was_sent() && !act.is_lapsing() && act.member(*robot).is_some());
-            let policy = &act.unwrap_or(current).written().on_failure;
-            let id = &self.robots[*robot].id;
-            let own = policy.robots.iter().find(|(robot, _)| robot == id).map(|(_, what)| *what);
-            (own.unwrap_or(policy.default), policy.then)
-        });
+        }
+        let policies = robots.iter().filter_map(|robot| self.policy_of(*robot));
         let rank = |what: &OnFailure| match what {
             OnFailure::Stop => 2,
             OnFailure::Home => 1,
@@ -294,6 +284,17 @@ impl Mission {
                 }
             }
         }
+    }
+
+    /// What the scenario wants if this robot fails: the policy of the newest act that it takes part in, and the act that follows.
+    pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
+        let takes_part =
+            |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();
+        let act = self.acts.iter().rfind(takes_part).or(self.acts.first())?;
+        let policy = &act.written().on_failure;
+        let id = &self.robots[robot].id;
+        let own = policy.robots.iter().find(|(robot, _)| robot == id).map(|(_, what)| *what);
+        Some((own.unwrap_or(policy.default), policy.then))
     }
 
     fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {

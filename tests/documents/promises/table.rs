@@ -1,11 +1,8 @@
 //! The promises of the documents in the order of their sentences, and sentences that read like promises but are none.
 
 use super::Document::{Mission, Protocol};
-use super::Judge::{Conformance, Falsified, Open, Simulation, Test};
+use super::Judge::{Conformance, Falsified, Simulation, Test};
 use super::{Document, Promise};
-
-/// The number of open promises may not exceed this. Lower it with each promise that gets a judge or a planted fault.
-pub const OPEN_MAX: usize = 1;
 
 /// Each sentence that promises a behaviour, with its judges.
 pub const PROMISES: &[Promise] = &[
@@ -117,8 +114,11 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "It is committed for all robots or none.",
-        &[Open("No test cuts off a robot before the start of an approach.")],
+        "Like the first act, it is committed for all robots or none, or without those that have failed if \
+         `on_failure` is `without`.",
+        &[Test(
+            "scheduler/rehearsal/src/dry_run/tests/approach.rs::an_approach_is_committed_for_all_robots_or_none_or_without_those_that_failed_as_the_show_says",
+        )],
     ),
     (
         Mission,

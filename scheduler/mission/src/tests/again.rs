@@ -1,5 +1,7 @@
 //! The mission prepares acts again if this machine was too slow to start them.
 
+use downbeat_scripts::OnFailure;
+
 use super::played::Played;
 use super::*;
 use crate::bench::{ms, response};
@@ -274,7 +276,7 @@ fn an_act_that_a_robot_has_begun_is_not_prepared_again() {
 }
 
 /// Three robots; the first `silent` ones do not accept in time.
-fn accepts_late(silent: usize, on_failure: downbeat_scripts::OnFailure) -> Played {
+fn accepts_late(silent: usize, on_failure: OnFailure) -> Played {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 400)]; 3];
     let mut choreography = choreography(&scripts);
     choreography.acts[0].on_failure.default = on_failure;
@@ -287,7 +289,7 @@ fn accepts_late(silent: usize, on_failure: downbeat_scripts::OnFailure) -> Playe
 
 #[test]
 fn if_most_robots_do_not_accept_in_time_this_machine_is_suspected_once() {
-    let mut played = accepts_late(2, downbeat_scripts::OnFailure::Without);
+    let mut played = accepts_late(2, OnFailure::Without);
     while played.mission.acts[0].attempts() == 0 && played.mission.again.is_none() {
         played.run_until(played.now + ms(1));
     }
@@ -298,7 +300,7 @@ fn if_most_robots_do_not_accept_in_time_this_machine_is_suspected_once() {
 
 #[test]
 fn most_robots_that_stay_silent_have_failed() {
-    let mut played = accepts_late(2, downbeat_scripts::OnFailure::Without);
+    let mut played = accepts_late(2, OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::NotStarted);
     let failed: Vec<bool> = played.mission.robots.iter().map(RobotState::has_failed).collect();
     assert_eq!(failed, [true, true, false]);
@@ -307,7 +309,7 @@ fn most_robots_that_stay_silent_have_failed() {
 #[test]
 fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_silent() {
     for (silent, attempts) in [(3, 3), (2, 2)] {
-        let mut played = accepts_late(silent, downbeat_scripts::OnFailure::Without);
+        let mut played = accepts_late(silent, OnFailure::Without);
         let failed =
             |played: &Played| played.mission.robots.iter().filter(|robot| robot.has_failed()).count();
         while failed(&played) == 0 {
@@ -323,7 +325,7 @@ fn silent_robots_fail_at_the_second_attempt_or_at_the_third_if_all_robots_are_si
 
 #[test]
 fn one_robot_that_does_not_accept_in_time_is_left_out_at_once() {
-    let mut played = accepts_late(1, downbeat_scripts::OnFailure::Without);
+    let mut played = accepts_late(1, OnFailure::Without);
     assert_eq!(played.run_to_the_end(), Outcome::DoneWithout);
     assert!(played.mission.reports.iter().all(|act| act.prepared_again == 0));
 }
@@ -347,7 +349,7 @@ fn leases_that_end_while_this_machine_stalls_are_no_failure_of_their_robots() {
 
 #[test]
 fn a_link_that_broke_while_the_act_was_withdrawn_is_made_again() {
-    let mut played = accepts_late(0, downbeat_scripts::OnFailure::Without);
+    let mut played = accepts_late(0, OnFailure::Without);
     played.mutes(2);
     played.is_withdrawn();
     played.run_until(played.now + ms(20));
@@ -385,6 +387,40 @@ fn a_lease_that_ends_while_this_machine_stalls_stops_no_other_act() {
     played.mission.fail_of_act(now, 1, failing);
     assert!(played.mission.acts[1].is_lapsing() && !played.mission.robots[0].has_failed());
     assert_eq!(played.run_to_the_end(), Outcome::Done);
+}
+
+#[test]
+fn leases_that_end_and_silence_soon_after_this_machine_was_late_are_not_held_against_a_robot() {
+    let lease = || FailureKind::Script { device: DeviceId::new("a").unwrap(), error: ran_out() };
+    let silence =
+        || FailureKind::Silent { awaited: "word shortly before the start".to_owned(), within: ms(30) };
+    for (late, policy, kind, repeated) in [
+        (0, OnFailure::Stop, lease(), false),
+        (30, OnFailure::Stop, lease(), true),
+        (30, OnFailure::Without, lease(), true),
+        (0, OnFailure::Stop, silence(), false),
+        (30, OnFailure::Stop, silence(), true),
+        (30, OnFailure::Without, silence(), false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        Arc::make_mut(&mut mission.choreography).acts[0].on_failure.default = policy;
+        let mut played = Played::begun(mission);
+        played.now = played.mission.next_wakeup().unwrap() + ms(late);
+        let actions = played.mission.advance(played.now);
+        played.carry_out(actions);
+        played.run_until(played.now + ms(2));
+        let case = format!("{late} ms late, {policy:?}, {kind}");
+        let number = played.mission.acts[0].number();
+        played.mission.fail_of_act(played.now, number, vec![(0, kind)]);
+        let actions = played.mission.advance(played.now);
+        played.carry_out(actions);
+        let outcome = played.run_to_the_end();
+        assert_eq!(
+            (outcome == Outcome::Done, played.mission.acts_repeated > 0),
+            (repeated, repeated),
+            "{case}"
+        );
+    }
 }
 
 fn ran_out() -> urrcp::ControlError {

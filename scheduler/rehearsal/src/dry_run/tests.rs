@@ -1,5 +1,6 @@
 //! Whole missions in virtual time: what must hold whatever a robot does.
 
+mod approach;
 mod motions;
 
 use downbeat_robot::set_log::LogEntry;

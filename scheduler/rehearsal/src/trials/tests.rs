@@ -7,7 +7,7 @@ use crate::dry_run::Logs;
 use downbeat_mission::MissionOptions;
 use downbeat_mission::report::Outcome;
 
-const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 const WAVE: &str = "scenario: wave
 start_tolerance: 20ms
 stop_condition: {running: 1s}
