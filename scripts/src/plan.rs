@@ -86,13 +86,6 @@ impl FailurePolicy {
         std::iter::once(self.default).chain(self.robots.iter().map(|(_, rule)| *rule))
     }
 
-    /// Whether the failure of at least one robot of a fleet of this size sends all robots to their default state.
-    pub(crate) fn may_send_home(&self, robots: usize) -> bool {
-        let is_home = |rule: OnFailure| rule == OnFailure::Home;
-        let default_counts = self.robots.len() < robots;
-        self.robots.iter().any(|(_, rule)| is_home(*rule)) || (default_counts && is_home(self.default))
-    }
-
     /// Whether all robots go to their default state, whichever of them fails.
     pub(crate) fn sends_home(&self) -> bool {
         self.policies().all(|rule| rule == OnFailure::Home)
@@ -199,6 +192,13 @@ pub struct DeviceUse {
     pub worst_error: f64,
     /// When that is, from the act's start.
     pub worst_at: Span,
+    /// The largest factor of the speed of the show at which its movements stay within the limits of speed and acceleration; infinite
+    /// without such limits.
+    #[serde(skip)]
+    pub factor_max: f64,
+    /// The same for the ways from where other acts leave it to its first keyframe.
+    #[serde(skip)]
+    pub entry_factor_max: f64,
     /// The largest speed that its block and the fleet file allow, driven by position, in its unit per second.
     #[serde(skip)]
     pub speed_max: Option<f64>,

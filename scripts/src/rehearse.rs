@@ -1,6 +1,6 @@
 //! A choreography as it is rehearsed: slower, with a part of the fleet, or a single act.
 
-use urrcp::{ControlType, Device, Interpolation, Millis, RobotId, Script, Span, Step};
+use urrcp::{ControlType, Device, Millis, RobotId, Script, Span, Step};
 
 use crate::compile::compensate;
 use crate::fleet::{Fleet, FleetRobot};
@@ -25,6 +25,7 @@ impl Choreography {
         }
         for act in &mut self.acts {
             act.plan.robots.retain(|robot| robots.contains(&robot.robot));
+            act.devices.retain(|used| robots.contains(&used.robot));
             act.readings.retain(|reading| robots.contains(&reading.robot));
             // Where the others stand is not known.
             act.in_space.closest = None;
@@ -43,6 +44,7 @@ impl Choreography {
         act.timeout = None;
         act.next = Way::End;
         act.on_failure.then = None;
+        act.devices.iter_mut().for_each(|used| used.entry_factor_max = f64::INFINITY);
         self.acts = vec![act];
         self
     }
@@ -91,6 +93,18 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
             ));
         }
     }
+    for used in &mut act.devices {
+        let most = used.factor_max.min(used.entry_factor_max);
+        if speed > most * DUST {
+            faults.push(format!(
+                "robot `{}` device `{}` can move at most {most:.3} times as fast as written (act `{}`)",
+                used.robot, used.device, act.name
+            ));
+        }
+        used.factor_max /= speed;
+        used.entry_factor_max /= speed;
+        used.worst_at = at(used.worst_at);
+    }
     for robot in &mut act.plan.robots {
         let listed = fleet.robots.iter().find(|listed| listed.id == robot.robot);
         for script in &mut robot.scripts {
@@ -129,8 +143,6 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
             Some(format!("step {}: {}", index + 1, error.message))
         };
         faults.extend(steps.iter().enumerate().filter_map(check).take(3));
-        let limits = listed.and_then(|listed| listed.limits.get(script.device.as_str())).copied();
-        faults.extend(too_fast(&steps, device, limits.unwrap_or_default()));
     }
     script.rest = Span::from_millis_f64(script.rest.as_millis_f64() / speed);
     match (Script::new(steps), millis(script.start)) {
@@ -146,21 +158,4 @@ fn on_grid(value: f64, control_type: ControlType, device: Option<&Device>) -> f6
         Some(granularity) => (value / granularity).round() * granularity,
         None => value,
     }
-}
-
-/// The first linear way between two positions that is faster than the device may move.
-fn too_fast(steps: &[Step], device: &Device, limits: crate::fleet::RateLimits) -> Option<String> {
-    let limit = limits.or_declared(device, ControlType::Position).speed?;
-    if device.interpolation != Interpolation::Linear {
-        return None;
-    }
-    steps.windows(2).enumerate().find_map(|(index, pair)| {
-        let positions = pair.iter().all(|step| step.setpoint.control_type == ControlType::Position);
-        let seconds = (pair[1].offset.get() - pair[0].offset.get()) / 1_000.0;
-        let way = (pair[1].setpoint.value - pair[0].setpoint.value).abs();
-        let message =
-            || format!("step {}: {:.3} a second to it, at most {limit} is allowed", index + 2, way / seconds);
-        // A hair's breadth for rounding.
-        (positions && way > limit * seconds * (1.0 + 1e-9)).then(message)
-    })
 }

@@ -283,4 +283,5 @@ mod standing;
 mod told;
 mod troupe;
 mod verified;
+mod ways;
 mod whole;

@@ -14,7 +14,7 @@ fn a_dry_run_that_ends_because_of_its_bound_says_so() {
         "loop.yaml",
         format!(
             "scenario: loop\nacts:\n{}{}",
-            act("one", "wait: operator, timeout: 1m, otherwise: end, "),
+            act("one", "wait: {for: operator, timeout: 1m, otherwise: end}, "),
             act("two", "next: one, ")
         ),
     );

@@ -18,11 +18,19 @@ const DUST: f64 = 1.0 + 1e-6;
 ///
 /// A way that the device moves linearly has its mean speed; where two such ways meet, the acceleration is the change of
 /// speed over the mean of their lengths (the second divided difference).
-pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
+///
+/// Returns the largest factor of the speed of the show within these limits.
+pub(super) fn check(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    curve: &Curve,
+) -> f64 {
     jumps(findings, on, control_type, curve);
     let limits = on.cast.limits(on.robots[0], on.device, control_type);
+    let mut factor_max = f64::INFINITY;
     if limits.speed.is_none() && limits.acceleration.is_none() {
-        return;
+        return factor_max;
     }
     let mut seen = HashSet::new();
     let mut before: Option<(f64, f64)> = None;
@@ -49,6 +57,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             Rate { code: Code::TooFast, name: names[0], found: speed, limit: limits.speed },
             Rate { code: Code::TooSudden, name: names[1], found: acceleration, limit: limits.acceleration },
         ];
+        factor_max = asked.iter().map(|rate| rate.factor_max(control_type)).fold(factor_max, f64::min);
         let broken: Vec<Rate> = asked
             .into_iter()
             .filter(|rate| rate.is_broken() && seen.insert((rate.code, knot.item)))
@@ -57,6 +66,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             too_much(findings, on, control_type, [last, knot], &broken);
         }
     }
+    factor_max
 }
 
 /// A derivative of a movement, with its limit.
@@ -70,6 +80,13 @@ struct Rate {
 impl Rate {
     fn is_broken(&self) -> bool {
         self.limit.is_some_and(|limit| self.found > limit * DUST)
+    }
+
+    /// The largest factor of the speed of the show within the limit. Speeds grow with it, accelerations with its square.
+    fn factor_max(&self, control_type: ControlType) -> f64 {
+        let room = self.limit.filter(|_| self.found > 0.0).map_or(f64::INFINITY, |limit| limit / self.found);
+        let is_speed = control_type == ControlType::Position && self.code == Code::TooFast;
+        if is_speed { room } else { room.sqrt() }
     }
 
     /// The factor by which the movement has to be longer.

@@ -58,14 +58,15 @@ pub(super) fn join(
         let id = cast.id(robot);
         let lane = Lane { scenario, robot: id, device, speed, is_limited, longest, segments: &segments };
         lane.check_overlaps(findings);
-        lane.check_jumps(findings);
+        let factor_max = lane.check_jumps(findings);
         joined.first.extend(lane.segments.first().map(|first| First {
             robot,
             index,
             segment: first.clone(),
         }));
         lane.check_left_in_motion(findings);
-        let Some((scripts, used)) = lane.scripts(findings) else { continue };
+        let Some((scripts, mut used)) = lane.scripts(findings) else { continue };
+        used.factor_max = used.factor_max.min(factor_max);
         joined.rest.insert((robot, index), Left::at(lane.rest()));
         joined.places.insert((robot, index), lane.last_position());
         if last_robot != Some(robot) {
@@ -147,22 +148,25 @@ impl Lane<'_> {
         }
     }
 
-    /// Reports jumps from one cue of the act to the next.
-    fn check_jumps(&self, findings: &mut Reader) {
+    /// Reports jumps from one cue of the act to the next. Returns the largest factor of the speed of the show for the ways between them.
+    fn check_jumps(&self, findings: &mut Reader) -> f64 {
         let mover = Mover { robot: self.robot, device: self.device, speed: self.speed };
         let mut position: Option<Position> = None;
-        for segment in self.segments {
-            let Steps::One(values) = &segment.part.steps else { return };
-            if !self.moves() || segment.part.control_type != ControlType::Position {
-                return;
+        let mut factor_max = f64::INFINITY;
+        for segment in self.segments.iter().filter(|_| self.moves()) {
+            let Steps::One(values) = &segment.part.steps else { return factor_max };
+            if segment.part.control_type != ControlType::Position {
+                position = None;
+                continue;
             }
             let Some(last) = values.last() else { continue };
             if let Some(from) = &position {
-                mover.arrives(findings, segment, from);
+                factor_max = factor_max.min(mover.arrives(findings, segment, from));
             }
             let whence = format!("where `{}` leaves it", segment.cue);
             position = Some(Position { value: last.to, since: segment.end(), whence, is_sure: true });
         }
+        factor_max
     }
 
     /// A rate that nothing ends: neither a last step of the resting value nor a lease.
@@ -172,7 +176,9 @@ impl Lane<'_> {
             Steps::One(values) => values.last().map(|value| value.to),
             Steps::Several(_) => None,
         };
-        let resting = self.device.default_value.unwrap_or(0.0);
+        // The default value of a device that is usually driven by position is a position.
+        let is_usual = self.device.primary_control_type() == Some(last.part.control_type);
+        let resting = self.device.default_value.filter(|_| is_usual).unwrap_or(0.0);
         let lease = self.stop_condition().running;
         if let Some(value) = value.filter(|value| *value != resting)
             && is_rate(last.part.control_type)
@@ -332,6 +338,8 @@ impl Lane<'_> {
             budget: most as u64 * u64::from(self.device.script_queue.max(1)),
             worst_error: worst.map_or(0.0, |(part, _)| part.worst),
             worst_at: worst.map_or(Span::ZERO, |(part, begin)| begin + part.worst_at),
+            factor_max: parts().map(|(part, _)| part.factor_max).fold(f64::INFINITY, f64::min),
+            entry_factor_max: f64::INFINITY,
             speed_max: self.speed,
             is_unlimited: !self.is_limited && self.moves() && self.is_positioned(),
         }

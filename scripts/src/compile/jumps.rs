@@ -4,7 +4,6 @@ use std::collections::HashMap;
 
 use urrcp::{ControlType, Device, Interpolation, RobotId, Span};
 
-use super::acts::Ways;
 use super::cast::Cast;
 use super::segment::{Segment, Steps};
 use crate::duration::seconds;
@@ -12,8 +11,8 @@ use crate::fields::Reader;
 use crate::finding::{Code, SharedFault};
 use crate::fleet::limits_of;
 use crate::motion::Value;
-use crate::plan::Way;
-use crate::scenario::{Act, Items};
+use crate::plan::{Act, FailurePolicy, OnFailure, Wait, Way};
+use crate::scenario::{self, Items};
 
 /// The position of a device when a cue begins.
 pub(super) struct Position {
@@ -42,22 +41,26 @@ pub(super) struct First {
 }
 
 impl Mover<'_> {
-    /// Checks the beginning of a movement against the position of the device.
-    pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) {
-        let Steps::One(values) = &segment.part.steps else { return };
-        let Some(first) = values.first() else { return };
+    /// Checks the beginning of a movement against the position of the device. Returns the factor by which the show could be faster: the
+    /// speed of a device that moves to its first keyframe grows with that of the show.
+    pub(super) fn arrives(&self, findings: &mut Reader, segment: &Segment, from: &Position) -> f64 {
+        let unlimited = f64::INFINITY;
+        let Steps::One(values) = &segment.part.steps else { return unlimited };
+        let Some(first) = values.first() else { return unlimited };
         // Segments that overlap the previous one, and values that the device cannot take, are already reported.
         let is_settable =
             |value| limits_of(self.device, ControlType::Position).all(|own| own.contains(value));
         if segment.start() < from.since || !is_settable(from.value) || !is_settable(first.to) {
-            return;
+            return unlimited;
         }
         let way = (first.to - from.value).abs();
-        match segment.part.moves_from_anywhere {
-            true => self.check_way_there(findings, segment, from, first),
-            false if way > segment.part.tolerance.max(1e-9) => self.jump(findings, segment, from, first),
-            false => {}
+        if segment.part.moves_from_anywhere {
+            return self.check_way_there(findings, segment, from, first);
         }
+        if way > segment.part.tolerance.max(1e-9) {
+            self.jump(findings, segment, from, first);
+        }
+        unlimited
     }
 
     /// A jump of a device with a limited speed is an error, but a warning if only the description of the device states its
@@ -106,11 +109,22 @@ impl Mover<'_> {
         });
     }
 
-    /// Checks the way from the position of the device to a first keyframe later than 0s.
-    fn check_way_there(&self, findings: &mut Reader, segment: &Segment, position: &Position, first: &Value) {
+    /// Checks the way from the position of the device to a first keyframe later than 0s. Returns the factor as `arrives`.
+    fn check_way_there(
+        &self,
+        findings: &mut Reader,
+        segment: &Segment,
+        position: &Position,
+        first: &Value,
+    ) -> f64 {
         let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
         let needed = (first.to - from).abs() / length;
-        let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
+        let Some(speed) = self.speed else { return f64::INFINITY };
+        // `run` asks the robots for positions that only their descriptions state.
+        let factor = if position.is_sure { speed / needed } else { f64::INFINITY };
+        if needed <= speed * (1.0 + 1e-6) {
+            return factor;
+        }
         let end = format!(
             " has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
             first.at, first.to
@@ -126,6 +140,7 @@ impl Mover<'_> {
             expected: format!("at most {speed}"),
             hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
         });
+        factor
     }
 }
 
@@ -143,22 +158,58 @@ enum By {
     Timeout,
     /// The act failed, and all devices went to their default state.
     Home,
+    /// The act has ended, without the robots that failed. A robot that is the only one to be left out never goes this way.
+    Without { only: Option<usize> },
 }
 
 /// All ways for which something is known about the positions of devices.
 pub(super) struct Passages(Vec<Vec<Passage>>);
 
 impl Passages {
-    /// `robots` is the number of robots in the fleet.
-    pub(super) fn of(ways: &[Ways], robots: usize) -> Self {
-        let of = |ways: &Ways| {
-            let home = ways.on_failure.then.filter(|_| ways.on_failure.may_send_home(robots));
-            let to = |way: &Way| if let Way::Act(to) = way { Some(*to) } else { None };
-            let known = [(to(&ways.next), By::Next), (to(&ways.on_timeout), By::Timeout), (home, By::Home)];
-            known.into_iter().filter_map(|(to, by)| Some(Passage { to: to?, by })).collect()
+    /// The ways between these acts.
+    pub(super) fn of(acts: &[Act], cast: &Cast<'_>) -> Self {
+        let robots = participants(acts, cast);
+        let of = |act: &Act| {
+            let to = |way: Way| if let Way::Act(to) = way { Some(to) } else { None };
+            let mut passages: Vec<Passage> = [(to(act.next), By::Next), (to(act.on_timeout), By::Timeout)]
+                .into_iter()
+                .filter_map(|(to, by)| Some(Passage { to: to?, by }))
+                .collect();
+            if let Some(to) = act.on_failure.then {
+                passages.extend(after_failure(&act.on_failure, &robots, cast).map(|by| Passage { to, by }));
+            }
+            passages
         };
-        Self(ways.iter().map(of).collect())
+        Self(acts.iter().map(of).collect())
     }
+}
+
+/// How the devices of other robots can be left by a failure of one of these robots.
+fn after_failure(policy: &FailurePolicy, robots: &[usize], cast: &Cast<'_>) -> impl Iterator<Item = By> {
+    let rules: HashMap<&RobotId, OnFailure> =
+        policy.robots.iter().map(|(robot, rule)| (robot, *rule)).collect();
+    let rule = |robot: usize| rules.get(cast.id(robot)).copied().unwrap_or(policy.default);
+    let home = robots.iter().any(|robot| rule(*robot) == OnFailure::Home).then_some(By::Home);
+    let mut left_out = robots.iter().copied().filter(|robot| rule(*robot) == OnFailure::Without);
+    let without = left_out.next().map(|first| match left_out.next() {
+        None => By::Without { only: Some(first) },
+        Some(_) => By::Without { only: None },
+    });
+    home.into_iter().chain(without)
+}
+
+/// The robots that the acts move or read: no others take part in the mission.
+fn participants(acts: &[Act], cast: &Cast<'_>) -> Vec<usize> {
+    let moved = acts.iter().flat_map(|act| &act.plan.robots).map(|planned| &planned.robot);
+    let read = acts.iter().flat_map(|act| &act.readings).map(|reading| &reading.robot);
+    let mut robots: Vec<usize> = moved.chain(read).filter_map(|robot| cast.index(robot)).collect();
+    robots.extend(acts.iter().filter_map(|act| match &act.wait {
+        Wait::Sensor { robot, .. } => cast.index(&robot.parse().ok()?),
+        _ => None,
+    }));
+    robots.sort_unstable();
+    robots.dedup();
+    robots
 }
 
 /// Where an act leaves the devices that it moves: `None` for those that it does not leave at a position.
@@ -180,14 +231,18 @@ enum LeftBy {
     Failure(usize),
 }
 
+/// The factors by which acts could be faster until a device exceeds its speed on the way to its first keyframe, by act, robot and device.
+pub(super) type Factors = HashMap<(usize, usize, usize), f64>;
+
 /// Checks the beginning of each act against each way that leads into it, including ways back from a later act.
 pub(super) fn check_entries(
     findings: &mut Reader,
     cast: &Cast<'_>,
-    acts: &[Act],
+    acts: &[scenario::Act],
     passages: &Passages,
     (first, moved): (&[Vec<First>], &[Moved]),
-) {
+) -> Factors {
+    let mut factors = Factors::new();
     let mut by_device: HashMap<(usize, usize), Vec<(usize, &Segment)>> = HashMap::new();
     for (act, first) in first.iter().enumerate() {
         for First { robot, index, segment } in first {
@@ -219,10 +274,15 @@ pub(super) fn check_entries(
                 };
                 let is_sure = place.left_by != LeftBy::Beginning;
                 let from = Position { value: place.value, since: Span::ZERO, whence, is_sure };
-                mover.arrives(findings, segment, &from);
+                let factor = mover.arrives(findings, segment, &from);
+                if factor.is_finite() {
+                    let known = factors.entry((act, robot, index)).or_insert(factor);
+                    *known = known.min(factor);
+                }
             }
         }
     }
+    factors
 }
 
 /// The number of positions that are distinguished at the beginning of one act.
@@ -245,10 +305,11 @@ fn places(
         for passage in &passages[act] {
             let left: Vec<Place> = match (passage.by, moved[act].get(&key)) {
                 (By::Home, _) => default(LeftBy::Failure(act)).into_iter().collect(),
-                (By::Next, Some(left)) => {
+                (By::Without { only: Some(only) }, _) if only == key.0 => continue,
+                (By::Next | By::Without { .. }, Some(left)) => {
                     left.map(|value| Place { value, left_by: LeftBy::Act(act) }).into_iter().collect()
                 }
-                (By::Next | By::Timeout, _) => places[act].clone(),
+                (By::Next | By::Without { .. } | By::Timeout, _) => places[act].clone(),
             };
             for place in left {
                 if add(&mut places[passage.to], place) && !changed.contains(&passage.to) {

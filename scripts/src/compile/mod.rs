@@ -111,7 +111,6 @@ impl Compiler {
         let mut incomplete = HashSet::new();
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
-        let passages = Passages::of(&ways, fleet.robots.len());
         let (mut first_movements, mut moved) = (Vec::new(), Vec::new());
         let others: Vec<_> = (0..ways.len()).map(|index| cast::OtherWays::into(&ways, index)).collect();
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
@@ -184,14 +183,14 @@ impl Compiler {
                 on_doubt: act.on_doubt,
             }));
         }
-        // If the times of an act contradict each other, the positions in which it leaves devices are unknown.
-        if acts.iter().all(Option::is_some) {
-            let known = (first_movements.as_slice(), moved.as_slice());
-            jumps::check_entries(&mut self.findings, &cast, &scenario.acts, &passages, known);
-        }
         check_formations::check(&mut self.findings, &scenario, fleet);
         check_safety::check(&mut self.findings, &scenario, &acts);
+        // If the times of an act contradict each other, the positions in which it leaves devices are unknown.
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
+        let known = (first_movements.as_slice(), moved.as_slice());
+        let passages = Passages::of(&acts, &cast);
+        let factors = jumps::check_entries(&mut self.findings, &cast, &scenario.acts, &passages, known);
+        limit_entries(&mut acts, &cast, &factors);
         compensate::compensate(&mut acts, fleet);
         at_end::go_home(&mut self.findings, &scenario, (&cast, fleet), &mut acts, &rests);
         let choreography = Choreography {
@@ -233,6 +232,18 @@ impl Compiler {
         }
         // The times of cues that could not be read completely are not known.
         Times { members, times, consistent: consistent && act.faults == 0 }
+    }
+}
+
+/// Notes how much faster the ways into acts could be.
+fn limit_entries(acts: &mut [Act], cast: &Cast<'_>, factors: &jumps::Factors) {
+    for (act, planned) in acts.iter_mut().enumerate().filter(|_| !factors.is_empty()) {
+        for used in &mut planned.devices {
+            let Some(robot) = cast.index(&used.robot) else { continue };
+            let index = cast.devices(robot).iter().position(|device| device.id == used.device);
+            let factor = index.and_then(|index| factors.get(&(act, robot, index)));
+            used.entry_factor_max = factor.copied().unwrap_or(f64::INFINITY);
+        }
     }
 }
 

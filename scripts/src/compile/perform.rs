@@ -306,10 +306,11 @@ impl<'c, 'a> Performer<'c, 'a> {
         let set = check_values::check(self.findings, on, control_type, curve);
         let played = Played::new(curve, set);
         let sound = self.findings.errors() == before;
-        check_motion::check(self.findings, on, control_type, &played.as_set());
+        let factor_max = check_motion::check(self.findings, on, control_type, &played.as_set());
         self.check_beginning(on, &actuator, curve);
         curve.knots.first()?;
-        self.fitted(on, &actuator, &played, sound)
+        let part = self.fitted(on, &actuator, &played, sound)?;
+        Some(Part { factor_max, ..part })
     }
 
     /// The fewest steps within the tolerance; or the least error with this many steps, where the track asks for that.
@@ -367,6 +368,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             worst: fitted.worst,
             worst_at: fitted.worst_at,
             tolerance,
+            factor_max: f64::INFINITY,
             excess: Excess::of(on.track),
             items: on.track.items,
             place: on.track.place.clone(),
@@ -528,6 +530,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             worst_at,
             moves_from_anywhere: false,
             tolerance: 0.0,
+            factor_max: f64::INFINITY,
             excess: Excess::of(on.track),
             items: on.track.items,
             place: on.track.place.clone(),

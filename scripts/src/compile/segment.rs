@@ -32,6 +32,8 @@ pub(super) struct Part {
     pub(super) moves_from_anywhere: bool,
     /// The budget and tolerance within which it was made.
     pub(super) tolerance: f64,
+    /// The largest factor of the speed of the show within the limits of the device.
+    pub(super) factor_max: f64,
     /// What is less of it where there is too much.
     pub(super) excess: Excess,
     pub(super) items: Items,

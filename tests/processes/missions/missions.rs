@@ -141,7 +141,7 @@ fn at_another_speed_limits_are_checked_again() {
         "robots:\n  left: {init: arm.yaml, address: sim, limits: {shoulder: {speed: 60}}}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
     );
     session.run(&["dry-run", "evening.yaml", "--speed", "1.1"]).says(0, &["done"]);
-    let too_fast = ["robot `left` device `shoulder` step 2: 100.000 a second to it, at most 60 is allowed"];
+    let too_fast = ["robot `left` device `shoulder` can move at most 1.200 times as fast as written (act `"];
     session.run(&["dry-run", "evening.yaml", "--speed", "2"]).says(1, &too_fast);
 }
 

@@ -380,6 +380,8 @@ mod tests {
             budget: 8,
             worst_error,
             worst_at: Span::ZERO,
+            factor_max: f64::INFINITY,
+            entry_factor_max: f64::INFINITY,
             speed_max: None,
             is_unlimited: false,
         }
