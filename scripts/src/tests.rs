@@ -273,6 +273,7 @@ mod groups;
 mod held;
 mod hints;
 mod large_groups;
+mod metamorphic;
 mod names;
 mod numbers;
 mod once;

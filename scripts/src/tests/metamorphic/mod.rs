@@ -1,0 +1,56 @@
+//! Metamorphic tests: a scenario is changed in a way that says what becomes of its findings and its plan, so that no test has to know
+//! either of them. Shows are those of the second reading of ways.
+
+mod grid;
+mod order;
+mod time;
+mod unrolled;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::ways::{Show, compiled, fleet_of, observed};
+use crate::{Act, Compiled, Fleet};
+
+/// Steps of each device: nanoseconds from the start of the act, and values.
+type Steps = BTreeMap<(String, String), Vec<(i64, f64)>>;
+
+/// What the devices do in an act, however it is cut into scripts.
+fn steps(act: &Act) -> Steps {
+    let mut steps = Steps::new();
+    for robot in &act.plan.robots {
+        for script in &robot.scripts {
+            let device = steps.entry((robot.robot.to_string(), script.device.to_string())).or_default();
+            for step in script.script.steps() {
+                let step = ((script.start.span() + step.offset.span()).as_nanos(), step.setpoint.value);
+                // A script begins with the last step of the one before it.
+                if device.last() != Some(&step) {
+                    device.push(step);
+                }
+            }
+        }
+    }
+    steps
+}
+
+/// The steps of all acts.
+fn all_steps(compiled: &Compiled) -> Option<Vec<Steps>> {
+    Some(compiled.choreography.as_ref()?.acts.iter().map(steps).collect())
+}
+
+/// What is reported, with the lines changed.
+fn facts(compiled: &Compiled, line: impl Fn(usize) -> usize) -> BTreeSet<String> {
+    let mut findings = compiled.findings.clone();
+    for finding in &mut findings {
+        finding.line = line(finding.line);
+        finding.related.iter_mut().for_each(|place| place.line = line(place.line));
+    }
+    observed::facts(&findings).unwrap_or_else(|error| panic!("{error}\n{findings:#?}"))
+}
+
+fn of(show: &Show, fleet: &Fleet) -> Compiled {
+    compiled(&show.yaml(), fleet)
+}
+
+fn three() -> Fleet {
+    fleet_of(&super::ways::ROBOTS)
+}
