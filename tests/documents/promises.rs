@@ -11,7 +11,7 @@ use downbeat::simulation::Verdict;
 use stage::session::root;
 
 use sentences::sentences;
-use table::{NO_PROMISES, OPEN_MAX, PROMISES};
+use table::{NO_PROMISES, PROMISES};
 
 /// Which document a sentence is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

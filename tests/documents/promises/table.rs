@@ -967,7 +967,7 @@ pub const PROMISES: &[Promise] = &[
         Mission,
         "whole lines follow a damaged one | withdraws everything, also what only those lines name",
         &[Test(
-            "scheduler/src/journal/tests.rs::robots_that_only_lines_after_the_damage_name_are_withdrawn_as_well",
+            "scheduler/runtime/src/journal/tests.rs::robots_that_only_lines_after_the_damage_name_are_withdrawn_as_well",
         )],
     ),
     (
@@ -1875,7 +1875,7 @@ pub const PROMISES: &[Promise] = &[
         "Nothing proves a refusal, so an operator draws no conclusion from it but that it is not let in.",
         &[
             Test(
-                "scheduler/src/link/secure.rs::from_a_forged_refusal_follows_only_that_the_operator_is_not_let_in",
+                "scheduler/runtime/src/link/secure.rs::from_a_forged_refusal_follows_only_that_the_operator_is_not_let_in",
             ),
             Test("scheduler/mission/src/tests/lost.rs::a_robot_whose_process_is_gone_has_lost_what_it_had"),
         ],

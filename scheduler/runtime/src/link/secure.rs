@@ -293,10 +293,10 @@ mod tests {
     use tokio::sync::mpsc;
 
     use super::*;
-    use crate::drive::{Happened, LinkNumber};
     use crate::link::{Endpoint, Link, LinkEncoding};
-    use crate::mission::{Event, Loss};
     use crate::server_clock::ServerClock;
+    use downbeat_mission::drive::{Happened, LinkNumber};
+    use downbeat_mission::{Event, Loss};
 
     #[test]
     fn why_no_tls_came_about_is_told_in_words_of_certificates_and_by_whose_they_are() {
