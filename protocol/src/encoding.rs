@@ -14,7 +14,7 @@ pub enum Encoding {
 }
 
 impl Encoding {
-    /// The word in an initialization block and in a fleet file.
+    /// The name in an initialization block and in a fleet file.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {

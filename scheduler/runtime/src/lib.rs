@@ -5,7 +5,7 @@
 //! | [`run`] | a mission in real time, and what another process can ask of it |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`link`] | links to robots: within the process, over TCP, TLS and Zenoh |
-//! | [`journal`], [`recording`] | what is kept on the disk |
+//! | [`journal`], [`recording`] | the files of a mission |
 //! | [`stop_lane`], [`signals`] | the operator's stop, on a thread of its own; signals of the system |
 //! | [`server_clock`] | the clock of the server, and NTP |
 //! | [`keys`] | the authority of a site, which makes the keys of robots and operators |

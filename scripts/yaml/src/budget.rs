@@ -41,7 +41,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// A budget of which nothing has been taken.
+    /// A full budget.
     pub const fn new(most: usize) -> Self {
         Self { most, left: most, overdrawn: false }
     }

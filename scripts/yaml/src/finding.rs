@@ -243,7 +243,7 @@ pub struct Pending {
     pub code: Code,
     /// Where the user must act.
     pub place: Place,
-    /// What is wrong.
+    /// The fault.
     pub message: String,
     /// What was expected.
     pub expected: String,

@@ -142,7 +142,7 @@ impl Hmac {
     /// The pass to begin with.
     ///
     /// # Errors
-    /// There is none, or it has expired; the error says how to make one.
+    /// The operator has no pass; the error says how to make one.
     pub fn pass(&self) -> io::Result<&Held> {
         self.first().map_err(io::Error::other)
     }

@@ -122,7 +122,7 @@ pub struct Fault {
     pub span: Span,
     /// The kind of the finding.
     pub code: Code,
-    /// What is wrong.
+    /// The fault.
     pub message: String,
     /// What was expected.
     pub expected: String,

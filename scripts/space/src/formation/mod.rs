@@ -70,7 +70,7 @@ pub enum Shape {
 /// A file that is not what it should be.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unfit {
-    /// What is wrong.
+    /// The fault.
     pub message: String,
     /// What was expected.
     pub expected: &'static str,

@@ -86,7 +86,7 @@ pub struct Crossing<'a> {
     pub bodies: &'a [Body],
     /// Where they go.
     pub goals: Goals<'a>,
-    /// What is to be as small as possible.
+    /// The quantity to minimize.
     pub least: Least,
     /// How long each body has, in seconds.
     pub over: f64,

@@ -49,7 +49,7 @@ fn told(compiled: &Compiled) -> (Option<Steps>, Vec<crate::Code>) {
     (act, compiled.findings.iter().map(|finding| finding.code).collect())
 }
 
-/// What is done with a movement, without `every`.
+/// A change of a movement, without `every`.
 fn written() -> impl Strategy<Value = String> {
     changes().prop_map(|change| change.yaml).prop_filter("turn to turn", |yaml| !yaml.contains(EVERY))
 }

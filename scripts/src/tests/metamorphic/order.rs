@@ -1,4 +1,4 @@
-//! What is listed in another order, or beside others, is the same.
+//! Another order of a list, or further items in it, changes nothing.
 
 use proptest::prelude::*;
 

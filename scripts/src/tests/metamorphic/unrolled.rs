@@ -9,7 +9,7 @@ use super::super::ways::{Act, Show, Target, Waits};
 use super::{facts, of, three};
 use crate::{Code, Fleet, Severity};
 
-/// The acts one after another, so many times.
+/// The acts one after another, `times` times.
 fn rounds(show: &Show, times: usize) -> Show {
     let plain =
         |act: &Act| Act { otherwise: None, next: None, then: None, waits: Waits::Operator, ..act.clone() };

@@ -1,4 +1,4 @@
-//! What is wrong with a show: found by following every way from act to act, for each device of each robot.
+//! The faults of a show: found by following every way from act to act, for each device of each robot.
 
 use std::collections::BTreeSet;
 
@@ -57,7 +57,7 @@ impl Kind {
         nearest
     }
 
-    /// What is wrong with a position.
+    /// The fault of a position.
     fn fault(&self, value: f64, snap: bool) -> Option<Code> {
         match (self.contains(value), self.is_on_grid(value)) {
             (true, true) => None,

@@ -1,6 +1,6 @@
 //! The second reading of the ways between acts: random acts with `next`, `wait`, `otherwise` and `on_failure`, in which devices move from
-//! keyframe to keyframe. Where each device can be when an act begins is found by following every way; what is wrong with that, with the
-//! values and with the graph of acts is predicted, errors and warnings, and compared with the findings. Of sound scenarios, the reading
+//! keyframe to keyframe. Where each device can be when an act begins is found by following every way; the faults of that, of the
+//! values and of the graph of acts are predicted, errors and warnings, and compared with the findings. Of sound scenarios, the reading
 //! also predicts the first positions and the limits of selections (`--act`, `--from`, `--only`, `--speed`).
 //!
 //! It reads twice as many scenarios as `whole`.

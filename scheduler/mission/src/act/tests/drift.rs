@@ -4,13 +4,13 @@ use super::*;
 use crate::ClockMode;
 use crate::clock::ClockEstimate;
 
-/// An exchange with a clock that is ahead by so many milliseconds.
+/// An exchange with a clock that is ahead by `ahead` milliseconds.
 fn shows(now: Timestamp<Server>, ahead: i64) -> ClockSample {
     let there = by_robot(now) + ms(ahead);
     ClockSample::from_exchange(now, there, there, now)
 }
 
-/// A clock that has come to be ahead by so many milliseconds.
+/// A clock that is now ahead by `ahead` milliseconds.
 fn drifted(now: Timestamp<Server>, ahead: i64) -> ClockEstimate {
     let mut clock = ClockEstimate::default();
     clock.add(shows(now, ahead));
