@@ -333,7 +333,10 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
         let until = inquiry.pending_until.map(|until| (until - offset).assume_clock::<Server>());
-        match until.filter(|until| *until < act.promise.start) {
+        // A device that begins later has a lease that may end after the start of the act, and before its own.
+        let script = act.of(robot).find(|script| script.promised.request_id == *named);
+        let start = script.map_or(act.promise.start, |script| act.start_of(script));
+        match until.filter(|until| *until < start) {
             // A lease that has ended is not renewed any more.
             Some(_) if leases.get(named).is_some_and(|(ends, ..)| at > ends) => {}
             Some(until) => {

@@ -283,13 +283,14 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         }
         let (before, other_before) = (before(facts, act), before(undisturbed, other));
         let Some((before, other_before)) = before.zip(other_before) else { continue };
-        if before.promise.act != other_before.promise.act {
+        // A robot that has come only in one of them leaves its devices free for the next act in the other.
+        if before.promise.act != other_before.promise.act || before.robots() != other_before.robots() {
             continue;
         }
         let (gap, other_gap) = (gap(before, act), gap(other_before, other));
         // An act is sent as soon as its devices have room. What its lead is longer by, which is bounded above, it starts later.
         // After a stop the whole lead comes after it and no longer overlaps the act before.
-        let longer = match was_stopped(facts, before, act) {
+        let longer = match was_stopped(facts, before, act) || waited_for_room(facts, before, act) {
             true => with,
             false => (with - without).max(Span::ZERO),
         };
@@ -307,7 +308,8 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
 pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
     let long = facts.acts.iter().filter(|act| {
         let late = |before: &SentAct<'_>| {
-            let longer = if was_stopped(facts, before, act) { lead(act) } else { Span::ZERO };
+            let waited = was_stopped(facts, before, act) || waited_for_room(facts, before, act);
+            let longer = if waited { lead(act) } else { Span::ZERO };
             gap(before, act) > longer + gap_allowed(facts, before, act)
         };
         lead(act) > LEAD_LEAST * TIMES + lead_allowed(facts, act) || before(facts, act).is_some_and(late)
@@ -366,6 +368,17 @@ fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) ->
 /// Everything was being stopped between two acts.
 fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
+}
+
+/// An act whose time has passed was sent only once the act before it had ended, because a link of one of its robots had been slow: a
+/// script that follows the act before on its device might have come late.
+fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
+    let has_passed = matches!(act.written.wait, Wait::Instant(at) if at < act.promise.start + act.ahead);
+    let slow = |hit: &Hit| {
+        let of_act = hit.robot.is_some_and(|robot| act.robots().contains(&robot));
+        of_act && hit.cause == Cause::Slow && hit.from <= act.at
+    };
+    has_passed && gap(before, act) >= lead(act) - DRIFT && facts.hits.iter().any(slow)
 }
 
 /// The act that was sent before another.
