@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use downbeat::simulation::baseline::{self, Go};
-use downbeat::simulation::{self, Cause, Excuse, Starts, Verdict, Violation};
+use downbeat::simulation::{self, Cause, Excuse, FaultKind, Stage, Starts, Verdict, Violation};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[global_allocator]
@@ -28,6 +28,12 @@ macro_rules! say {
 
 /// Stories of violations that are told without being asked for.
 const STORIES_MAX: usize = 1;
+
+/// The number of seeds that have to bring each fault to each stage that it can meet.
+const SEEDS_FOR_EACH_STAGE: u64 = 20_000;
+
+/// The exit code if nothing is violated, and a fault has not met a stage that it can meet.
+const NOT_MET: u8 = 3;
 
 /// Plays seeds of faults and holds the invariants against what the robots really did.
 #[derive(Parser)]
@@ -92,11 +98,19 @@ fn percent(count: u64, of: u64) -> f64 {
     100.0 * count as f64 / of.max(1) as f64
 }
 
+/// How often a cause excused something, and the first seed in which it did.
+#[derive(Clone, Copy)]
+struct Excused {
+    count: u64,
+    first: u64,
+}
+
 #[derive(Default)]
 struct Found {
     counts: [Counts; 3],
-    excuses: BTreeMap<(char, Cause), u64>,
+    excuses: BTreeMap<(char, Cause), Excused>,
     violations: Vec<(u64, Violation)>,
+    met: BTreeMap<(FaultKind, Stage), u64>,
 }
 
 impl Found {
@@ -104,22 +118,30 @@ impl Found {
         for (sum, counts) in self.counts.iter_mut().zip(&other.counts) {
             sum.add(counts);
         }
-        for (excuse, count) in other.excuses {
-            *self.excuses.entry(excuse).or_default() += count;
+        for (excuse, Excused { count, first }) in other.excuses {
+            let sum = self.excuses.entry(excuse).or_insert(Excused { count: 0, first });
+            *sum = Excused { count: sum.count + count, first: sum.first.min(first) };
         }
         self.violations.extend(other.violations);
+        for (cell, count) in other.met {
+            *self.met.entry(cell).or_default() += count;
+        }
     }
 
     fn look_at(&mut self, seed: u64) {
         let ran = simulation::run(seed);
         let verdict = simulation::judge(&ran);
+        for cell in simulation::faults_met(&ran) {
+            *self.met.entry(cell).or_default() += 1;
+        }
         for act in &verdict.acts {
             self.counts[0].take(act.starts);
             self.counts[1].take(baseline::starts(&ran.drawn, Go::Broadcast, act));
             self.counts[2].take(baseline::starts(&ran.drawn, Go::Sequential, act));
         }
         for Excuse { invariant, cause } in verdict.excuses {
-            *self.excuses.entry((invariant, cause)).or_default() += 1;
+            let sum = self.excuses.entry((invariant, cause)).or_insert(Excused { count: 0, first: seed });
+            *sum = Excused { count: sum.count + 1, first: sum.first.min(seed) };
         }
         self.violations.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
     }
@@ -133,6 +155,7 @@ impl Found {
         let causes = "why starts were mixed, each by a fault within its window";
         self.print_excuses('a', causes, self.counts[0].acts);
         self.print_excuses('f', "why robots started beyond the skew budget", self.counts[0].acts);
+        self.print_met();
         say!("");
         for (invariant, name) in Verdict::INVARIANTS {
             let of = self.violations.iter().filter(|(_, violation)| violation.invariant == invariant);
@@ -141,16 +164,63 @@ impl Found {
         for (seed, violation) in self.violations.iter().take(list) {
             say!("seed {seed}: {violation}");
         }
+        for what in self.beyond_limits() {
+            say!("all seeds: {what}");
+        }
+    }
+
+    /// How often each fault met each stage of a mission; `-` if it cannot meet it.
+    fn print_met(&self) {
+        say!("");
+        let stages: String = Stage::ALL.iter().map(|stage| format!("{stage:>10}")).collect();
+        say!("{:<23}{stages}", "faults, by the stage");
+        for kind in FaultKind::ALL {
+            let count = |stage: &Stage| match self.met.get(&(kind, *stage)) {
+                _ if !stage.meets(kind) => format!("{:>10}", "-"),
+                count => format!("{:>10}", count.copied().unwrap_or_default()),
+            };
+            say!("{kind:<23}{}", Stage::ALL.iter().map(count).collect::<String>());
+        }
+    }
+
+    /// The faults that have not met a stage that they can meet, where enough missions were played.
+    fn not_met(&self, seeds: u64) -> Vec<String> {
+        let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
+        let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
+        let missing = missing.filter(|_| seeds >= SEEDS_FOR_EACH_STAGE);
+        missing.map(|(kind, stage)| format!("no mission met `{kind}` at the stage `{stage}`")).collect()
+    }
+
+    /// The causes that excuse more acts than they may.
+    fn beyond_limits(&self) -> Vec<String> {
+        let acts = self.counts[0].acts;
+        let beyond = |(&(invariant, cause), excused): (&(char, Cause), &Excused)| {
+            let expected = cause.largest_share(invariant) * acts as f64;
+            // By chance, a few seeds may have more.
+            let most = expected + 4.0 * expected.sqrt() + 1.0;
+            let share = percent(excused.count, acts);
+            let largest = 100.0 * cause.largest_share(invariant);
+            let what = format!(
+                "({invariant}) `{cause}` excuses {share:.3} % of acts, and may excuse {largest:.3} %; the first \
+                 of these seeds is {}",
+                excused.first
+            );
+            (excused.count as f64 > most).then_some(what)
+        };
+        self.excuses.iter().filter_map(beyond).collect()
     }
 
     /// What was excused of an invariant: a line a cause, and their sum.
     fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
-        say!("\n{title:<58} {:>8} {:>11}", "", "of acts");
-        let count = |cause: &Cause| self.excuses.get(&(invariant, *cause)).copied().unwrap_or_default();
-        for cause in Cause::ALL.iter().filter(|cause| count(cause) > 0) {
-            say!("  {:<56} {:>8} {:>9.3} %", cause.to_string(), count(cause), percent(count(cause), acts));
+        say!("\n{title:<58} {:>8} {:>11} {:>11} {:>10}", "", "of acts", "at most", "first seed");
+        let excused =
+            Cause::ALL.iter().filter_map(|cause| Some((cause, self.excuses.get(&(invariant, *cause))?)));
+        let mut sum = 0;
+        for (cause, Excused { count, first }) in excused {
+            sum += count;
+            let (share, most) = (percent(*count, acts), 100.0 * cause.largest_share(invariant));
+            say!("  {:<56} {count:>8} {share:>9.3} % {most:>9.3} % {first:>10}", cause.to_string());
         }
-        let sum: u64 = Cause::ALL.iter().map(count).sum();
         say!("  {:<56} {sum:>8} {:>9.3} %", "in all", percent(sum, acts));
     }
 }
@@ -172,7 +242,14 @@ fn main() -> ExitCode {
     seeds.into_iter().take(STORIES_MAX).for_each(|seed| {
         let _failure = tell(seed);
     });
-    if found.violations.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    if !found.violations.is_empty() || !found.beyond_limits().is_empty() {
+        return ExitCode::FAILURE;
+    }
+    let not_met = found.not_met(args.seeds);
+    for what in &not_met {
+        say!("{what}");
+    }
+    if not_met.is_empty() { ExitCode::SUCCESS } else { ExitCode::from(NOT_MET) }
 }
 
 fn play_all(args: &Args) -> Found {

@@ -82,6 +82,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
                 Network::Stream => arrival = arrival.max(*at + lasts),
                 Network::Datagram { .. } => return None,
             },
+            Some(Meets::Longer(by, lasts)) if *at <= now && now < *at + lasts => arrival += by,
             Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => {
                 return None;
             }
@@ -97,6 +98,8 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 enum Meets {
     /// It has to wait for this long.
     Wait(Span),
+    /// It takes this much longer, for this long.
+    Longer(Span, Span),
     /// It is lost, for this long or forever.
     Nothing(Option<Span>),
     /// The robot is gone with all that it held.
@@ -115,6 +118,7 @@ fn meets(fault: &Fault, to: usize) -> Option<Meets> {
         Fault::Partition { robot, lasts, breaks: true } | Fault::DeadLink { robot, lasts } if robot == to => {
             Some(Meets::Nothing(Some(lasts)))
         }
+        Fault::Lag { robot, by, lasts } if robot == to => Some(Meets::Longer(by, lasts)),
         // The connection is not made again.
         Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
         Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),

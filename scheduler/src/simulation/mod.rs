@@ -6,6 +6,7 @@ pub mod baseline;
 mod check;
 mod draw;
 mod shrink;
+mod stage;
 mod trace;
 pub mod trajectory;
 mod world;
@@ -17,9 +18,10 @@ use crate::mission::{Progress, Record};
 use crate::report::Report;
 pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
 pub use draw::{
-    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, Hands, Lie, Names, Network, draw,
+    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, FaultKind, Hands, Lie, Names, Network, draw,
 };
 pub use shrink::{Shrunk, shrunk};
+pub use stage::{Stage, faults_met};
 pub use trace::trace;
 
 /// What happened to a seed.

@@ -111,7 +111,7 @@ fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
 /// one that was left out because it missed its start has. One that comes later in an act that was stopped on the way has
 /// not missed its start.
 fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
-    let Some(first) = act.first_start(robot).filter(|_| facts.honest(robot)) else { return false };
+    let Some(first) = act.first_movement(robot).filter(|_| facts.honest(robot)) else { return false };
     let began = act.of(robot).any(SentScript::began);
     let left_out = facts.dropped[robot].is_some_and(|at| at < act.promise.start);
     let stopped = facts.stopping.iter().any(|at| *at > act.at && *at >= act.promise.start && *at <= first);
@@ -143,7 +143,7 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
 /// When a robot has surely started, if it does.
 fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
     let (_, late) = early_and_late(facts, robot);
-    Some(act.first_start(robot)? + late + START_LATE_MAX)
+    Some(act.first_movement(robot)? + late + START_LATE_MAX)
 }
 
 /// The first fault of a robot that begins between two instants, of those that count.

@@ -318,6 +318,17 @@ impl<'a> Facts<'a> {
         self.ran.history.iter().any(|(_, happened)| matches!(happened, Happened::TakenUp(_)))
     }
 
+    /// Whether a record that was written at an instant was surely on the disk when its process ended, so that the next one knew it. A sync
+    /// that is under way comes first.
+    pub(super) fn was_kept(&self, at: Timestamp<Server>) -> bool {
+        let crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash && hit.from >= at);
+        let Some(ended) = crashes.map(|hit| hit.from).min() else { return true };
+        let disk = &self.drawn().disk;
+        let by = at + disk.sync * 2;
+        let stalls = self.hits.iter().any(|hit| hit.cause == Cause::Disk && hit.overlaps(at, by));
+        disk.capacity.is_none() && !stalls && by < ended
+    }
+
     /// What happened between two instants, both included.
     pub(super) fn between(
         &self,
@@ -422,6 +433,11 @@ impl<'a> SentAct<'a> {
     /// When a robot is to start, if it has a script.
     pub(super) fn first_start(&self, robot: usize) -> Option<Timestamp<Server>> {
         self.of(robot).map(|script| self.start_of(script)).min()
+    }
+
+    /// When a robot is to move for the first time: a device that does not move linearly waits for the first step of its script.
+    pub(super) fn first_movement(&self, robot: usize) -> Option<Timestamp<Server>> {
+        self.of(robot).map(|script| self.start_of(script) + script.starts_after).min()
     }
 
     /// The script that comes before one on its device.

@@ -419,7 +419,10 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
             let others = slow[index + 1..].iter().filter(move |second| second.from >= first.until);
             others.map(move |second| lasts(first).min(lasts(second)))
         });
-        apart.max().max(rests.into_iter().rev().nth(1))
+        let slow = apart.max().max(rests.into_iter().rev().nth(1));
+        // A link with long delays has them both ways, and a moment is the way of one message.
+        let lags = |(_, fault): &(Span, Fault)| matches!(fault, Fault::Lag { robot: of, .. } if *of == robot);
+        slow.map(|slow| if facts.drawn().faults.iter().any(lags) { slow * 2 } else { slow })
     };
     act.robots().into_iter().filter_map(of_robot).max().unwrap_or_default()
 }

@@ -40,7 +40,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
         return None;
     }
     let heard: Vec<Timestamp<Server>> = facts.heard(robot).collect();
-    let leases: HashMap<&str, (Option<Span>, Option<Span>)> = facts
+    let leases: HashMap<&str, (Option<Span>, Option<Span>, Span)> = facts
         .acts
         .iter()
         .flat_map(|act| act.of(robot).map(move |script| (act, script)))
@@ -51,27 +51,29 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
                 Some(before) => before.promised.running.map(|lease| lease.span().max(act.promise.lease)),
                 None => Some(act.promise.lease),
             };
-            (script.promised.request_id.as_str(), (pending, running))
+            let first = script.written.and_then(|written| written.script.steps().first());
+            let first = first.map_or(Span::ZERO, |step| step.offset.span());
+            (script.promised.request_id.as_str(), (pending, running, first))
         })
         .collect();
     // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it continues.
     for entry in facts.ran.logs[robot].iter().filter(|entry| entry.is_set()) {
         let name = entry.request_id.as_deref().map(|id| facts.promised_name(robot, id));
-        let Some((pending, running)) = name.and_then(|name| leases.get(name)) else { continue };
+        let Some((pending, running, first)) = name.and_then(|name| leases.get(name)) else { continue };
         let due = entry.true_ns - (entry.set_at - entry.due).as_nanos();
         let at = Timestamp::<Server>::from_nanos(due);
-        let lease = match entry.step {
-            Some(0) => (*pending).into_iter().chain(*running).min(),
-            _ => *running,
-        };
-        let last = heard.partition_point(|heard| *heard <= at).checked_sub(1).map(|last| heard[last]);
-        if let (Some(lease), Some(last)) = (lease, last)
-            && at - last > lease + DRIFT
-        {
-            let silent = at - last;
-            return Some(format!(
-                "r{robot} moved {silent} after it was last heard of, its lease was {lease}"
-            ));
+        // If the first step comes later than its script starts, the script already plays in between.
+        let started = (entry.step == Some(0)).then_some((at - *first, *pending));
+        for (at, lease) in started.into_iter().chain([(at, *running)]) {
+            let last = heard.partition_point(|heard| *heard <= at).checked_sub(1).map(|last| heard[last]);
+            if let (Some(lease), Some(last)) = (lease, last)
+                && at - last > lease + DRIFT
+            {
+                let silent = at - last;
+                return Some(format!(
+                    "r{robot} moved {silent} after it was last heard of, its lease was {lease}"
+                ));
+            }
         }
     }
     None

@@ -3,6 +3,7 @@
 use fastrand::Rng;
 use urrcp::Span;
 
+use super::kind::FaultKind;
 use super::network::Direction;
 use super::{Drawn, millis, one_in};
 
@@ -73,6 +74,15 @@ pub enum Fault {
         /// For how long.
         lasts: Span,
     },
+    /// Each message takes this much longer, either way, for a while.
+    Lag {
+        /// Index of the robot in the fleet.
+        robot: usize,
+        /// How much longer.
+        by: Span,
+        /// For how long.
+        lasts: Span,
+    },
     /// The robot's side of the connection is gone, and the scheduler's side does not know.
     HalfOpen {
         /// Index of the robot in the fleet.
@@ -113,6 +123,14 @@ pub enum Fault {
     },
     /// The scheduler's process stands still for a while.
     SchedulerPause {
+        /// For how long.
+        lasts: Span,
+    },
+    /// The scheduler's process stalls while it acts: after this many more actions. It performs the remaining actions of that instant
+    /// when it continues.
+    SchedulerPauseAmid {
+        /// How many: messages, connections, records.
+        actions: u32,
         /// For how long.
         lasts: Span,
     },
@@ -179,53 +197,35 @@ fn draw_instant(rng: &mut Rng, drawn: &Drawn, starts: &[Span]) -> Span {
 
 fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
     let robot = rng.usize(0..robots);
+    draw_kind(rng).draw(rng, robot)
+}
+
+/// The kinds that chance alone brings, each about as often as it may be expected.
+fn draw_kind(rng: &mut Rng) -> FaultKind {
     match rng.u8(0..40) {
-        0..=6 => {
-            let back_after = (!one_in(rng, 3)).then(|| millis(rng, 20, 1_500));
-            Fault::RobotCrash { robot, back_after, told: !one_in(rng, 3) }
-        }
-        7..=8 => {
-            // Also so short that a start is late and not left out.
-            let longest = if rng.bool() { 70 } else { 1_500 };
-            Fault::RobotPause { robot, lasts: millis(rng, 1, longest) }
-        }
-        9 => Fault::AnotherRobot { robot, lasts: millis(rng, 100, 2_000) },
-        10..=11 => {
-            let back_after = rng.bool().then(|| millis(rng, 20, 1_500));
-            Fault::HardwareDies { robot, back_after, told: rng.bool() }
-        }
-        12 => Fault::ForeignSession { robot, lasts: millis(rng, 50, 3_000) },
-        13..=17 => Fault::Partition { robot, lasts: millis(rng, 1, 3_000), breaks: rng.bool() },
-        18..=20 => {
-            let way = if rng.bool() { Direction::ToRobot } else { Direction::FromRobot };
-            Fault::OneWay { robot, way, lasts: millis(rng, 1, 3_000) }
-        }
-        21..=22 => Fault::DeadLink { robot, lasts: millis(rng, 100, 3_000) },
-        23..=24 => Fault::HalfOpen { robot },
-        25 => Fault::SlowLink { robot, bandwidth: rng.u32(2_000..=60_000), lasts: millis(rng, 50, 1_500) },
-        26..=27 => {
-            let by = if rng.bool() { millis(rng, -3_000, 3_000) } else { millis(rng, -40, 40) };
-            Fault::ClockStep { robot, by }
-        }
-        28 => {
-            let by = if rng.bool() { millis(rng, -3_000, 3_000) } else { millis(rng, -20, 20) };
-            Fault::ServerClockStep { by }
-        }
-        29..=30 => Fault::SchedulerCrash { resumed_after: draw_resumption(rng) },
-        31..=34 => {
-            let most = if rng.bool() { 16 } else { 200 };
-            let actions = rng.u32(0..most);
-            Fault::SchedulerCrashAmid { actions, resumed_after: draw_resumption(rng) }
-        }
-        35..=36 => Fault::SchedulerPause { lasts: millis(rng, 1, 1_500) },
-        37 => Fault::DiskStalls { lasts: millis(rng, 20, 3_000) },
-        38 if one_in(rng, 4) => Fault::Home,
-        38 => Fault::Stop,
-        _ => Fault::StopByJournal,
+        0..=6 => FaultKind::RobotCrash,
+        7..=8 => FaultKind::RobotPause,
+        9 => FaultKind::AnotherRobot,
+        10..=11 => FaultKind::HardwareDies,
+        12 => FaultKind::ForeignSession,
+        13..=17 => FaultKind::Partition,
+        18..=20 => FaultKind::OneWay,
+        21..=22 => FaultKind::DeadLink,
+        23..=24 => FaultKind::HalfOpen,
+        25 => FaultKind::SlowLink,
+        26..=27 => FaultKind::ClockStep,
+        28 => FaultKind::ServerClockStep,
+        29..=30 => FaultKind::SchedulerCrash,
+        31..=34 => FaultKind::SchedulerCrashAmid,
+        35..=36 => FaultKind::SchedulerPause,
+        37 => FaultKind::DiskStalls,
+        38 if one_in(rng, 4) => FaultKind::Home,
+        38 => FaultKind::Stop,
+        _ => FaultKind::StopByJournal,
     }
 }
 
-fn draw_resumption(rng: &mut Rng) -> Option<Span> {
+pub(super) fn draw_resumption(rng: &mut Rng) -> Option<Span> {
     match rng.u8(0..4) {
         0 => None,
         // As by a supervisor: in time for the start.

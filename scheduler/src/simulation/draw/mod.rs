@@ -3,8 +3,11 @@
 mod choreography;
 mod faults;
 mod fleet;
+mod kind;
 mod network;
+mod staged;
 mod together;
+mod unusual;
 
 use downbeat_scripts::{Choreography, Wait};
 use fastrand::Rng;
@@ -16,6 +19,7 @@ pub(crate) use choreography::{BEGINS_AT, BRIGHT};
 pub use faults::Fault;
 pub(crate) use fleet::stranger;
 pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
+pub use kind::FaultKind;
 pub use network::{Direction, DrawnDisk, Network};
 
 /// Everything that a seed stands for.
@@ -38,6 +42,10 @@ pub struct Drawn {
     pub comes_after: Vec<Option<Span>>,
     /// What becomes of a robot that is not there at first.
     pub join: Join,
+    /// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
+    pub plans_transfers: bool,
+    /// The number of acts after which no further act begins.
+    pub acts_max: Option<u32>,
     /// What goes wrong, in order.
     pub faults: Vec<(Span, Fault)>,
     /// Where the scheduler keeps its journal.
@@ -54,10 +62,16 @@ impl Drawn {
     }
 }
 
-/// In one of this many missions, the operator sends the robots home.
-const SENT_HOME_ONE_IN: u64 = 50;
-/// The remainder of the seeds of these missions.
+/// Seeds with the same remainder of this stand for missions of one family, if the remainder is one of the following.
+const FAMILIES: u64 = 50;
+/// Several things come together that chance alone hardly ever brings together.
+const TOGETHER: u64 = 12;
+/// The operator sends the robots home.
 const SENT_HOME: u64 = 37;
+/// Acts, movements and robots are of other shapes.
+const UNUSUAL: u64 = 32;
+/// A fault of a certain kind meets a certain stage.
+const STAGED: u64 = 38;
 
 /// In one of this many missions, devices may begin at a position other than that of the first act.
 const MISPLACED_ONE_IN: u64 = 40;
@@ -73,8 +87,19 @@ fn one_in(rng: &mut Rng, count: u8) -> bool {
 /// The world of a seed.
 #[must_use]
 pub fn draw(seed: u64) -> Drawn {
-    let mut rng = Rng::with_seed(seed);
-    let rng = &mut rng;
+    let rng = &mut Rng::with_seed(seed);
+    let drawn = draw_mission(rng, seed);
+    match seed % FAMILIES {
+        TOGETHER => together::bring_together(rng, drawn),
+        SENT_HOME => send_home(rng, drawn),
+        UNUSUAL => unusual::reshape(rng, drawn),
+        STAGED => staged::stage_faults(rng, drawn, seed / FAMILIES),
+        _ => drawn,
+    }
+}
+
+/// A mission as chance alone brings it.
+fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let network = network::draw_network(rng);
     let (delay, tail) = network::draw_delay(rng);
     let show = if one_in(rng, 100) { fleet::Show::Large } else { fleet::Show::Small };
@@ -104,16 +129,13 @@ pub fn draw(seed: u64) -> Drawn {
         choreography,
         comes_after,
         join,
+        acts_max: None,
+        plans_transfers: !seed.is_multiple_of(4),
         faults: Vec::new(),
         disk,
     };
     let faults = faults::draw_faults(rng, &drawn);
-    let drawn = Drawn { faults, ..drawn };
-    match seed % SENT_HOME_ONE_IN {
-        _ if together::is_such(seed) => together::bring_together(rng, drawn),
-        SENT_HOME => send_home(rng, drawn),
-        _ => drawn,
-    }
+    Drawn { faults, ..drawn }
 }
 
 /// The operator sends all robots home while acts play, and may give a second command soon afterwards.

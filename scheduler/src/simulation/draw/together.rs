@@ -15,14 +15,6 @@ use crate::dry_run::BEGIN;
 use crate::mission::{Progress, Promise, Record};
 use crate::simulation::{Happened, Ran, play};
 
-/// Of so many seeds, the one with this remainder.
-const ONE_IN: (u64, u64) = (50, 12);
-
-/// Whether a seed stands for such a mission.
-pub(super) const fn is_such(seed: u64) -> bool {
-    seed % ONE_IN.0 == ONE_IN.1
-}
-
 /// Makes such a mission of what was drawn. One that never comes to its first decision stays as it is.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
     match rng.bool() {
@@ -171,7 +163,7 @@ mod tests {
 
     /// Some of them, as they are played.
     fn such() -> impl Iterator<Item = Ran> {
-        (0..10_000).filter(|seed| is_such(*seed)).map(run)
+        (0..10_000).filter(|seed| seed % super::super::FAMILIES == super::super::TOGETHER).map(run)
     }
 
     fn first(ran: &Ran, of: impl Fn(&Happened) -> bool) -> Option<Timestamp<Server>> {

@@ -1,5 +1,6 @@
 //! What goes wrong.
 
+use super::scheduler::Burnt;
 use super::{Item, Machine, World};
 use crate::mission::{Event, Loss, Rest};
 use crate::simulation::draw::stranger;
@@ -7,7 +8,8 @@ use crate::simulation::{Direction, Fault, Happened};
 
 impl World {
     pub(super) fn go_wrong(&mut self, fault: Fault) {
-        if !matches!(fault, Fault::SchedulerCrashAmid { .. }) {
+        // These are noted when they take effect.
+        if !matches!(fault, Fault::SchedulerCrashAmid { .. } | Fault::SchedulerPauseAmid { .. }) {
             self.note(Happened::Fault(fault));
         }
         let now = self.now;
@@ -38,7 +40,10 @@ impl World {
             Fault::ServerClockStep { by } => self.scheduler.clock_of_machine += by,
             Fault::SchedulerCrash { resumed_after } => self.crash_scheduler(fault, resumed_after),
             Fault::SchedulerCrashAmid { actions, resumed_after } => {
-                self.scheduler.light_fuse(actions, resumed_after);
+                self.scheduler.light_fuse(actions, Burnt::Dies { resumed_after });
+            }
+            Fault::SchedulerPauseAmid { actions, lasts } => {
+                self.scheduler.light_fuse(actions, Burnt::Stalls { lasts });
             }
             Fault::SchedulerPause { lasts } => {
                 self.scheduler.paused_until = now + lasts;
@@ -53,7 +58,8 @@ impl World {
             | Fault::OneWay { .. }
             | Fault::DeadLink { .. }
             | Fault::HalfOpen { .. }
-            | Fault::SlowLink { .. } => self.link_goes_wrong(fault),
+            | Fault::SlowLink { .. }
+            | Fault::Lag { .. } => self.link_goes_wrong(fault),
         }
     }
 
@@ -90,6 +96,7 @@ impl World {
             Fault::SlowLink { robot, bandwidth, lasts } => {
                 self.robots[robot].slow = Some((bandwidth, now + lasts));
             }
+            Fault::Lag { robot, by, lasts } => self.robots[robot].lags = Some((by, now + lasts)),
             _ => {}
         }
     }

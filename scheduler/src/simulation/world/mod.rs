@@ -153,15 +153,12 @@ fn options(drawn: &Drawn) -> MissionOptions {
         patience: PATIENCE,
         session: session().map(Session::named),
         join: drawn.join,
-        transfer: plans_transfers(drawn.seed)
+        acts_max: drawn.acts_max,
+        transfer: drawn
+            .plans_transfers
             .then(|| Arc::new(transfer::Planner::of(drawn)) as Arc<dyn PlanTransfer>),
         ..MissionOptions::default()
     }
-}
-
-/// Whether the mission can plan acts after a stop. Otherwise each robot goes home on its own.
-const fn plans_transfers(seed: u64) -> bool {
-    !seed.is_multiple_of(4)
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {

@@ -26,6 +26,9 @@ impl World {
         }
         let (usual, takes) = self.transmission(robot, message);
         let side = &mut self.robots[robot];
+        if let Some((by, _)) = side.lags.filter(|(_, until)| self.now < *until) {
+            delay += by;
+        }
         let arrival = match self.drawn.network {
             Network::Stream => {
                 let sent = self.now.max(side.busy[way]) + takes;

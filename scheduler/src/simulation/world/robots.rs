@@ -48,6 +48,8 @@ pub(super) struct RobotSide {
     pub(super) dead: BTreeSet<LinkId>,
     /// It carries only this many bytes a second until then.
     pub(super) slow: Option<(u32, Timestamp<Server>)>,
+    /// Each message takes this much longer until then.
+    pub(super) lags: Option<(Span, Timestamp<Server>)>,
     pub(super) log: Vec<LogEntry>,
     /// What another robot at its address did.
     pub(super) log_of_stranger: Vec<LogEntry>,
@@ -77,6 +79,7 @@ impl RobotSide {
             dead_until: BEGIN,
             dead: BTreeSet::new(),
             slow: None,
+            lags: None,
             log: Vec::new(),
             log_of_stranger: Vec::new(),
             last: [BEGIN; 2],

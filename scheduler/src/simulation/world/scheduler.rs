@@ -33,11 +33,18 @@ pub(super) enum Intention {
     Stop,
 }
 
-/// When a process dies while it acts.
+/// When something happens to a process while it acts.
 #[derive(Clone, Copy, Debug)]
 struct Fuse {
     actions: u32,
-    resumed_after: Option<Span>,
+    burnt: Burnt,
+}
+
+/// What happens to a process while it acts.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Burnt {
+    Dies { resumed_after: Option<Span> },
+    Stalls { lasts: Span },
 }
 
 pub(super) struct Scheduler {
@@ -57,6 +64,10 @@ pub(super) struct Scheduler {
     journal: Option<Journal<SimulatedDisk>>,
     /// Records that wait for the disk.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
+    /// Messages of an instant at which the process stalled while it acted: it sends them when it continues.
+    unsent: Vec<(usize, LinkId, Message)>,
+    /// It stalls, and has to continue with what it did at that instant.
+    stalls_in_act: bool,
     disk: DiskState,
     pub(super) disk_stands_still_until: Timestamp<Server>,
     fuse: Option<Fuse>,
@@ -113,6 +124,8 @@ impl Scheduler {
             attempts: vec![None; drawn.robots.len()],
             journal,
             unwritten: VecDeque::new(),
+            unsent: Vec::new(),
+            stalls_in_act: false,
             disk: DiskState::Idle,
             disk_stands_still_until: BEGIN,
             fuse: None,
@@ -121,16 +134,17 @@ impl Scheduler {
         }
     }
 
-    /// It dies after this many more actions.
-    pub(super) fn light_fuse(&mut self, actions: u32, resumed_after: Option<Span>) {
+    /// This happens to it after `actions` more actions.
+    pub(super) fn light_fuse(&mut self, actions: u32, burnt: Burnt) {
         if self.is_running() {
-            self.fuse.get_or_insert(Fuse { actions, resumed_after });
+            self.fuse.get_or_insert(Fuse { actions, burnt });
         }
     }
 
     /// When it takes what has arrived, if it could not do so at once.
     pub(super) fn wakes(&self) -> Option<Timestamp<Server>> {
-        (!self.arrived.is_empty() && self.process == Process::Running).then_some(self.paused_until)
+        let has_work = !self.arrived.is_empty() || self.stalls_in_act;
+        (has_work && self.process == Process::Running).then_some(self.paused_until)
     }
 
     pub(super) fn is_running(&self) -> bool {
@@ -171,6 +185,8 @@ impl World {
         side.fuse = None;
         side.arrived.clear();
         side.unwritten.clear();
+        side.unsent.clear();
+        side.stalls_in_act = false;
         if let Some(journal) = side.journal.take() {
             let mut disk = journal.into_disk();
             let synced = disk.synced();
@@ -210,14 +226,37 @@ impl World {
     /// Whether the process lives to do one thing more.
     fn acts(&mut self) -> bool {
         match &mut self.scheduler.fuse {
-            Some(Fuse { actions: 0, resumed_after }) => {
+            Some(Fuse { actions: 0, burnt: Burnt::Dies { resumed_after } }) => {
                 let resumed_after = *resumed_after;
                 self.crash_scheduler(Fault::SchedulerCrashAmid { actions: 0, resumed_after }, resumed_after);
+            }
+            Some(Fuse { actions: 0, burnt: Burnt::Stalls { lasts } }) => {
+                let lasts = *lasts;
+                self.stall_in_act(lasts);
             }
             Some(fuse) => fuse.actions -= 1,
             None => {}
         }
         self.scheduler.is_running()
+    }
+
+    /// The process stalls between two actions of one instant.
+    fn stall_in_act(&mut self, lasts: Span) {
+        self.note(Happened::Fault(Fault::SchedulerPauseAmid { actions: 0, lasts }));
+        let side = &mut self.scheduler;
+        (side.fuse, side.stalls_in_act) = (None, true);
+        side.paused_until = side.paused_until.max(self.now + lasts);
+        side.timers_first = self.drawn.seed.is_multiple_of(2);
+    }
+
+    /// The process continues with what it did when it stalled.
+    fn finish_acting(&mut self) {
+        if std::mem::take(&mut self.scheduler.stalls_in_act) {
+            for (robot, link, message) in std::mem::take(&mut self.scheduler.unsent) {
+                self.send_to_robot(robot, link, message);
+            }
+            self.begin_writing();
+        }
     }
 
     /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
@@ -306,7 +345,7 @@ impl World {
     fn begin_writing(&mut self) {
         let side = &mut self.scheduler;
         let Some(journal) = &mut side.journal else { return };
-        if side.disk != DiskState::Idle || side.unwritten.is_empty() {
+        if side.disk != DiskState::Idle || side.unwritten.is_empty() || side.stalls_in_act {
             return;
         }
         // A failure is found again by the sync.
@@ -369,6 +408,9 @@ impl drive::World for World {
                 return Some(drive::Happened::Killed);
             }
             let can_take = self.now >= self.scheduler.paused_until;
+            if can_take {
+                self.finish_acting();
+            }
             if can_take && std::mem::take(&mut self.scheduler.timers_first) {
                 let expired = until.is_some_and(|until| until <= self.now + self.scheduler.ahead);
                 if expired {
@@ -401,7 +443,8 @@ impl drive::World for World {
         let link = self.scheduler.id_of(link);
         self.scheduler.links[robot] = None;
         self.scheduler.attempts[robot] = Some(link);
-        self.put(self.now + after, Item::Connect { robot, link });
+        let at = self.now.max(self.scheduler.paused_until) + after;
+        self.put(at, Item::Connect { robot, link });
     }
 
     fn send(
@@ -412,14 +455,20 @@ impl drive::World for World {
         _: Urgency,
     ) -> Result<(), QueueFull> {
         if self.acts() {
-            self.send_to_robot(robot, self.scheduler.id_of(link), message);
+            let link = self.scheduler.id_of(link);
+            if self.scheduler.stalls_in_act {
+                self.scheduler.unsent.push((robot, link, message));
+            } else {
+                self.send_to_robot(robot, link, message);
+            }
         }
         Ok(())
     }
 
     fn cut(&mut self, robot: usize, _: LinkNumber) {
         if let Some(link) = self.scheduler.links[robot].take() {
-            self.put(self.now + self.drawn.delay.1, Item::RobotLinkDown { robot, link });
+            let at = self.now.max(self.scheduler.paused_until) + self.drawn.delay.1;
+            self.put(at, Item::RobotLinkDown { robot, link });
         }
     }
 

@@ -18,6 +18,7 @@ impl Said<'_> {
             Outcome::Failed => self.has_a_reason(wrong),
             _ => {}
         }
+        self.bound(wrong);
         self.course(wrong);
     }
 
@@ -60,7 +61,7 @@ impl Said<'_> {
         for act in self.facts.acts.iter().filter(|act| act.counts()) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
                 let knows = self.facts.drawn().robots[script.robot].block.reports;
-                if self.facts.dropped[script.robot].is_none() && knows && !self.resumed {
+                if self.facts.dropped[script.robot].is_none() && knows {
                     self.script_done(act, script, wrong);
                 }
             }
@@ -93,6 +94,16 @@ impl Said<'_> {
         }
     }
 
+    /// No act begins beyond the bound, also after another process has taken the mission up.
+    fn bound(&self, wrong: &mut Vec<String>) {
+        let drawn = self.facts.drawn();
+        let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
+        let begun = self.facts.acts.iter().filter(written).count();
+        if let Some(most) = drawn.acts_max.filter(|most| begun > *most as usize) {
+            wrong.push(format!("{begun} acts began, and no more than {most} may"));
+        }
+    }
+
     fn course(&self, wrong: &mut Vec<String>) {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
@@ -118,20 +129,24 @@ impl Said<'_> {
             // What a process that died knew of robots that were left out may be lost with it: then what they did counts.
             let was_played = |act: &SentAct<'_>| {
                 self.has_one_left(act)
-                    || self.resumed && act.robots().iter().any(|robot| act.is_whole_on(*robot))
+                    || self.has_lost_drops(act) && act.robots().iter().any(|robot| act.is_whole_on(*robot))
             };
+            // A process that died may have sent it, and its promise may have been lost with it.
+            let is_lost = last.is_some_and(|act| !self.facts.was_kept(act.at));
             let truth = match &course.fate {
-                // A process that died may have sent it, and the next one not have come to it.
-                ActFate::NotReached => sent.is_empty() || self.resumed && !began,
-                ActFate::StillWaiting => sent.len() == ended || self.resumed && !began,
+                ActFate::NotReached => sent.is_empty() || is_lost && !began,
+                ActFate::StillWaiting => sent.len() == ended || is_lost && !began,
                 ActFate::NobodyLeft => {
-                    let all = sent.len() == ended || self.resumed && arrived <= ended;
+                    let all = sent.len() == ended || is_lost && arrived <= ended;
                     all && skipped.is_some_and(|at| self.nobody_left(index, at))
                 }
                 ActFate::TimedOut { .. } => sent.len() == ended && skipped.is_some(),
                 ActFate::Withdrawn => before_attempt || last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
-                ActFate::Unknown => ended > 0 && last.is_some_and(|act| self.has_one_unknown(act)),
+                ActFate::Unknown => {
+                    let known = last.copied().into_iter().chain(self.last_reported(index));
+                    ended > 0 && known.into_iter().any(|act| self.has_one_unknown(act))
+                }
                 ActFate::Played => ended > 0 && last.is_some_and(|act| was_played(act)),
             };
             let with_robots = sent.iter().filter(|act| was_played(act)).count();
@@ -191,6 +206,19 @@ impl Said<'_> {
             (dropped, _) => dropped.is_none(),
         };
         act.robots().iter().any(left)
+    }
+
+    /// Whether a process that took the mission up may not have known that a robot of an act had been left out.
+    fn has_lost_drops(&self, act: &SentAct<'_>) -> bool {
+        let dropped = act.robots().into_iter().filter_map(|robot| self.facts.dropped[robot]);
+        dropped.into_iter().any(|at| !self.facts.was_kept(at))
+    }
+
+    /// The last attempt at an act that the report states: the record of a later one, and of its withdrawal, may be lost with the disk.
+    fn last_reported(&self, index: usize) -> Option<&SentAct<'_>> {
+        let states =
+            |act: &SentAct<'_>| self.report.acts.iter().any(|said| said.number == act.promise.number);
+        self.facts.acts.iter().rfind(|act| act.promise.act == index && states(act))
     }
 
     /// When it ended, one of its robots had not said what became of all that it was sent.

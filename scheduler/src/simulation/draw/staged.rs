@@ -1,0 +1,162 @@
+//! Missions in which a fault of each kind meets each stage. Chance alone puts more than half of the faults before anything is sent
+//! or after the end, and hardly any into the short stages.
+//!
+//! The kind and the stage follow from the seed. When the stage is, is read from the same mission with the faults that bring it about,
+//! if it needs any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
+
+use downbeat_scripts::Wait;
+use fastrand::Rng;
+use urrcp::{Server, Span, Timestamp};
+
+use super::{BEGINS_AT, Drawn, Fault, FaultKind, Hands, Names, draw_mission, millis, one_in};
+use crate::dry_run::BEGIN;
+use crate::simulation::stage::{faults_met, intervals};
+use crate::simulation::{Ran, Stage, play};
+
+/// Missions that are drawn for one seed until the fault meets its stage.
+const ATTEMPTS: usize = 16;
+
+/// The kinds of faults with the stages that they can meet.
+fn cells() -> Vec<(FaultKind, Stage)> {
+    let cells = Stage::ALL.into_iter().flat_map(|stage| FaultKind::ALL.map(|kind| (kind, stage)));
+    cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
+}
+
+/// Replaces the faults of a mission by one of the kind and at the stage for which this seed stands, and half of the time by another
+/// one that meets any stage. `index`: which of these missions the seed stands for.
+pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
+    let cells = cells();
+    let (kind, stage) = cells[usize::try_from(index).unwrap_or(0) % cells.len()];
+    for _ in 0..ATTEMPTS {
+        if let Some(met) = with_fault(rng, drawn.clone(), kind, stage) {
+            return met;
+        }
+        drawn = draw_mission(rng, drawn.seed);
+    }
+    drawn
+}
+
+/// A mission in which a fault of a kind meets a stage; `None` if this one does not come to that stage.
+fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
+    let robot = rng.usize(0..drawn.robots.len());
+    if kind == FaultKind::HardwareDies {
+        drawn.robots[robot].hands = Hands::Hardware;
+    }
+    drawn.faults.clear();
+    let mut drawn = bring_about(rng, drawn, stage)?;
+    let at = instant(rng, &play(drawn.clone()), stage)?;
+    let fault = match kind.draw(rng, robot) {
+        // The stage may be over soon.
+        Fault::SchedulerCrashAmid { resumed_after, .. } => {
+            Fault::SchedulerCrashAmid { actions: rng.u32(0..3), resumed_after }
+        }
+        Fault::SchedulerPauseAmid { lasts, .. } => {
+            Fault::SchedulerPauseAmid { actions: rng.u32(0..3), lasts }
+        }
+        other => other,
+    };
+    insert(&mut drawn, at, fault);
+    let ran = play(drawn.clone());
+    if !faults_met(&ran).contains(&(kind, stage)) {
+        return None;
+    }
+    if one_in(rng, 2) {
+        let other = rng.choice(FaultKind::ALL)?;
+        let stage = rng.choice(Stage::ALL)?;
+        let at = instant(rng, &ran, stage).unwrap_or(at);
+        let robot = rng.usize(0..drawn.robots.len());
+        insert(&mut drawn, at, other.draw(rng, robot));
+    }
+    Some(drawn)
+}
+
+fn insert(drawn: &mut Drawn, at: Span, fault: Fault) {
+    drawn.faults.push((at, fault));
+    drawn.faults.sort_by_key(|(at, _)| *at);
+}
+
+/// Adds what a stage needs: an act that waits, or an earlier fault while an act is under way.
+fn bring_about(rng: &mut Rng, mut drawn: Drawn, stage: Stage) -> Option<Drawn> {
+    let fault = match stage {
+        Stage::Waits => {
+            let act = rng.usize(0..drawn.choreography.acts.len());
+            let comes = millis(rng, 300, 1_500);
+            let waits = &mut drawn.choreography.acts[act];
+            (waits.wait, waits.timeout) = (Wait::Operator, Some(comes * 2));
+            drawn.comes_after[act] = Some(comes);
+            return Some(drawn);
+        }
+        Stage::Stops => Fault::Stop,
+        Stage::Transfers => {
+            state_positions(&mut drawn);
+            Fault::Home
+        }
+        Stage::Abandoned | Stage::Resumed => {
+            Fault::SchedulerCrash { resumed_after: Some(millis(rng, 1, 1_500)) }
+        }
+        _ => return Some(drawn),
+    };
+    let under_way = match stage {
+        // Devices that have not moved have no way home.
+        Stage::Transfers => Stage::Plays,
+        _ => rng.choice([Stage::Decided, Stage::Committed, Stage::Plays, Stage::PlaysNext])?,
+    };
+    let at = instant(rng, &play(drawn.clone()), under_way)?;
+    insert(&mut drawn, at, fault);
+    Some(drawn)
+}
+
+/// A mission plans acts after a stop if all of its robots state their positions and have default positions.
+fn state_positions(drawn: &mut Drawn) {
+    drawn.plans_transfers = true;
+    for robot in &mut drawn.robots {
+        (robot.hands, robot.names, robot.lie) = (Hands::Own, Names::Echoed, None);
+        (robot.block.inquiry, robot.block.pending_until, robot.block.reports) = (true, true, true);
+        for device in robot.block.devices.iter_mut() {
+            device.default_value.get_or_insert(BEGINS_AT);
+        }
+    }
+}
+
+/// An instant within a stage, counted from the beginning.
+fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
+    let intervals: Vec<(Timestamp<Server>, Timestamp<Server>)> = intervals(ran, stage);
+    let (from, until) = rng.choice(intervals)?;
+    let within = (until - from).as_nanos();
+    (within > 1).then(|| from - BEGIN + Span::from_nanos(rng.i64(1..within)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FAMILIES, STAGED};
+    use super::*;
+    use crate::simulation::{draw, judge};
+
+    #[test]
+    fn faults_meet_the_stages_for_which_their_seeds_stand() {
+        let mut met = 0;
+        for seed in (STAGED..).step_by(FAMILIES as usize).take(cells().len()) {
+            let ran = play(draw(seed));
+            assert_eq!(judge(&ran).violations, [], "seed {}", ran.drawn.seed);
+            let cell = cells()[(seed / FAMILIES) as usize % cells().len()];
+            met += usize::from(faults_met(&ran).contains(&cell));
+        }
+        // `soak` checks that each fault meets each stage.
+        let of = cells().len();
+        assert!(met * 10 > of * 9, "{met} of {of}");
+    }
+
+    #[test]
+    fn a_mission_that_plays_is_at_each_of_its_stages_in_order() {
+        let stages = |seed| {
+            let stages = crate::simulation::stage::stages(&play(draw(seed).without_faults()));
+            stages.into_iter().map(|(_, stage)| stage).collect::<Vec<_>>()
+        };
+        let stages = (0..).map(stages).find(|stages| stages.contains(&Stage::Plays)).unwrap();
+        let at = |stage| stages.iter().position(|of| *of == stage);
+        let order = [Stage::Greeting, Stage::Prepared, Stage::Decided, Stage::Committed, Stage::Plays];
+        let order = order.map(at);
+        assert!(order.is_sorted() && order[0].is_some(), "{stages:?}");
+        assert_eq!(stages.last(), Some(&Stage::Ended));
+    }
+}

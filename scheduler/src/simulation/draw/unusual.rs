@@ -1,0 +1,120 @@
+//! Missions of shapes that chance alone does not draw: acts that are repeated, first steps that come later than their scripts start,
+//! a robot that never comes, and movements that last for minutes while clocks drift. One seed in fifty is such a mission.
+
+use std::collections::HashMap;
+
+use downbeat_scripts::{Choreography, DeviceScript, Way};
+use fastrand::Rng;
+use urrcp::{Millis, Script, Span, Step};
+
+use super::{Drawn, faults, one_in};
+use crate::mission::{ClockMode, Join};
+
+/// A robot that comes this long after the beginning never comes.
+const NEVER: Span = Span::from_millis(3_600_000);
+/// The longest that all acts may last together.
+const LAST_MAX: f64 = 120_000.0;
+
+/// Gives a mission one of these shapes, and draws its faults again.
+pub(super) fn reshape(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
+    match rng.u8(0..4) {
+        0 => repeat_acts(rng, &mut drawn),
+        1 => begin_later(rng, &mut drawn.choreography),
+        2 => leave_one_out(rng, &mut drawn),
+        _ => last_long(rng, &mut drawn),
+    }
+    let faults = faults::draw_faults(rng, &drawn);
+    Drawn { faults, ..drawn }
+}
+
+/// The last act leads back to an earlier one, or to itself, until two to six acts have begun.
+fn repeat_acts(rng: &mut Rng, drawn: &mut Drawn) {
+    let acts = &mut drawn.choreography.acts;
+    let back = rng.usize(0..acts.len());
+    if let Some(last) = acts.last_mut() {
+        last.next = Way::Act(back);
+    }
+    drawn.acts_max = Some(rng.u32(2..=6));
+}
+
+/// The first steps of some scripts come later than their starts, and so does everything after them on the same device.
+fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
+    for robot in choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots) {
+        let mut shifts = HashMap::new();
+        for script in &mut robot.scripts {
+            let shift = shifts.entry(script.device.clone()).or_insert(0.0);
+            let later = if one_in(rng, 2) { f64::from(rng.u32(20..300)) } else { 0.0 };
+            move_script(script, |start| start + *shift, |offset| offset + later);
+            *shift += later;
+        }
+    }
+}
+
+/// One robot never comes.
+fn leave_one_out(rng: &mut Rng, drawn: &mut Drawn) {
+    let robot = rng.usize(0..drawn.robots.len());
+    drawn.robots[robot].there_from = NEVER;
+    drawn.join = if one_in(rng, 3) { Join::Refuse } else { Join::NextAct };
+}
+
+/// All movements take up to fifty times as long, evenly on a logarithmic scale, and clocks without NTP drift.
+fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
+    let lasts = drawn.choreography.acts.iter().map(|act| act.plan.duration().as_millis_f64()).sum::<f64>();
+    let longest = (LAST_MAX / lasts.max(1.0)).clamp(1.0, 50.0);
+    let longer = longest.powf(rng.f64());
+    let scripts = drawn.choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
+    for script in scripts.flat_map(|robot| &mut robot.scripts) {
+        move_script(script, |start| start * longer, |offset| offset * longer);
+    }
+    for robot in drawn.robots.iter_mut().filter(|robot| robot.clock == ClockMode::Measured) {
+        robot.settings.drift_ppm = (rng.f64() - 0.5) * 160.0;
+    }
+}
+
+/// Changes when a script starts and when its steps are, in whole milliseconds.
+fn move_script(script: &mut DeviceScript, start: impl Fn(f64) -> f64, offset: impl Fn(f64) -> f64) {
+    let steps = script.script.steps().iter().map(|step| {
+        let offset = Millis::new(offset(step.offset.get()).round()).ok()?;
+        Some(Step { offset, ..step.clone() })
+    });
+    let steps: Option<Vec<Step>> = steps.collect();
+    let moved = steps.and_then(|steps| Script::new(steps).ok());
+    if let Some((moved, start)) = moved.zip(Millis::new(start(script.start.get()).round()).ok()) {
+        (script.script, script.start) = (moved, start);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mission::ActFate;
+    use crate::simulation::draw::{FAMILIES, UNUSUAL};
+    use crate::simulation::{judge, run};
+
+    #[test]
+    fn acts_are_repeated_begin_later_lack_a_robot_and_last_for_minutes() {
+        let (mut repeated, mut later, mut without, mut long) = (0, 0, 0, 0);
+        for seed in (UNUSUAL..10_000).step_by(FAMILIES as usize) {
+            let ran = run(seed);
+            assert_eq!(judge(&ran).violations, [], "seed {seed}");
+            let Some(report) = &ran.report else { continue };
+            let played = report.course.iter().filter(|act| act.fate == ActFate::Played);
+            repeated += usize::from(played.clone().any(|act| act.played > 1));
+            let acts = &ran.drawn.choreography.acts;
+            let scripts = || acts.iter().flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
+            let has_played = played.count() > 0;
+            let first = |script: &DeviceScript| script.script.steps().first().map(|step| step.offset.get());
+            later += usize::from(has_played && scripts().any(|script| first(script) > Some(0.0)));
+            without +=
+                usize::from(has_played && ran.drawn.robots.iter().any(|robot| robot.there_from == NEVER));
+            long += usize::from(
+                has_played && acts.iter().any(|act| act.plan.duration() > Span::from_millis(5_000)),
+            );
+        }
+        assert!(
+            repeated > 5 && later > 10 && without > 5 && long > 2,
+            "{:?}",
+            (repeated, later, without, long)
+        );
+    }
+}
