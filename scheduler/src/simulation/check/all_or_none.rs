@@ -13,7 +13,7 @@ use super::facts::{Facts, SentAct, SentScript};
 use super::{ActStarts, DRIFT, Starts, Verdict};
 use crate::dry_run::BEGIN;
 use crate::mission::ClockMode;
-use crate::simulation::{DrawnRobot, Fault, Happened};
+use crate::simulation::{DrawnRobot, Fault, Happened, Network};
 
 /// A robot lets a start be that comes later than this, and starts until then.
 const START_LATE_MAX: Span = Span::from_millis(50);
@@ -166,15 +166,38 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
     let heard_in_time =
         with_the_others && heard_the_commitment(facts, act, robot) && heard_lately(facts, act, robot);
-    let own = own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time));
+    let known = known_to_be_gone(facts, act, robot);
+    let counts = |hit: &Hit| match hit.cause {
+        Cause::RobotCrash => known.is_none_or(|by| hit.from > by),
+        cause => !(cause.is_of_link() && heard_in_time),
+    };
+    let own = own_fault(facts, robot, window, counts);
     own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
+}
+
+/// Until when the end of a process whose system closes its connection and refuses the next one is known early enough to withdraw the
+/// act: three round trips before the point of no return, if its link and the scheduler have no other fault.
+fn known_to_be_gone(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
+    let drawn = facts.drawn();
+    let usual = drawn.network == Network::Stream && drawn.tail == 0.0;
+    let by = act.decided?.no_return - (drawn.delay.1 * 2 + drawn.robots[robot].slow) * 3;
+    let told = |happened: &Happened| match happened {
+        Happened::Fault(Fault::RobotCrash { robot: r, told, .. }) => *r != robot || *told,
+        _ => true,
+    };
+    let all_told = facts.ran.history.iter().all(|(_, happened)| told(happened));
+    let other = |hit: &Hit| {
+        let of_both = hit.robot.is_none() || hit.is_of(robot) && hit.cause != Cause::RobotCrash;
+        of_both && hit.cause != Cause::LinkDown && hit.overlaps(by, act.promise.start)
+    };
+    (usual && all_told && !facts.hits.iter().any(other)).then_some(by)
 }
 
 /// A robot whose turn comes later than the start of the act, as planned or by its clock that is behind, was left out in between, for a
 /// fault of its own that may have begun before: as a report that was lost, and is not awaited any longer.
 fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let (_, late) = early_and_late(facts, robot);
-    let first = act.first_start(robot)? + late;
+    let first = act.first_movement(robot)? + late;
     let dropped = facts.dropped[robot].filter(|at| *at >= act.promise.start && *at < first)?;
     let before = (dropped - AWAITED, dropped);
     own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
@@ -367,10 +390,14 @@ fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     running.zip(last).is_none_or(|(lease, last)| last + lease > act.promise.start + START_LATE_MAX)
 }
 
-/// The scheduler ended or stood still after the commitment was written down and before every robot had started.
+/// The scheduler ended or stalled after the commitment was written down and before every robot had started. Once all robots have
+/// answered the commitment, their leases last beyond the start of the act: those that start with it need the scheduler no longer.
 fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let committed = act.committed?;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
+    let starts_later = |robot: usize| act.first_start(robot) != Some(act.promise.start);
+    let answered = act.answered.filter(|_| !act.robots().into_iter().any(starts_later));
+    let last = answered.map_or(last, |answered| answered.min(last));
     let own = |hit: &&Hit| hit.robot.is_none() && hit.from >= committed && hit.from <= last;
     facts.hits.iter().filter(own).map(|hit| hit.cause).min()
 }

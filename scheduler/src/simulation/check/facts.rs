@@ -48,6 +48,8 @@ pub(super) struct SentAct<'a> {
     pub(super) decided: Option<Decision>,
     /// When the commitment was first written down.
     pub(super) committed: Option<Timestamp<Server>>,
+    /// When the mission reported to the operator that all robots had answered the commitment.
+    pub(super) answered: Option<Timestamp<Server>>,
     pub(super) scripts: Vec<SentScript<'a>>,
 }
 
@@ -142,6 +144,7 @@ impl<'a> Facts<'a> {
                     skew: None,
                     decided: None,
                     committed: None,
+                    answered: None,
                     scripts: scripts.collect(),
                 });
             }
@@ -250,9 +253,16 @@ impl<'a> Facts<'a> {
                     act.into_iter().for_each(|act| act.skew = skew.as_ref());
                 }
                 Progress::Decided { start, no_return, doubt, .. } => {
-                    let decision = Decision { no_return: *no_return - ahead, doubt: *doubt };
+                    // By the clock of the process that promised it, also if another one reports it.
                     let act = acts.rfind(|act| act.promise.start + act.ahead == *start);
-                    act.into_iter().for_each(|act| act.decided = Some(decision));
+                    act.into_iter().for_each(|act| {
+                        let no_return = *no_return - act.ahead;
+                        act.decided = Some(Decision { no_return, doubt: *doubt });
+                    });
+                }
+                Progress::Committed { act: name, window: Some(_) } => {
+                    let act = acts.rfind(|act| act.written.name == *name);
+                    act.into_iter().for_each(|act| act.answered = act.answered.or(Some(*at)));
                 }
                 _ => {}
             }

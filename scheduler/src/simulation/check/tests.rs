@@ -109,8 +109,53 @@ fn a_start_on_some_robots_is_found_and_excused_only_by_a_fault_of_the_robot_that
     assert_eq!(with(-3_000, |missing, _| crash(missing)), (true, vec![]), "after its start");
     assert_eq!(with(1, |_, _| Fault::Stop), (true, vec![]), "the word alone stops nobody");
     let pause = |_, _| Fault::SchedulerPause { lasts: Span::from_millis(5) };
-    assert_eq!(with(1, pause), (false, vec![Cause::SchedulerPause]), "after the commitment");
+    assert_eq!(with(1, pause), (true, vec![]), "after all had answered the commitment");
     assert_eq!(with(3_000, pause), (true, vec![]), "before the commitment");
+}
+
+#[test]
+fn a_stall_of_the_scheduler_is_an_excuse_only_until_all_robots_have_answered_the_commitment() {
+    let with = |after: &dyn Fn(&Ran) -> Option<Timestamp<Server>>| {
+        let mut ran = played();
+        let _missing = one_misses(&mut ran);
+        let before_start = promised(&ran).start - after(&ran).unwrap() - Span::from_millis(1);
+        hit(&mut ran, before_start, Fault::SchedulerPause { lasts: Span::from_millis(5) });
+        violated(&ran).contains('a')
+    };
+    let written = |(at, record): &(_, Record)| matches!(record, Record::Committed { .. }).then_some(*at);
+    assert!(!with(&|ran| ran.records.iter().find_map(written)));
+    let answered = |(at, happened): &(_, Happened)| match happened {
+        Happened::Told(told) => matches!(**told, Progress::Committed { window: Some(_), .. }).then_some(*at),
+        _ => None,
+    };
+    assert!(with(&|ran| ran.history.iter().find_map(answered)));
+}
+
+#[test]
+fn the_end_of_a_process_is_no_excuse_if_it_was_known_before_the_point_of_no_return() {
+    let no_return = |ran: &Ran| {
+        ran.history.iter().find_map(|(_, happened)| match happened {
+            Happened::Told(told) => match **told {
+                Progress::Decided { no_return, doubt, .. } => Some((no_return, doubt)),
+                _ => None,
+            },
+            _ => None,
+        })
+    };
+    // The start minus the latest instant at which the end is known in time.
+    let known = |ran: &Ran| {
+        let slow = ran.drawn.robots[member(ran)].slow;
+        let (no_return, doubt) = no_return(ran)?;
+        let known = promised(ran).start - no_return + (ran.drawn.delay.1 * 2 + slow) * 3;
+        (known + Span::from_millis(1) < doubt).then_some(known)
+    };
+    for (earlier, is_told, found) in [(1, true, true), (-1, true, false), (1, false, false)] {
+        let mut ran = first(calm, |ran| done(ran) && known(ran).is_some());
+        let before_start = known(&ran).unwrap() + Span::from_millis(earlier);
+        let robot = one_misses(&mut ran);
+        hit(&mut ran, before_start, Fault::RobotCrash { robot, back_after: None, told: is_told });
+        assert_eq!(violated(&ran).contains('a'), found, "{earlier}, {is_told}");
+    }
 }
 
 /// A robot without inquiries starts alone, and whether that is excused: the last question to it was sent so much later than its lease

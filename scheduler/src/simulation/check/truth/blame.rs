@@ -39,7 +39,7 @@ impl Said<'_> {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
         let scheduler = self.facts.hits.iter().any(|hit| hit.robot.is_none());
-        if !steady || scheduler || self.resumed {
+        if !steady || self.resumed {
             return;
         }
         for failure in &self.report.failures {
@@ -48,7 +48,8 @@ impl Said<'_> {
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
             let jumps =
                 self.would_jump(robot, &failure.kind) || self.was_left_elsewhere(robot, &failure.kind);
-            if jumps || self.had_no_time(robot, &failure.kind) {
+            if jumps || self.had_no_time(robot, &failure.kind) || scheduler && blames_scheduler(&failure.kind)
+            {
                 continue;
             }
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
@@ -93,5 +94,16 @@ impl Said<'_> {
         refills.iter().any(|refill| {
             refill.kind == RefillKind::Later && refill.device == *device && refill.time < longest
         })
+    }
+}
+
+/// Whether the robot itself reports that the scheduler was silent for too long, or too late. If the scheduler ended or stalled, that is
+/// true. A robot must not fail for any other reason then, except for a fault that is still open: acceptances are awaited from the promise
+/// on, although requests that wait for the disk are sent later.
+fn blames_scheduler(kind: &FailureKind) -> bool {
+    match kind {
+        FailureKind::Silent { awaited, .. } => awaited.starts_with("acceptance"),
+        FailureKind::Script { error, .. } => matches!(error.code, ErrorCode::LinkLost | ErrorCode::Late),
+        _ => false,
     }
 }
