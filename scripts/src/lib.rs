@@ -6,7 +6,7 @@
 //!   show.yaml ─── Source::read ─────────┘         └──▶ findings, each with its line, what is expected, how to fix it
 //! ```
 //!
-//! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render`] shows findings with the lines that they concern. The
+//! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render()`] shows findings with the lines that they concern. The
 //! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
 //! tools, and [`export`] writes what a scenario compiles to as theirs.
 //!

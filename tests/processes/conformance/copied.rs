@@ -51,9 +51,8 @@ fn the_robot_to_copy_does_what_the_protocol_demands() {
     let host = Host::start(vec![robot::arm().unwrap()], HostOptions::default()).unwrap();
     let handle = host.handle();
     let address = served(async |listener| serve(listener, handle, 0).await.unwrap());
-    let mut options = Options::default();
-    options.device = Some("elbow".parse().unwrap());
-    options.tolerance = Span::from_millis(150);
+    let device = Some("elbow".parse().unwrap());
+    let options = Options { device, tolerance: Span::from_millis(150), ..Options::default() };
     let failed = || {
         let stop = Arc::new(AtomicBool::new(false));
         let examined = examine(address, options.clone(), stop, &mut |_, _| {}).unwrap();

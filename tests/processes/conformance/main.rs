@@ -76,11 +76,12 @@ devices:
 const HEAVY: [&str; 5] = ["huge-line", "slow-reader", "deep-nesting", "session-silence", "silent-peers"];
 
 fn options(only: &[&str]) -> Options {
-    let mut options = Options::default();
-    options.tolerance = Span::from_millis(150);
-    options.patience = Span::from_millis(1_500);
-    options.only = only.iter().map(|name| (*name).to_owned()).collect();
-    options
+    Options {
+        tolerance: Span::from_millis(150),
+        patience: Span::from_millis(1_500),
+        only: only.iter().map(|name| (*name).to_owned()).collect(),
+        ..Options::default()
+    }
 }
 
 fn examined(address: SocketAddr, options: Options) -> Examined {

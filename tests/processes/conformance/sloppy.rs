@@ -196,9 +196,8 @@ fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
     let site = Site::of_files(Some(&session.path("keys/operators/anna.pem")), None).unwrap();
     let known = site.passes().held()[0].claim.clone();
     let address = Door { fault, secret, known, robot: plain_robot() }.listen();
-    let mut options = Options::default();
-    options.security = site.with(Protection::Hmac, None);
-    options.patience = Span::from_millis(1_000);
+    let security = site.with(Protection::Hmac, None);
+    let mut options = Options { security, patience: Span::from_millis(1_000), ..Options::default() };
     if fault == Fault::NoRoles {
         let observer = Site::of_files(Some(&session.path("keys/operators/bert.pem")), None).unwrap();
         options.observer = Some(observer.with(Protection::Hmac, None));

@@ -14,7 +14,7 @@ const ROUNDING: f64 = 5e-7;
 
 /// How far a body is outside a volume at most, and when; `None`: it never leaves it.
 ///
-/// Between two looks a body that turns may stand out further than at both, by no more than [`EXACT`]: an eighth of the second
+/// Between two looks a body that turns may stand out further than at both, by no more than `EXACT`: an eighth of the second
 /// derivative of its points' ways, times the time squared.
 pub fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     let mut worst = Approach { at: 0.0, distance: 0.0 };
