@@ -37,7 +37,7 @@ fn a_mission_at_keys_is_played_and_told_as_the_robots_log_it() {
 fn a_robot_has_one_mission_and_a_stop_ends_it_from_anywhere() {
     let (stage, _robots) = set_up(2, "2s");
     let mut first = stage.start(&["run", "play.yaml", "--patience", "30s"]);
-    assert!(first.start().is_some());
+    assert!(first.start() > 0);
     // As from another machine, which knows no journal of the first.
     let elsewhere = stage.path("elsewhere");
     let other =
