@@ -1,7 +1,7 @@
 //! An hour of virtual time with a hundred robots and a thousand acts: the scheduler's memory does not grow.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking and may print")]
 
-use downbeat::mission::{Action, Event, Mission, MissionOptions, Participant, Progress, Rest};
+use downbeat_mission::{Action, Event, Mission, MissionOptions, Participant, Progress, Rest};
 use downbeat_robot::simulated::{Outgoing, Settings, SimulatedRobot};
 use downbeat_robot::{Input, LinkId};
 use downbeat_scripts::{Choreography, DeviceScript, Plan, Requirements, RobotPlan, Way};

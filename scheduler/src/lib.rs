@@ -30,7 +30,7 @@
 //! | [`certificate`] | a plan that was played against faults |
 //! | [`requirements`] | whether figures are as a scenario requires |
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
-//! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
+//! | [`dry_run`], [`trials`] | the same in virtual time |
 //! | [`conformance`] | whether a robot does what the protocol demands |
 //! | [`calibrate`], [`downbeat_onset`] | how long devices take from a command to visible motion |
 //! | [`session`] | on whose behalf robots are driven |
@@ -39,7 +39,6 @@
 pub mod calibrate;
 mod cli;
 mod operations;
-pub mod simulation;
 
 pub use downbeat_conformance as conformance;
 use downbeat_history::compare;

@@ -76,6 +76,7 @@ fn no_module_imports_one_that_imports_it() {
         "scheduler/show/src",
         "scheduler/history/src",
         "scheduler/conformance/src",
+        "scheduler/simulation/src",
         "scheduler/src",
     ] {
         let imports = imports(&root().join(source));

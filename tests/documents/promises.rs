@@ -7,7 +7,7 @@ mod table;
 use std::collections::{BTreeMap, BTreeSet};
 
 use downbeat::conformance::requirements;
-use downbeat::simulation::Verdict;
+use downbeat_simulation::Verdict;
 use stage::session::root;
 
 use sentences::sentences;
@@ -23,9 +23,9 @@ pub enum Document {
 /// What finds a violation of a promise, and what shows that it does.
 #[derive(Clone, Copy, Debug)]
 pub enum Judge {
-    /// The simulation, by this invariant. It is violated if this patch in `scheduler/src/simulation/planted` is applied.
+    /// The simulation, by this invariant. It is violated if this patch in `scheduler/simulation/planted` is applied.
     Simulation(char, &'static str),
-    /// The simulation, by this invariant. This test of `scheduler/src/simulation/check/tests.rs` makes a mission violate it.
+    /// The simulation, by this invariant. This test of `scheduler/simulation/src/check/tests.rs` makes a mission violate it.
     Falsified(char, &'static str),
     /// The conformance test, by this requirement. This robot or door of `tests/processes/conformance` fails it.
     Conformance(&'static str, &'static str),
@@ -53,9 +53,9 @@ const PROMISING: [&str; 12] = [
 ];
 
 /// Folder of the patches that plant faults.
-const PLANTED: &str = "scheduler/src/simulation/planted";
+const PLANTED: &str = "scheduler/simulation/planted";
 /// Tests of the simulation's invariants.
-const FALSIFIED: &str = "scheduler/src/simulation/check/tests.rs";
+const FALSIFIED: &str = "scheduler/simulation/src/check/tests.rs";
 /// The robots and doors with faults.
 const FAULTY: &str = "tests/processes/conformance";
 

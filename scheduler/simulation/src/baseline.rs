@@ -5,7 +5,7 @@ use urrcp::Span;
 
 use super::check::{ActStarts, Starts};
 use super::draw::{Direction, Drawn, Fault, Network};
-use crate::dry_run::BEGIN;
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// How the word is passed on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

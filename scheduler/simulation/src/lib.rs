@@ -14,9 +14,9 @@ mod world;
 use downbeat_robot::set_log::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
-use crate::mission::{Progress, Record};
-use crate::report::Report;
 pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
+use downbeat_mission::report::Report;
+use downbeat_mission::{Progress, Record};
 pub use draw::{
     Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, FaultKind, Hands, Lie, Names, Network, draw,
 };

@@ -12,8 +12,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use clap::Parser;
-use downbeat::simulation::baseline::{self, Go};
-use downbeat::simulation::{self, Cause, Excuse, FaultKind, Stage, Starts, Verdict, Violation};
+use downbeat_simulation::baseline::{self, Go};
+use downbeat_simulation::{self as simulation, Cause, Excuse, FaultKind, Stage, Starts, Verdict, Violation};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[global_allocator]

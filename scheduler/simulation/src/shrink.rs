@@ -130,7 +130,7 @@ fn without_act(drawn: &mut Drawn, act: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::{Fault, draw};
+    use crate::{Fault, draw};
 
     /// The first seed with several acts and several faults, one of them a stop.
     fn rich() -> Drawn {

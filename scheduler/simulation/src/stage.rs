@@ -5,7 +5,7 @@ use std::fmt;
 use urrcp::{Server, Span, Timestamp};
 
 use super::{Fault, FaultKind, Hands, Happened, Ran};
-use crate::mission::{Progress, Record};
+use downbeat_mission::{Progress, Record};
 
 /// What a mission does at an instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

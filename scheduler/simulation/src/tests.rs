@@ -1,7 +1,7 @@
 use super::check::LEAD_LEAST;
 use super::*;
-use crate::mission::{ActCourse, ActFate, Failure, FailureKind, Progress, TransferReport};
-use crate::report::Outcome;
+use downbeat_mission::report::Outcome;
+use downbeat_mission::{ActCourse, ActFate, Failure, FailureKind, Progress, TransferReport};
 
 #[test]
 fn thousands_of_seeds_of_faults_violate_nothing() {
@@ -50,7 +50,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
     for seed in (0..2_000).filter(|seed| clean(&draw(*seed))) {
         let ran = run(seed);
         for (_, record) in &ran.records {
-            let crate::mission::Record::Prepared(promise) = record else { continue };
+            let downbeat_mission::Record::Prepared(promise) = record else { continue };
             let lead = promise.start - promise.timestamp;
             assert!(lead >= LEAD_LEAST, "seed {seed}: {lead}, and shorter ones would not be compared");
         }
@@ -118,8 +118,8 @@ fn a_mission_without_faults_promises_the_same_up_to_the_last_act_that_is_compare
     for ran in (0..400).map(run).filter(|ran| !ran.drawn.faults.is_empty()) {
         let Some(last) = ran.last_to_compare() else { continue };
         let promises = |ran: &Ran| -> Vec<_> {
-            let up_to = |record: &crate::mission::Record| match record {
-                crate::mission::Record::Prepared(promise) => Some(promise.clone()),
+            let up_to = |record: &downbeat_mission::Record| match record {
+                downbeat_mission::Record::Prepared(promise) => Some(promise.clone()),
                 _ => None,
             };
             let promises = ran.records.iter().filter_map(|(_, record)| up_to(record));
@@ -173,11 +173,11 @@ fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
     for mut drawn in (0..400).map(draw).filter(unnamed) {
         let ready = world::play(Drawn { faults: Vec::new(), ..drawn.clone() }, false);
         let promise = ready.records.iter().find_map(|(_, record)| match record {
-            crate::mission::Record::Prepared(promise) => Some(promise.start),
+            downbeat_mission::Record::Prepared(promise) => Some(promise.start),
             _ => None,
         });
         let Some(start) = promise else { continue };
-        let before = start - crate::dry_run::BEGIN - Span::from_millis(150);
+        let before = start - downbeat_rehearsal::dry_run::BEGIN - Span::from_millis(150);
         drawn.faults = vec![(before, Fault::Stop)];
         let seed = drawn.seed;
         assert_eq!(world::play(drawn, false).verdict().violations, [], "seed {seed}");
@@ -192,7 +192,7 @@ fn a_robot_whose_clock_is_ahead_within_the_tolerance_keeps_its_lease_until_the_c
     let mut played = 0;
     for mut drawn in (0..400).map(draw).filter(steady) {
         drawn.robots.iter_mut().for_each(|robot| robot.lie = None);
-        drawn.robots[0].clock = crate::mission::ClockMode::Ntp;
+        drawn.robots[0].clock = downbeat_mission::ClockMode::Ntp;
         drawn.robots[0].settings.clock_offset = Span::from_millis(35);
         drawn.choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = Span::from_millis(60));
         let ran = world::play(drawn.without_faults(), false);
@@ -215,15 +215,15 @@ fn with_faults_around_the_decision(
         let drawn = draw(seed).without_faults();
         let ready = run_calmly(drawn.clone());
         let promise = ready.records.iter().find_map(|(at, record)| match record {
-            crate::mission::Record::Prepared(promise) => Some([*at, promise.start]),
+            downbeat_mission::Record::Prepared(promise) => Some([*at, promise.start]),
             _ => None,
         });
         let decided = ready.records.iter().find_map(|(at, record)| match record {
-            crate::mission::Record::Decided { .. } => Some(*at),
+            downbeat_mission::Record::Decided { .. } => Some(*at),
             _ => None,
         });
         let ([promised, start], decided) = promise.zip(decided)?;
-        let faults = faults([promised, decided, start].map(|at| at - crate::dry_run::BEGIN));
+        let faults = faults([promised, decided, start].map(|at| at - downbeat_rehearsal::dry_run::BEGIN));
         Some(run_calmly(Drawn { faults, ..drawn }))
     })
 }
@@ -300,7 +300,7 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
         }
         let ready = run_calmly(drawn.clone());
         let promise = ready.records.into_iter().find_map(|(_, record)| match record {
-            crate::mission::Record::Prepared(promise) => Some(promise),
+            downbeat_mission::Record::Prepared(promise) => Some(promise),
             _ => None,
         });
         let Some(promise) = promise else { continue };
@@ -309,12 +309,12 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
         if players.len() == drawn.robots.len() {
             continue;
         }
-        let at = promise.start - crate::dry_run::BEGIN + Span::from_millis(1);
+        let at = promise.start - downbeat_rehearsal::dry_run::BEGIN + Span::from_millis(1);
         let dies = |robot: usize| (at, Fault::RobotCrash { robot, back_after: None, told: true });
         drawn.faults = players.into_iter().map(dies).collect();
         let ran = run_calmly(drawn);
         assert_eq!(ran.verdict().violations, [], "seed {}", ran.drawn.seed);
-        let fate = |report: crate::report::Report| report.course[promise.act].fate.clone();
+        let fate = |report: downbeat_mission::report::Report| report.course[promise.act].fate.clone();
         left += usize::from(ran.report.map(fate) == Some(ActFate::Stopped));
     }
     assert!(left > 20, "{left}");
@@ -322,7 +322,7 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
 
 #[test]
 fn after_stops_missions_move_robots_together_or_report_why_they_stay() {
-    let schema = serde_json::from_str(crate::report::SCHEMA).unwrap();
+    let schema = serde_json::from_str(downbeat_mission::report::SCHEMA).unwrap();
     let schema = jsonschema::validator_for(&schema).unwrap();
     let (mut arrived, mut on_the_way, mut stayed) = ([0; 2], [0; 2], [0; 2]);
     for seed in 0..2_000 {

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use urrcp::{Command, Message, Server, Timestamp};
 
 use super::{Drawn, Happened, Ran};
-use crate::dry_run::BEGIN;
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// The whole story of a run: what was drawn, what happened, what the robots set, and what is wrong with it.
 #[must_use]
@@ -15,7 +15,7 @@ pub fn trace(ran: &Ran) -> String {
         let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
     }
     if let Some(report) = &ran.report {
-        let _infallible = writeln!(text, "{}", crate::show::report_text(report, crate::show::UNBOUNDED));
+        let _infallible = writeln!(text, "{}", downbeat_show::report_text(report, downbeat_show::UNBOUNDED));
     }
     for violation in super::judge(ran).violations {
         let _infallible = writeln!(text, "VIOLATED {violation}");

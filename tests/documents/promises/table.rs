@@ -259,7 +259,7 @@ pub const PROMISES: &[Promise] = &[
                 "scheduler/mission/src/tests/course.rs::the_disk_has_to_store_the_begin_of_the_journal_within_the_operators_patience",
             ),
             Test(
-                "scheduler/src/simulation/tests.rs::a_disk_that_stands_still_ends_the_mission_before_anything_moves",
+                "scheduler/simulation/src/tests.rs::a_disk_that_stands_still_ends_the_mission_before_anything_moves",
             ),
         ],
     ),
@@ -1648,7 +1648,7 @@ pub const PROMISES: &[Promise] = &[
                 "robot/src/robot/tests/inquiries.rs::what_nobody_has_confirmed_by_its_pending_until_never_starts",
             ),
             Test(
-                "scheduler/src/simulation/tests.rs::a_request_that_arrives_while_the_scheduler_stalls_starts_nothing",
+                "scheduler/simulation/src/tests.rs::a_request_that_arrives_while_the_scheduler_stalls_starts_nothing",
             ),
         ],
     ),

@@ -3,9 +3,9 @@
 use std::collections::{BTreeMap, HashSet};
 
 use downbeat::mission::PromisedScript;
-use downbeat::simulation::trajectory::{Promised, unexplained};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
 use downbeat_scripts::DeviceScript;
+use downbeat_simulation::trajectory::{Promised, unexplained};
 use serde_json::Value;
 
 use super::draw::{Back, DELAY_MS, Fault, STEPS, VALUES, value};

@@ -11,9 +11,9 @@ use urrcp::{Message, RequestId, Server, Span, Timestamp};
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct, SentScript};
 use super::{ActStarts, DRIFT, Starts, Verdict};
-use crate::dry_run::BEGIN;
-use crate::mission::ClockMode;
-use crate::simulation::{DrawnRobot, Fault, Happened, Network};
+use crate::{DrawnRobot, Fault, Happened, Network};
+use downbeat_mission::ClockMode;
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// A robot lets a start be that comes later than this, and starts until then.
 const START_LATE_MAX: Span = Span::from_millis(50);

@@ -5,7 +5,7 @@ use std::fmt;
 
 use urrcp::{Server, Span, Timestamp};
 
-use crate::simulation::{Fault, Happened, Ran};
+use crate::{Fault, Happened, Ran};
 
 /// Why something was excused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

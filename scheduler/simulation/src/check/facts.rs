@@ -7,8 +7,8 @@ use downbeat_scripts::{Act, Choreography, DeviceScript};
 use urrcp::{Command, Message, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
-use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
-use crate::simulation::{Drawn, Fault, Happened, Names, Network, Ran};
+use crate::{Drawn, Fault, Happened, Names, Network, Ran};
+use downbeat_mission::{Progress, Promise, PromisedScript, Record, SkewBudget, promised_name};
 
 /// On a link that loses answers a clock that was set is seen a second later, at the next question.
 const SEEN_AFTER: Span = Span::from_millis(1_100);

@@ -9,9 +9,9 @@ use urrcp::{Command, Message, Server, Span, Timestamp};
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct, SentScript};
 use super::{DRIFT, Verdict};
-use crate::mission::{Progress, Record};
-use crate::simulation::world::PATIENCE;
-use crate::simulation::{Fault, Happened};
+use crate::world::PATIENCE;
+use crate::{Fault, Happened};
+use downbeat_mission::{Progress, Record};
 
 /// A robot without a running lease may owe an answer for this long.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
@@ -23,7 +23,7 @@ const MORE: Span = Span::from_millis(500);
 /// Where it is known when an act is to start, it is sent up to 2 s ahead, and with a lease that is longer by up to 2 s.
 const AHEAD: Span = Span::from_millis(2_000 + 2_000);
 /// No lead is shorter: one margin, the least pending lease and another margin.
-pub(in crate::simulation) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
+pub(crate) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
 /// So many of the round trips that its links keep to nearly always are in a lead, of which the longest counts as this one: three
 /// for the answers, six for the lease, and one and a half for the margin.
 const ROUND_TRIPS: i64 = 11;

@@ -8,10 +8,10 @@ use urrcp::{ControlType, Device, DeviceId, Interpolation, Message, Server, Span,
 
 use super::Verdict;
 use super::facts::{Facts, SentScript};
-use crate::mission::Progress;
-use crate::simulation::draw::{BEGINS_AT, Hands};
-use crate::simulation::trajectory::{JUMP, JumpAfterStop, Promised, jumps_after_stops, unexplained};
-use crate::simulation::{DrawnRobot, Fault, Happened};
+use crate::draw::{BEGINS_AT, Hands};
+use crate::trajectory::{JUMP, JumpAfterStop, Promised, jumps_after_stops, unexplained};
+use crate::{DrawnRobot, Fault, Happened};
+use downbeat_mission::Progress;
 
 const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)

@@ -9,10 +9,10 @@ use urrcp::{Command, Message, RequestId, Server, Span, Timestamp};
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct};
 use super::{DRIFT, Verdict};
-use crate::dry_run::BEGIN;
-use crate::mission::{FailureKind, Progress, Record};
-use crate::simulation::Happened;
-use crate::simulation::world::PATIENCE;
+use crate::Happened;
+use crate::world::PATIENCE;
+use downbeat_mission::{FailureKind, Progress, Record};
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// What the scheduler and a robot take to continue where neither waits for anything.
 const AT_ONCE: Span = Span::from_millis(2);

@@ -7,7 +7,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::facts::Facts;
 use super::{DRIFT, Verdict};
-use crate::mission::Record;
+use downbeat_mission::Record;
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     moved_after_a_stop(facts, verdict);

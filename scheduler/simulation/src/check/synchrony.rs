@@ -10,8 +10,8 @@ use urrcp::{Message, RequestId, Server, Span, Timestamp};
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::{Facts, SentAct, SentScript};
-use crate::mission::RobotSkew;
-use crate::simulation::Happened;
+use crate::Happened;
+use downbeat_mission::RobotSkew;
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
@@ -20,7 +20,7 @@ const START_LATE_MAX: Span = Span::from_millis(50);
 /// How far a robot's own instant may be from the one that follows from what was told of its clock.
 const CLOCKS: Span = Span::from_millis(1);
 /// What a clock may drift that was good when the act began, as a fraction: the bound that the clock estimate works with.
-const DRIFT_BOUND: f64 = crate::clock::DRIFT_BOUND;
+const DRIFT_BOUND: f64 = downbeat_mission::clock::DRIFT_BOUND;
 
 /// A start, and how far it was from its plan.
 struct Start {

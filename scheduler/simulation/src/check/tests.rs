@@ -4,10 +4,10 @@ use downbeat_robot::set_log::MotionKind;
 use urrcp::{Message, Span};
 
 use super::*;
-use crate::mission::{Outcome, Progress, Record};
-use crate::report::StopState;
-use crate::simulation::draw::Hands;
-use crate::simulation::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
+use crate::draw::Hands;
+use crate::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
+use downbeat_mission::report::StopState;
+use downbeat_mission::{Outcome, Progress, Record};
 
 /// The first seed of missions like this.
 #[track_caller]
@@ -20,7 +20,7 @@ fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
 
 /// Two robots or more play one act to its end, and nothing goes wrong.
 fn calm(drawn: &Drawn) -> bool {
-    let sound = |robot: &crate::simulation::DrawnRobot| {
+    let sound = |robot: &crate::DrawnRobot| {
         robot.lie.is_none() && robot.names == Names::Echoed && robot.block.reports && robot.block.inquiry
     };
     drawn.network == Network::Stream
@@ -55,7 +55,7 @@ fn finds(invariant: char, wrong: impl Fn(&mut Ran)) {
     assert!(violated(&ran).contains(invariant), "{:?}", ran.verdict().violations);
 }
 
-fn promised(ran: &Ran) -> crate::mission::Promise {
+fn promised(ran: &Ran) -> downbeat_mission::Promise {
     let promise = |(_, record): &(_, Record)| match record {
         Record::Prepared(promise) => Some(promise.clone()),
         _ => None,
@@ -70,7 +70,7 @@ fn member(ran: &Ran) -> usize {
 }
 
 /// What is said of the first script of the first robot.
-fn said(ran: &mut Ran) -> &mut crate::mission::DeviceReport {
+fn said(ran: &mut Ran) -> &mut downbeat_mission::DeviceReport {
     &mut ran.report.as_mut().unwrap().acts[0].robots[0].devices[0]
 }
 
@@ -211,8 +211,7 @@ fn a_question_that_came_late_excuses_only_the_robot_whose_own_link_was_slow_whil
 /// with this number of interruptions, and was slow on the link of a robot.
 fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stands_still: bool) -> bool {
     let undisturbed = |drawn: &Drawn| {
-        let sound =
-            |robot: &crate::simulation::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
+        let sound = |robot: &crate::DrawnRobot| robot.lie.is_none() && robot.names == Names::Echoed;
         drawn.network == Network::Stream
             && drawn.tail == 0.0
             && drawn.faults.is_empty()
@@ -223,7 +222,7 @@ fn outlives_the_first(questions: i64, slow: impl Fn(usize, usize) -> usize, stan
     let follower = |ran: &Ran| {
         let scripts = promised(ran).scripts;
         let robot = |id: &urrcp::RobotId| ran.drawn.robots.iter().position(|drawn| drawn.block.id == *id);
-        let pair = |two: &[crate::mission::PromisedScript]| {
+        let pair = |two: &[downbeat_mission::PromisedScript]| {
             let robot = robot(&two[0].robot).filter(|robot| !ran.drawn.robots[*robot].block.inquiry)?;
             let follows = (&two[0].robot, &two[0].device) == (&two[1].robot, &two[1].device);
             follows.then(|| (robot, two[0].request_id.clone(), two[1].request_id.clone()))
@@ -403,7 +402,7 @@ fn only_a_robot_that_tells_nothing_moves_under_another_name_than_was_promised() 
     let found = violated(&ran);
     assert!(!found.contains('m') && !found.contains('b'), "{found}");
     let mut again = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().clone();
-    again.request_id = again.request_id.map(|name| crate::mission::promised_name(&name).to_owned());
+    again.request_id = again.request_id.map(|name| downbeat_mission::promised_name(&name).to_owned());
     ran.logs[robot].push(again);
     assert!(violated(&ran).contains('b'), "one script under two names");
 }
@@ -482,7 +481,7 @@ fn a_report_that_claims_one_step_more_or_less_is_found() {
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].started += 1);
     finds('g', |ran| said(ran).steps_planned += 1);
     finds('g', |ran| said(ran).late_steps += 1);
-    finds('g', |ran| said(ran).state = crate::mission::DeviceState::Planned);
+    finds('g', |ran| said(ran).state = downbeat_mission::DeviceState::Planned);
     finds('g', |ran| {
         let robot = member(ran);
         ran.logs[robot].pop();
@@ -515,8 +514,8 @@ fn a_report_of_another_start_window_lead_or_doubt_is_found() {
 fn an_outcome_or_a_fate_that_is_not_so_is_found() {
     finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::NotStarted);
     finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::DoneWithout);
-    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = crate::mission::ActFate::Withdrawn);
-    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = crate::mission::ActFate::NotReached);
+    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = downbeat_mission::ActFate::Withdrawn);
+    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = downbeat_mission::ActFate::NotReached);
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].stop = StopState::Confirmed);
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].standing = "out");
     finds('g', |ran| ran.report.as_mut().unwrap().acts[0].robots[0].left_out = true);
@@ -526,8 +525,8 @@ fn an_outcome_or_a_fate_that_is_not_so_is_found() {
 fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_are_found() {
     let blame = |ran: &mut Ran| {
         let robot = ran.drawn.robots[member(ran)].block.id.clone();
-        let kind = crate::mission::FailureKind::LinkDown { reason: "connection reset".to_owned() };
-        ran.report.as_mut().unwrap().failures.push(crate::mission::Failure { robot, kind });
+        let kind = downbeat_mission::FailureKind::LinkDown { reason: "connection reset".to_owned() };
+        ran.report.as_mut().unwrap().failures.push(downbeat_mission::Failure { robot, kind });
     };
     finds('g', blame);
     finds('g', |ran| {
@@ -615,7 +614,7 @@ fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found()
 fn jumps_after_a_stop_at(position: f64, home: bool, approaches: bool) -> bool {
     let states = |drawn: &Drawn| {
         let at_home = |device: &urrcp::Device| device.default_value.is_some();
-        let own = |robot: &crate::simulation::DrawnRobot| {
+        let own = |robot: &crate::DrawnRobot| {
             matches!(robot.hands, Hands::Own) && robot.block.devices.iter().take(1).all(at_home)
         };
         calm(drawn) && drawn.robots.iter().all(own)
@@ -647,7 +646,7 @@ fn a_jump_after_a_stop_is_found_unless_it_begins_at_home() {
 }
 
 /// A mission whose lead is so much longer than allowed, and what is found of it.
-fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &crate::mission::Promise)) -> usize {
+fn with_a_lead_beyond(by: i64, wrong: impl Fn(&mut Ran, &downbeat_mission::Promise)) -> usize {
     let ran = played();
     let mut slow = played();
     for (_, record) in &mut slow.records {

@@ -14,9 +14,9 @@ use urrcp::{Server, Span, Timestamp};
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::Facts;
-use crate::mission::{Progress, Record};
-use crate::report::Report;
-use crate::simulation::Happened;
+use crate::Happened;
+use downbeat_mission::report::Report;
+use downbeat_mission::{Progress, Record};
 
 /// How exactly times have to agree.
 const GRAIN: Span = Span::from_micros(1);
@@ -52,7 +52,7 @@ impl Said<'_> {
         let name = self.facts.name(robot);
         let claim = |happened: &Happened| match happened {
             Happened::Told(progress) => matches!(&**progress, Progress::Failed(failure)
-                if failure.robot == *name && matches!(failure.kind, crate::mission::FailureKind::Claim { .. })),
+                if failure.robot == *name && matches!(failure.kind, downbeat_mission::FailureKind::Claim { .. })),
             _ => false,
         };
         self.facts.clock_was_set(robot) || self.facts.ran.history.iter().any(|(_, happened)| claim(happened))

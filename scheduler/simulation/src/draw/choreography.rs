@@ -9,7 +9,7 @@ use urrcp::{ControlType, Device, Interpolation, Millis, Script, Setpoint, Span, 
 
 use super::fleet::{DrawnRobot, Show};
 use super::{millis, one_in};
-use crate::dry_run::BEGIN;
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// What reads this or more is what acts wait for.
 pub(crate) const BRIGHT: f64 = 50.0;

@@ -5,7 +5,7 @@ use fastrand::Rng;
 use urrcp::{InitializationBlock, RobotId, Span};
 
 use super::{millis, one_in};
-use crate::mission::ClockMode;
+use downbeat_mission::ClockMode;
 
 /// A robot that does not do what it says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

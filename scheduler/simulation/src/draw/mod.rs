@@ -13,7 +13,7 @@ use downbeat_scripts::{Choreography, Wait};
 use fastrand::Rng;
 use urrcp::Span;
 
-use crate::mission::Join;
+use downbeat_mission::Join;
 
 pub(crate) use choreography::{BEGINS_AT, BRIGHT};
 pub use faults::Fault;

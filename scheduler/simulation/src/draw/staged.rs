@@ -9,9 +9,9 @@ use fastrand::Rng;
 use urrcp::{Server, Span, Timestamp};
 
 use super::{BEGINS_AT, Drawn, Fault, FaultKind, Hands, Names, draw_mission, millis, one_in};
-use crate::dry_run::BEGIN;
-use crate::simulation::stage::{faults_met, intervals};
-use crate::simulation::{Ran, Stage, play};
+use crate::stage::{faults_met, intervals};
+use crate::{Ran, Stage, play};
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// Missions that are drawn for one seed until the fault meets its stage.
 const ATTEMPTS: usize = 16;
@@ -130,7 +130,7 @@ fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
 mod tests {
     use super::super::{FAMILIES, STAGED};
     use super::*;
-    use crate::simulation::{draw, judge};
+    use crate::{draw, judge};
 
     #[test]
     fn faults_meet_the_stages_for_which_their_seeds_stand() {
@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn a_mission_that_plays_is_at_each_of_its_stages_in_order() {
         let stages = |seed| {
-            let stages = crate::simulation::stage::stages(&play(draw(seed).without_faults()));
+            let stages = crate::stage::stages(&play(draw(seed).without_faults()));
             stages.into_iter().map(|(_, stage)| stage).collect::<Vec<_>>()
         };
         let stages = (0..).map(stages).find(|stages| stages.contains(&Stage::Plays)).unwrap();

@@ -11,9 +11,9 @@ use urrcp::{ControlType, Millis, Script, Server, Setpoint, Span, Step, StopCondi
 
 use super::network::Direction;
 use super::{Drawn, Fault, Network, millis, one_in};
-use crate::dry_run::BEGIN;
-use crate::mission::{Progress, Promise, Record};
-use crate::simulation::{Happened, Ran, play};
+use crate::{Happened, Ran, play};
+use downbeat_mission::{Progress, Promise, Record};
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// Makes such a mission of what was drawn. One that never comes to its first decision stays as it is.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
@@ -159,7 +159,7 @@ fn with_faults(drawn: Drawn, mut faults: Vec<(Span, Fault)>) -> Drawn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::{judge, run};
+    use crate::{judge, run};
 
     /// Some of them, as they are played.
     fn such() -> impl Iterator<Item = Ran> {

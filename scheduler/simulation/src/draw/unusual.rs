@@ -8,7 +8,7 @@ use fastrand::Rng;
 use urrcp::{Millis, Script, Span, Step};
 
 use super::{Drawn, faults, one_in};
-use crate::mission::{ClockMode, Join};
+use downbeat_mission::{ClockMode, Join};
 
 /// A robot that comes this long after the beginning never comes.
 const NEVER: Span = Span::from_millis(3_600_000);
@@ -87,9 +87,9 @@ fn move_script(script: &mut DeviceScript, start: impl Fn(f64) -> f64, offset: im
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mission::ActFate;
-    use crate::simulation::draw::{FAMILIES, UNUSUAL};
-    use crate::simulation::{judge, run};
+    use crate::draw::{FAMILIES, UNUSUAL};
+    use crate::{judge, run};
+    use downbeat_mission::ActFate;
 
     #[test]
     fn acts_are_repeated_begin_later_lack_a_robot_and_last_for_minutes() {

@@ -2,9 +2,9 @@
 
 use super::scheduler::Burnt;
 use super::{Item, Machine, World};
-use crate::mission::{Event, Loss, Rest};
-use crate::simulation::draw::stranger;
-use crate::simulation::{Direction, Fault, Happened};
+use crate::draw::stranger;
+use crate::{Direction, Fault, Happened};
+use downbeat_mission::{Event, Loss, Rest};
 
 impl World {
     pub(super) fn go_wrong(&mut self, fault: Fault) {

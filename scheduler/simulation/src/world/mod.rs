@@ -21,10 +21,10 @@ use urrcp::{Message, Server, SessionId, Span, Timestamp};
 use self::robots::RobotSide;
 use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
-use crate::drive::{at_once, drive};
-use crate::dry_run::BEGIN;
-use crate::mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
-use crate::session::Session;
+use downbeat_mission::drive::{at_once, drive};
+use downbeat_mission::session::Session;
+use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// A mission that lasts longer hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);

@@ -4,8 +4,8 @@ use downbeat_robot::{Input, LinkId};
 use urrcp::{Command, ControlRequest, Inquiry, Message, Server, Span, Timestamp};
 
 use super::{CONNECT_FAILS, Item, Machine, World};
-use crate::mission::{Event, Loss};
-use crate::simulation::{Connections, Happened, Lie, Network};
+use crate::{Connections, Happened, Lie, Network};
+use downbeat_mission::{Event, Loss};
 
 /// About what messages have in bytes: each, each step of a script, each request that is named.
 const MESSAGE_BYTES: usize = 220;

@@ -3,8 +3,8 @@
 use downbeat_scripts::Wait;
 
 use super::{Item, World};
-use crate::mission::{Event, Progress};
-use crate::simulation::draw::BRIGHT;
+use crate::draw::BRIGHT;
+use downbeat_mission::{Event, Progress};
 
 impl World {
     /// What an act waits for comes this long after that was told, if ever.

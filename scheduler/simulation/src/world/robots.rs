@@ -12,8 +12,8 @@ use urrcp::{
 };
 
 use super::{BEGIN, Item, Machine, World};
-use crate::mission::Loss;
-use crate::simulation::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
+use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
+use downbeat_mission::Loss;
 
 /// Hardware that only stops to answer is given up by its driver after this long.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);

@@ -7,13 +7,15 @@ use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
 use super::{BEGIN, Due, Item, LASTS_MAX, World, options, participants, session};
-use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
-use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all};
-use crate::mission::{
+use crate::{Drawn, Fault, Happened};
+use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
+use downbeat_mission::{
     Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, ended_acts,
 };
-use crate::simulation::{Drawn, Fault, Happened};
+use downbeat_runtime::journal::simulated::SimulatedDisk;
+use downbeat_runtime::journal::{
+    Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
+};
 
 /// Whether the process is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -105,7 +107,7 @@ impl Scheduler {
             project: None,
             asked: Asked::default(),
             plan_hash: None,
-            fixed: crate::mission::FixedStarts::default(),
+            fixed: downbeat_mission::FixedStarts::default(),
             greeting: Greeting::Full,
             clock_offset: Span::ZERO,
             keys: OpenedKeys::default(),

@@ -8,8 +8,8 @@ use urrcp::{
     StopCondition,
 };
 
-use crate::mission::{Destination, PlanTransfer};
-use crate::simulation::Drawn;
+use crate::Drawn;
+use downbeat_mission::{Destination, PlanTransfer};
 
 /// The first positions of devices.
 type Firsts<'a> = HashMap<(&'a RobotId, &'a DeviceId), f64>;

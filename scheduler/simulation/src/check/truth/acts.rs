@@ -4,9 +4,9 @@ use downbeat_robot::set_log::LogEntry;
 use urrcp::Span;
 
 use super::{GRAIN, Said};
-use crate::mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, Record};
-use crate::simulation::Happened;
-use crate::simulation::check::facts::{SentAct, SentScript};
+use crate::Happened;
+use crate::check::facts::{SentAct, SentScript};
+use downbeat_mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, Record};
 
 /// A step that is set later than this after its deadline is counted as late.
 const LATE: Span = Span::from_millis(1);

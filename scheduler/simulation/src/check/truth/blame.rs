@@ -5,11 +5,11 @@ use downbeat_scripts::{RefillKind, refills_of_robots};
 use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;
-use crate::mission::{FailureKind, Progress};
-use crate::simulation::check::movements::jumps_from_the_beginning;
-use crate::simulation::draw::BEGINS_AT;
-use crate::simulation::trajectory::JUMP;
-use crate::simulation::{Happened, Network};
+use crate::check::movements::jumps_from_the_beginning;
+use crate::draw::BEGINS_AT;
+use crate::trajectory::JUMP;
+use crate::{Happened, Network};
+use downbeat_mission::{FailureKind, Progress};
 
 impl Said<'_> {
     pub(super) fn blame(&self, wrong: &mut Vec<String>) {

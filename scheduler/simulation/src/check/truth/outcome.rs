@@ -4,10 +4,10 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::Said;
 use super::acts::error_by_its_clock;
-use crate::mission::{ActFate, Outcome, Progress, Record};
-use crate::report::RobotReport;
-use crate::simulation::Happened;
-use crate::simulation::check::facts::{SentAct, SentScript};
+use crate::Happened;
+use crate::check::facts::{SentAct, SentScript};
+use downbeat_mission::report::RobotReport;
+use downbeat_mission::{ActFate, Outcome, Progress, Record};
 
 impl Said<'_> {
     pub(super) fn outcome(&self, wrong: &mut Vec<String>) {

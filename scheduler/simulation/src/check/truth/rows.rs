@@ -4,11 +4,11 @@ use downbeat_robot::set_log::MotionKind;
 use urrcp::{Server, Timestamp};
 
 use super::Said;
-use crate::mission::{DeviceReport, DeviceState, FailureKind, Join, Outcome, Progress, Record};
-use crate::report::{RobotReport, StopState};
-use crate::simulation::check::DRIFT;
-use crate::simulation::check::cause::{Cause, Hit};
-use crate::simulation::{Happened, Lie};
+use crate::check::DRIFT;
+use crate::check::cause::{Cause, Hit};
+use crate::{Happened, Lie};
+use downbeat_mission::report::{RobotReport, StopState};
+use downbeat_mission::{DeviceReport, DeviceState, FailureKind, Join, Outcome, Progress, Record};
 
 impl Said<'_> {
     pub(super) fn rows(&self, wrong: &mut Vec<String>) {
@@ -29,7 +29,7 @@ impl Said<'_> {
         if self.report.acts_omitted > 0 {
             return;
         }
-        let of_robot = |robot: &&crate::mission::ActRobot| robot.robot == row.robot;
+        let of_robot = |robot: &&downbeat_mission::ActRobot| robot.robot == row.robot;
         let robots = self.report.acts.iter().flat_map(|act| &act.robots).filter(of_robot);
         let scripts: Vec<&DeviceReport> = robots.flat_map(|robot| &robot.devices).collect();
         let sum = |what: fn(&DeviceReport) -> u64| scripts.iter().map(|script| what(script)).sum::<u64>();
