@@ -173,6 +173,11 @@ impl Script {
         self.shift
     }
 
+    /// When its request was sent for the first time.
+    pub(crate) const fn first_sent_at(&self) -> Option<Timestamp<Server>> {
+        self.first_sent_at
+    }
+
     /// Its request was sent more than once, as far as is known.
     pub(crate) fn came_again(&self) -> bool {
         self.perhaps_sent || self.first_sent_at != self.sent_at

@@ -7,10 +7,12 @@ use super::{Act, ActAction, Member, Stage, Timing};
 use crate::failure_kind::FailureKind;
 use crate::record::{Promise, PromisedScript, Record};
 use crate::robot_state::RobotState;
-use crate::rounds::HELD_UP;
 use crate::script::{Script, ScriptRef};
 use crate::skew::SkewBudget;
 use crate::{Outcome, Progress};
+
+/// A decision that is overdue for longer than this was held up on this machine.
+pub(super) const HELD_UP: Span = Span::from_millis(20);
 
 /// Whether robots that have not answered were asked again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -175,8 +177,11 @@ impl Act {
         let too_late = now > timing.brink() - timing.lead.lease;
         if !all {
             // Where this process stood still, acceptances may have come that it has not read: only a link that is down is blamed.
-            let held_up = too_late && now > timing.decision + HELD_UP;
-            let blamed = |member: &&Member| !held_up || robots[member.robot].broken().is_some();
+            let held_up = now > timing.decision + HELD_UP;
+            let blamed = |member: &&Member| {
+                let had_time = !held_up && has_had_time(now, member, timing);
+                had_time || robots[member.robot].broken().is_some()
+            };
             let slow: Vec<&Member> =
                 self.present().filter(|member| !member.has_accepted(timing)).filter(blamed).collect();
             if slow.is_empty() {
@@ -216,6 +221,12 @@ impl Act {
         let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
         Some(Progress::Decided { act: self.name(), start, duration, leases_end, no_return, doubt })
     }
+}
+
+/// Whether a robot has had half of the time in which all have to accept. It has less if the promise was not on the disk sooner.
+fn has_had_time(now: Timestamp<Server>, member: &Member, timing: &Timing) -> bool {
+    let mut awaited = member.unaccepted(timing).filter_map(|(_, script)| script.first_sent_at());
+    awaited.any(|sent| (now - sent) * 2 >= timing.lead.prepare)
 }
 
 /// What has not been answered is sent again, in case it was lost.

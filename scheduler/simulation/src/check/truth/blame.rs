@@ -98,11 +98,9 @@ impl Said<'_> {
 }
 
 /// Whether the robot itself reports that the scheduler was silent for too long, or too late. If the scheduler ended or stalled, that is
-/// true. A robot must not fail for any other reason then, except for a fault that is still open: acceptances are awaited from the promise
-/// on, although requests that wait for the disk are sent later.
+/// true. A robot must not fail for any other reason then.
 fn blames_scheduler(kind: &FailureKind) -> bool {
     match kind {
-        FailureKind::Silent { awaited, .. } => awaited.starts_with("acceptance"),
         FailureKind::Script { error, .. } => matches!(error.code, ErrorCode::LinkLost | ErrorCode::Late),
         _ => false,
     }
