@@ -437,6 +437,19 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
+        "No robot is blamed for a missing acceptance if the disk left it less than half of the time to \
+         prepare, or if the mission is called more than 20 ms late for the decision.",
+        &[
+            Test(
+                "scheduler/mission/src/act/tests/preparing.rs::no_robot_is_blamed_for_the_time_that_the_disk_took",
+            ),
+            Test(
+                "scheduler/mission/src/act/tests/preparing.rs::where_this_process_stood_still_nobody_is_blamed_for_acceptances_that_it_has_not_read",
+            ),
+        ],
+    ),
+    (
+        Mission,
         "If all robots in the act are silent, the mission makes a third attempt before they count as \
          failed.",
         &[Test(
