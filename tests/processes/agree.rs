@@ -230,6 +230,13 @@ fn name_of_act(set: &Set, report: &Value) -> Option<String> {
     act_of(set, report).map(|act| act["act"].to_string())
 }
 
+/// Without the rests at the beginning. A device at rest notes the stop of each attempt for which this machine was too slow.
+fn after_attempts<'s>(sets: &'s [Set], report: &Value) -> &'s [Set] {
+    let attempts = report["acts"][0]["prepared_again"].as_u64().unwrap_or_default();
+    let rests = sets.iter().take_while(|set| set.act.is_none() && set.what.0 == "rest").count();
+    &sets[rests.min(usize::try_from(attempts).unwrap())..]
+}
+
 /// After the planned start of its act, in milliseconds.
 fn after_start(set: &Set, report: &Value) -> f64 {
     let act = act_of(set, report).unwrap();
@@ -267,13 +274,9 @@ fn agree(show: &Show, stage: &Stage, real: &Value, (dry, world): &(Played, World
         let (really, dry) = (really_set(process.log()), set_in_dry_run(dry, robot));
         assert!(really.keys().eq(dry.keys()) && !really.is_empty(), "{name}: devices of {robot}");
         for ((device, really_set), dry_set) in really.iter().zip(dry.values()) {
-            // A device at rest notes the stop of an attempt for which this machine was too slow.
-            let of_attempt = |set: &&Set| set.act.is_none() && set.what.0 == "rest";
+            let (really_set, dry_set) = (after_attempts(really_set, real), after_attempts(dry_set, &report));
             let what = |sets: &[Set], report: &Value| {
-                sets.iter()
-                    .skip_while(of_attempt)
-                    .map(|set| (name_of_act(set, report), set.what.clone()))
-                    .collect::<Vec<_>>()
+                sets.iter().map(|set| (name_of_act(set, report), set.what.clone())).collect::<Vec<_>>()
             };
             assert_eq!(what(really_set, real), what(dry_set, &report), "{name}: {robot}/{device}");
             for (really, dry) in really_set.iter().zip(dry_set).filter(|(really, _)| really.act.is_some()) {

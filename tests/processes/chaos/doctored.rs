@@ -86,7 +86,7 @@ const DOCTORED: &[Doctored] = &[
     ("(lease)", |played| struck(played, Some(0), What::Robot(Fault::Deaf))),
     ("(lease)", |played| struck(played, None, What::SchedulerKilled)),
     ("(lease)", |played| {
-        // The link holds what was said until a quarter of a second later.
+        // The link holds messages for a quarter of a second.
         let at = played.sets[0][2].at;
         let (what, from, until) = (What::Robot(Fault::Muted), at - SECOND / 20, at + SECOND / 4);
         played.struck.push(Struck { robot: Some(0), what, from, until });

@@ -441,7 +441,7 @@ impl Judge<'_> {
         own.map(|struck| (struck.from, struck.until)).chain(silent).collect()
     }
 
-    /// When a robot has last heard of the mission, if the mission says nothing from this instant on. Messages that a link holds at
+    /// When a robot has last heard of the mission, if the mission sends nothing from this instant on. Messages that a link holds at
     /// that instant arrive once it passes them, and renew a lease that still runs.
     fn last_heard(&self, robot: usize, silent_from: i64) -> i64 {
         let holds = |struck: &&Struck| {

@@ -54,6 +54,10 @@ fn an_act_whose_scheduler_stalls_while_its_requests_are_under_way_moves_no_robot
     // The mission prepares the act again, but the slow link does not permit it.
     let ended = running.ended();
     let report = ended.report();
-    assert_eq!(report["outcome"], "not_started", "{ended}");
-    assert!(report["acts"][0]["prepared_again"].as_u64() >= Some(1), "{ended}");
+    // At the second attempt, this machine still counts as slow.
+    assert_eq!(
+        (&report["outcome"], &report["acts"][0]["prepared_again"]),
+        (&"not_started".into(), &2.into()),
+        "{ended}"
+    );
 }
