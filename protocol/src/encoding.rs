@@ -2,19 +2,19 @@
 
 use std::fmt;
 
-/// How one message is written.
+/// The encoding of one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Encoding {
-    /// A line of JSON, which everybody understands.
+    /// A line of JSON, which every peer supports.
     #[default]
     Json,
-    /// A frame of MessagePack, a fraction of the size.
+    /// A frame of MessagePack, a fraction of the size of the JSON.
     MessagePack,
 }
 
 impl Encoding {
-    /// The name in an initialization block and in a fleet file.
+    /// The name of the encoding in an initialization block and in a fleet file.
     #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {

@@ -88,10 +88,10 @@ pub enum LimitError {
         /// Upper bound.
         max: f64,
     },
-    /// A count that is at least 1 is 0.
+    /// A count that must be at least 1 is 0.
     #[error("{key} 0, expected at least 1")]
     NoneAtAll {
-        /// The key that counts.
+        /// The key of the count.
         key: &'static str,
     },
     /// An actuation latency, or its spread, is negative or beyond [`LATENCY_MS_MAX`].

@@ -50,7 +50,7 @@ impl Role {
         }
     }
 
-    /// What a control request takes: any of these.
+    /// The roles that permit a control request; any one of them is enough.
     #[must_use]
     pub fn needed_for_request(request: &ControlRequest) -> &'static [Self] {
         match &request.command {

@@ -25,16 +25,16 @@
 //! | [`mission`], [`drive`] | the machine, and the loop that drives it |
 //! | [`run`], [`link`], [`server_clock`], [`stop_lane`] | a mission in real time |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
-//! | [`journal`], [`recording`] | what is kept on the disk |
+//! | [`journal`], [`recording`] | the files of a mission on the disk |
 //! | [`report`], [`show`] | the outcome of a mission; the same as text or a picture |
-//! | [`certificate`] | a plan that was played against faults |
-//! | [`requirements`] | whether figures are as a scenario requires |
-//! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
-//! | [`dry_run`], [`trials`] | the same in virtual time |
-//! | [`conformance`] | whether a robot does what the protocol demands |
-//! | [`calibrate`], [`downbeat_onset`] | how long devices take from a command to visible motion |
-//! | [`session`] | on whose behalf robots are driven |
-//! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; room for many sockets |
+//! | [`certificate`] | the statement that a plan was played with faults |
+//! | [`requirements`] | whether figures meet the requirements of a scenario |
+//! | [`measured`] | the network and the clocks of a recorded mission, as a world file |
+//! | [`dry_run`], [`trials`] | missions in virtual time |
+//! | [`conformance`] | whether a robot meets the requirements of the protocol |
+//! | [`calibrate`], [`downbeat_onset`] | the time from a command to visible motion of a device |
+//! | [`session`] | the operator on whose behalf robots are driven |
+//! | [`clock`], [`zone`], [`open_files`] | how far a robot's clock is off; local times; the limit of open files, raised for many sockets |
 
 pub mod calibrate;
 mod cli;

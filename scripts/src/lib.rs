@@ -1,4 +1,4 @@
-//! The scenario language of Downbeat: read a fleet and a choreography, find everything that will not work, compile the rest.
+//! The scenario language of Downbeat: read a fleet and a choreography, find everything that would not work, and compile them.
 //!
 //! ```text
 //!   fleet.yaml ── read_fleet ──▶ Fleet ─┐
@@ -17,9 +17,9 @@
 //! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
 //! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
 //! 5. `downbeat-import` and `downbeat-fleet`, crates: files of other tools; robots.
-//! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: what groups do. `scenario`: tree to meaning.
+//! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: the movements of groups. `scenario`: from tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
-//! 8. `approach`, `home`, `rehearse`, `inventory`, `export`: what else is made of a fleet and a scenario.
+//! 8. `approach`, `home`, `rehearse`, `inventory`, `export`: other products of a fleet and a scenario.
 
 mod approach;
 mod compile;

@@ -196,7 +196,7 @@ pub struct DeviceUse {
     /// without such limits.
     #[serde(skip)]
     pub factor_max: f64,
-    /// The same for the ways from where other acts leave it to its first keyframe.
+    /// The same factor for the ways to its first keyframe from the positions in which other acts leave the device.
     #[serde(skip)]
     pub entry_factor_max: f64,
     /// The largest speed that its block and the fleet file allow, driven by position, in its unit per second.

@@ -101,8 +101,8 @@ impl ControlRequest {
         }
     }
 
-    /// Whether it is an empty script that counts at once: it ends what the device does, whichever session asked for that. One that sends
-    /// the device home moves it, and is none.
+    /// Whether it is an empty script that takes effect at once: it ends the current command of the device, of whichever session. A script
+    /// that sends the device home moves it, and is not a stop.
     #[must_use]
     pub fn is_stop(&self) -> bool {
         let empty = matches!(&self.command, Command::Script(script) if script.is_empty());

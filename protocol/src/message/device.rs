@@ -163,7 +163,7 @@ impl Device {
         }
     }
 
-    /// A device that holds no command at all could not be commanded.
+    /// Checks that the device can hold at least one command.
     pub(super) const fn check_queue(&self) -> Result<(), LimitError> {
         match self.script_queue {
             0 => Err(LimitError::NoneAtAll { key: "script_queue" }),

@@ -1,4 +1,4 @@
-//! Files that hold a key: nobody else may read them.
+//! Reads files that contain a key, and refuses those that other users may read.
 
 use std::fs::File;
 use std::io::{self, Read};

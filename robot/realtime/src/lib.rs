@@ -1,4 +1,4 @@
-//! How precisely a thread wakes: what the system grants it, how it waits, and how late that is on this host. Linux only.
+//! Precise waiting on a thread: the scheduling that the system grants, the wait itself, and its delay on this host. Linux only.
 
 mod precise_wait;
 mod scheduling;

@@ -1,8 +1,8 @@
-//! A secret that a robot shares with its authority: for robots too small for TLS. Both sides prove that they know a key that
-//! follows from it, and each record carries a code (HMAC-SHA256), so that none can be altered, repeated, left out or put in
-//! another order. What is sent can be read by others.
+//! A transport for robots that are too small for TLS, based on a secret that a robot shares with its authority. Both sides prove
+//! that they know a key that is derived from the secret. Each record carries a code (HMAC-SHA256), so that the receiver detects
+//! records that were altered, repeated, omitted or reordered. Others can read the messages.
 //!
-//! `docs/protocol.md` has the bytes, `docs/security.md` what this is good for. `handshake` and `record` do no I/O.
+//! `docs/protocol.md` specifies the bytes, and `docs/security.md` the protection. `handshake` and `record` do no I/O.
 
 mod claim;
 mod guard;

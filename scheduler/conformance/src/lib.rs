@@ -1,8 +1,8 @@
-//! Plays the server against any robot and judges what the protocol demands, one requirement at a time.
+//! Acts as the server of a robot, and judges whether the robot meets the requirements of the protocol, one at a time.
 //!
-//! A test client of its own, with blocking sockets and bytes on the wire, since it must also send what no server sends.
-//! One file a theme; each lists its requirements with their checks. `trial` is what the checks have available, `line` one
-//! connection.
+//! The crate has its own test client, with blocking sockets and raw bytes, because it must also send bytes that no server sends.
+//! Each file covers one theme, and lists its requirements with their checks. `trial` is the environment of the checks, `line`
+//! one connection.
 
 mod actor;
 mod greeting;

@@ -1,8 +1,8 @@
-//! Missions that were played, as their journals and recordings tell them.
+//! Past missions, read from their journals and recordings.
 //!
 //! | module | |
 //! |---|---|
-//! | [`history`] | reads a journal or a recording |
+//! | [`history`] | a journal or a recording, read from its file |
 //! | [`compare`] | the differences between two plans or two missions |
 //! | [`measured`] | the network and the clocks of a recording, as a world file |
 //! | [`page`] | a mission, a dry run or trials as a page for a browser |

@@ -13,7 +13,8 @@ use super::{Mission, Outcome, Phase};
 const AGAIN_MAX: u32 = 2;
 /// The shortest delay to allow for: a machine that was late by less may be late by this much the next time.
 const HOLD_UP_MIN: Span = Span::from_millis(40);
-/// An act that is overdue for longer than this, now or a few seconds ago, has missed a round. If leases end then, this machine is the cause.
+/// An act that is overdue by more than this, or was in the last few seconds, has missed a round. If leases end then, this machine is
+/// the cause.
 const OVERDUE: Span = Span::from_millis(5);
 
 /// An act that is withdrawn, and that is prepared again once all robots have confirmed their stop. While another act plays, the
@@ -38,9 +39,9 @@ impl Mission {
         }
     }
 
-    /// Handles the failure of robots in an act. If leases end or robots are silent before the commitment, and this machine has called
-    /// the mission late, or if most robots did not accept in time although their links are up, the cause may be this machine.
-    /// Before the robots count as failed, the mission prepares the act again.
+    /// Handles the failure of robots in an act. This machine may be the cause if leases end or robots are silent before the commitment and
+    /// the mission has run late, or if most robots have not accepted in time although their links are up.
+    /// In these cases, the mission prepares the act again before the robots count as failed.
     pub(super) fn fail_of_act(
         &mut self,
         now: Timestamp<Server>,

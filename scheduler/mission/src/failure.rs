@@ -108,7 +108,7 @@ impl Mission {
         }
     }
 
-    /// Makes a link again at once, in place of an attempt that may have to wait.
+    /// Reconnects at once, instead of an attempt that may have to wait.
     pub(super) fn reconnect_at_once(&mut self, robot: usize) {
         if matches!(&self.robots[robot].link, Link::Lost(lost) if lost.connecting) {
             self.actions.push(Action::Reconnect { robot, after: Span::ZERO });
@@ -286,7 +286,7 @@ impl Mission {
         }
     }
 
-    /// What the scenario wants if this robot fails: the policy of the newest act that it takes part in, and the act that follows.
+    /// What the scenario specifies if this robot fails: the policy of the newest act in which it takes part, and the act that follows.
     pub(super) fn policy_of(&self, robot: usize) -> Option<(OnFailure, Option<usize>)> {
         let takes_part =
             |act: &&super::act::Act| act.was_sent() && !act.is_lapsing() && act.member(robot).is_some();

@@ -1,8 +1,8 @@
-//! The mission machine: greet, check, prepare an act, decide once, commit, watch, go on to the next act, stop, report.
+//! The mission machine: greet, check, prepare an act, decide once, commit, watch, continue with the next act, stop, report.
 //!
 //! It takes events with their time and returns actions; it reads no clock and does no I/O, so the same machine runs a
-//! real fleet (`run/`), a dry run (`dry_run/`) and the fault simulation (`simulation/`). Each act is a machine of its own
-//! (`act/`), which the mission tells what happened and whose actions it carries out. `docs/mission.md` draws both.
+//! real fleet (`downbeat-runtime`), a dry run (`downbeat-rehearsal`) and the fault simulation. Each act is a machine of its own
+//! (`act/`): the mission passes it events, and performs the actions that it returns. `docs/mission.md` draws both.
 //!
 //! Events of one instant are handled in the order in which the driver hands them over; timers of that instant come last,
 //! so that an answer that arrives just in time counts.

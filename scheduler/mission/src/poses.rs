@@ -226,7 +226,7 @@ impl Mission {
     /// The first scripts of the devices whose positions the mission asks for before an act: devices that a stop has left adrift,
     /// and devices that may have to jump and that the mission has not moved yet, if no check of their positions applies to this
     /// act. With `handshake: skip`, the mission asks only for devices adrift. It does not ask for a device whose position the robot
-    /// cannot tell.
+    /// cannot report.
     fn unplaced_of<'a>(&'a self, act: &'a Act, robot: usize) -> impl Iterator<Item = &'a DeviceScript> {
         let state = &self.robots[robot];
         let asks = self.options.greeting == Greeting::Full;

@@ -239,8 +239,8 @@ impl Mission {
         act.present().filter_map(|member| unmeasured(member.robot)).collect()
     }
 
-    /// Tries to reach members without a link, because one of them may be back with another clock. Returns the time by which the attempts
-    /// have to end, if one still lasts. A robot that cannot be reached is promised the act nevertheless: it may be back in time.
+    /// Tries to reach members without a link, because one of them may be back with another clock. If an attempt is still pending, returns
+    /// the time by which the attempts have to end. The act is promised even to a robot that cannot be reached: it may be back in time.
     fn await_links(&mut self, now: Timestamp<Server>, index: usize, lead: Span) -> Option<Timestamp<Server>> {
         let act = &mut self.acts[index];
         let failed = |robot: usize| match &self.robots[robot].link {

@@ -40,7 +40,7 @@ pub(crate) struct Lost {
     pub(crate) loss: Loss,
     /// When it broke for the first time since the robot was last heard.
     pub(crate) since: Timestamp<Server>,
-    /// When it broke, or when the last attempt to make it failed.
+    /// When the link broke, or when the last attempt to connect failed.
     pub(crate) failed: Timestamp<Server>,
     /// A new connection is being made.
     pub(crate) connecting: bool,

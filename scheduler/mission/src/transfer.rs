@@ -231,8 +231,8 @@ impl Mission {
         &self.robots[robot].touched | &self.first_devices(to, robot)
     }
 
-    /// Handles an answer of a robot. Its positions count once it has stated all of them. A robot may state those of devices that it
-    /// was not asked about, which the transfer must not move.
+    /// Handles an answer of a robot. Its positions count once it has stated all of them. A robot may also state positions of devices
+    /// about which it was not asked; the transfer must not move these devices.
     pub(super) fn pose_stated(&mut self, robot: usize) {
         let Stage::Wanted { to, .. } = self.transfer.stage else { return };
         let devices = self.devices_to_place(to, robot);

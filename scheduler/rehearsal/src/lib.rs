@@ -3,8 +3,8 @@
 //! | module | |
 //! |---|---|
 //! | [`dry_run`] | one mission on simulated robots |
-//! | [`trials`] | many of them, each with different delays, losses and clocks |
-//! | [`certificate`] | a plan that was played against faults |
+//! | [`trials`] | many missions, each with different delays, losses and clocks |
+//! | [`certificate`] | the statement that a plan was played with faults |
 
 pub mod certificate;
 pub mod dry_run;

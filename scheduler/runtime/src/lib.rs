@@ -1,15 +1,15 @@
-//! Missions on real robots: what surrounds the machine of `downbeat-mission` with links, files, threads and clocks.
+//! Missions on real robots: the links, files, threads and clocks around the machine of `downbeat-mission`.
 //!
 //! | module | |
 //! |---|---|
-//! | [`run`] | a mission in real time, and what another process can ask of it |
+//! | [`run`] | a mission in real time, and the requests that another process can make of it |
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`link`] | links to robots: within the process, over TCP, TLS and Zenoh |
 //! | [`journal`], [`recording`] | the files of a mission |
-//! | [`stop_lane`], [`signals`] | the operator's stop, on a thread of its own; signals of the system |
+//! | [`stop_lane`], [`signals`] | the operator's stop, on a separate thread; signals of the system |
 //! | [`server_clock`] | the clock of the server, and NTP |
-//! | [`keys`] | the authority of a site, which makes the keys of robots and operators |
-//! | [`open_files`] | room for many sockets |
+//! | [`keys`] | the authority of a site, which creates the keys of robots and operators |
+//! | [`open_files`] | the limit of open files, raised for many sockets |
 
 pub mod fleet;
 pub mod journal;

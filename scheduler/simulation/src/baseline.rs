@@ -98,7 +98,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 enum Meets {
     /// It has to wait for this long.
     Wait(Span),
-    /// It takes this much longer, for this long.
+    /// Each message takes this much longer, for this long.
     Longer(Span, Span),
     /// It is lost, for this long or forever.
     Nothing(Option<Span>),

@@ -1,6 +1,6 @@
-//! Missions under faults, in virtual time: the same mission machine and the same robot machines, a network that loses,
-//! doubles, delays and reorders, partitions, processes that die or stand still, clocks that are off, drift and are set,
-//! and robots that lie. Everything follows from a seed: what it found once it finds again, and can be read as a trace.
+//! Missions under faults, in virtual time, with the same mission machine and the same robot machines as a real show. The network
+//! loses, duplicates, delays and reorders messages, and breaks into partitions. Processes die or stall, clocks are off, drift and
+//! are set, and robots lie. Everything follows from a seed, so each violation can be reproduced and read as a trace.
 
 pub mod baseline;
 mod check;

@@ -29,10 +29,10 @@ macro_rules! say {
 /// Stories of violations that are told without being asked for.
 const STORIES_MAX: usize = 1;
 
-/// The number of seeds that have to bring each fault to each stage that it can meet.
+/// The number of seeds after which each fault has to have met each stage that it can meet.
 const SEEDS_FOR_EACH_STAGE: u64 = 20_000;
 
-/// The exit code if nothing is violated, and a fault has not met a stage that it can meet.
+/// The exit code if no invariant is violated, but a fault has not met a stage that it can meet.
 const NOT_MET: u8 = 3;
 
 /// Plays seeds of faults and holds the invariants against what the robots really did.
@@ -98,7 +98,7 @@ fn percent(count: u64, of: u64) -> f64 {
     100.0 * count as f64 / of.max(1) as f64
 }
 
-/// How often a cause excused something, and the first seed in which it did.
+/// The number of violations that a cause excused, and the first seed with one.
 #[derive(Clone, Copy)]
 struct Excused {
     count: u64,
@@ -169,7 +169,7 @@ impl Found {
         }
     }
 
-    /// How often each fault met each stage of a mission; `-` if it cannot meet it.
+    /// The number of times that each fault met each stage of a mission; `-` if it cannot meet that stage.
     fn print_met(&self) {
         say!("");
         let stages: String = Stage::ALL.iter().map(|stage| format!("{stage:>10}")).collect();
@@ -183,7 +183,7 @@ impl Found {
         }
     }
 
-    /// The faults that have not met a stage that they can meet, where enough missions were played.
+    /// The faults that have not met a stage that they can meet, if enough missions were played.
     fn not_met(&self, seeds: u64) -> Vec<String> {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));

@@ -7,7 +7,7 @@ use urrcp::{Server, Span, Timestamp};
 use super::{Fault, FaultKind, Hands, Happened, Ran};
 use downbeat_mission::{Progress, Record};
 
-/// What a mission does at an instant.
+/// The stage of a mission at an instant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
     /// Nothing has been sent yet, and no act waits.
@@ -16,21 +16,21 @@ pub enum Stage {
     Waits,
     /// An act has been promised and sent.
     Prepared,
-    /// All robots have accepted it.
+    /// All robots have accepted the act.
     Decided,
-    /// Its commitment has been written down.
+    /// The commitment of the act has been recorded.
     Committed,
-    /// It plays.
+    /// The act plays.
     Plays,
-    /// It plays, and the next one has been promised.
+    /// The act plays, and the next one has been promised.
     PlaysNext,
     /// All robots are being stopped.
     Stops,
     /// An act that was planned after a stop has been promised, or plays.
     Transfers,
-    /// The scheduler's process has ended, and no other one has taken the mission up yet.
+    /// The scheduler's process has ended, and no other process has taken up the mission yet.
     Abandoned,
-    /// Another process has taken the mission up, and has written nothing down yet.
+    /// Another process has taken up the mission, and has recorded nothing yet.
     Resumed,
     /// The mission has ended.
     Ended,
@@ -53,9 +53,9 @@ impl Stage {
         Self::Ended,
     ];
 
-    /// Whether a fault of this kind can meet this stage. If there is no process, it can neither end nor stall nor hear its operator;
-    /// a mission that has ended needs neither its disk nor its host's clock, and has no journal by which it could be stopped. A
-    /// mission plans no act after a stop if a robot does not state its positions, as one with hardware behind it.
+    /// Whether a fault of this kind can meet this stage. Without a process, nothing can end, stall or receive the operator's commands;
+    /// a mission that has ended needs neither its disk nor its host's clock, and has no journal through which it could be stopped. A
+    /// mission plans no act after a stop if a robot does not state its positions, for example a robot with hardware.
     #[must_use]
     pub const fn meets(self, kind: FaultKind) -> bool {
         use FaultKind::{
@@ -182,7 +182,7 @@ impl Mission {
     }
 }
 
-/// From when on a mission was at which stage, in order.
+/// The instants at which a mission reached its stages, in order.
 pub(super) fn stages(ran: &Ran) -> Vec<(Timestamp<Server>, Stage)> {
     enum Change<'a> {
         Record(&'a Record),
@@ -215,7 +215,7 @@ pub(super) fn stages(ran: &Ran) -> Vec<(Timestamp<Server>, Stage)> {
     stages
 }
 
-/// For how long something may still happen after the last stage has begun.
+/// The time for which events may still occur after the beginning of the last stage.
 const LASTS_AFTER_END: Span = Span::from_millis(2_000);
 
 /// The intervals in which a mission was at a stage.

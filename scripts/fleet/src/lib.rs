@@ -1,11 +1,11 @@
-//! Fleets of robots as files.
+//! Reads the files that describe a fleet of robots.
 //!
 //! | module | |
 //! |---|---|
 //! | [`fleet`] | the fleet file: robots, their settings, bodies and latencies |
-//! | [`init`] | descriptions of robots, as initialization blocks or Thrift dictionaries |
+//! | [`init`] | descriptions of robots: initialization blocks or Thrift dictionaries |
 //! | [`address`] | addresses of robots |
-//! | [`sensor_range`] | which readings of a sensor will do |
+//! | [`sensor_range`] | the acceptable readings of a sensor |
 //! | [`world`] | delays, losses and clocks for dry runs |
 
 pub mod address;

@@ -1,5 +1,5 @@
-//! Other people's choreography files: each format has a reader, all give one [`Imported`], and one writer makes a readable
-//! scenario with its fleet of it. Which rule applies to what: `docs/import.md`. Writing files is left to the caller.
+//! Imports choreography files of other tools. Each format has a reader, every reader returns an [`Imported`], and one writer turns
+//! it into a readable scenario with its fleet. `docs/import.md` describes the rules of each format. The caller writes the files.
 
 mod archive;
 mod assemble;

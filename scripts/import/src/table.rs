@@ -27,7 +27,7 @@ pub struct Row<'a> {
 /// What stands between two separators, without quotes and space around it.
 #[derive(Clone, Debug)]
 pub struct Cell<'a> {
-    /// What it contains, without quotes.
+    /// The content of the cell, without quotes.
     pub text: Cow<'a, str>,
     start: usize,
     width: usize,

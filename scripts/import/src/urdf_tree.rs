@@ -23,9 +23,9 @@ pub struct Tree {
 /// A joint between two links.
 #[derive(Clone, Debug)]
 pub struct TreeJoint {
-    /// Its name.
+    /// The name of the joint.
     pub name: String,
-    /// How it moves.
+    /// The motion of the joint.
     pub motion: Motion,
     /// The link that carries it.
     pub parent: String,
@@ -37,16 +37,16 @@ pub struct TreeJoint {
     pub rpy: [f64; 3],
     /// Of length 1.
     pub axis: [f64; 3],
-    /// The joint that it follows.
+    /// The joint that this one follows, if any.
     pub mimic: Option<Mimic>,
 }
 
 /// How a joint moves.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
-    /// It does not move.
+    /// The joint does not move.
     Fixed,
-    /// It turns or slides.
+    /// The joint turns or slides.
     By(JointKind),
     /// In more than one way, such as floating.
     Other(String),
@@ -55,11 +55,11 @@ pub enum Motion {
 /// A joint that follows another one.
 #[derive(Clone, Debug)]
 pub struct Mimic {
-    /// The joint that is followed.
+    /// The name of the followed joint.
     pub joint: String,
-    /// What the position of that joint is multiplied by.
+    /// The factor of the position of that joint.
     pub multiplier: f64,
-    /// What is added.
+    /// The offset that is added to the product.
     pub offset: f64,
 }
 

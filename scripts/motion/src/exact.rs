@@ -22,7 +22,7 @@ pub struct Exact(Ratio<i128>);
 pub type Fraction = Ratio<i128>;
 
 impl Exact {
-    /// Nothing.
+    /// Zero.
     pub const ZERO: Self = Self(Ratio::ZERO);
 
     /// So many times a length.

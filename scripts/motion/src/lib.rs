@@ -2,11 +2,11 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`motion`] | knots and the way between two of them: easings, splines, polynomials, formulas, paths |
-//! | [`fit`] | the fewest steps that follow a curve, or the least error for a number of steps |
-//! | [`expression`] | expressions with units, and formulas of the time |
+//! | [`motion`] | knots and the course between each two of them: easings, splines, polynomials, formulas, paths |
+//! | [`fit`] | the fewest steps that follow a curve, or the smallest error for a given number of steps |
+//! | [`expression`] | expressions with units, and formulas over time |
 //! | [`exact`], [`music`] | exact fractions; beats, bars and tempos |
-//! | [`chance`] | chance that is the same on every machine |
+//! | [`chance`] | random numbers that are the same on every machine |
 
 pub mod chance;
 pub mod exact;

@@ -16,9 +16,9 @@ const MINUTE: Span = Span::from_millis(60_000);
 pub struct Section {
     /// In bars from the beginning, 0 for bar 1.
     pub bar: u32,
-    /// The tempo.
+    /// The tempo, in beats per minute.
     pub beats_a_minute: Fraction,
-    /// The time signature.
+    /// The number of beats per bar.
     pub beats_a_bar: u8,
 }
 
@@ -96,7 +96,7 @@ fn whole(number: u32) -> Fraction {
 /// How beats are counted at the place that is being read.
 #[derive(Clone, Debug, Default)]
 pub struct Music {
-    /// The tempo, where the scenario has one.
+    /// The tempo; `None` if the scenario has none.
     pub tempo: Option<Arc<Tempo>>,
     /// When the cue begins, where that is fixed.
     pub start: Beginning,
@@ -109,7 +109,7 @@ pub enum Unmusical {
     WithoutTempo,
     /// The cue begins at a time that is not fixed.
     StartNotFixed,
-    /// It is a position in the music, not a length.
+    /// The value is a position in the music, not a length.
     Position,
 }
 

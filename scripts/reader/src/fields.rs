@@ -37,7 +37,7 @@ pub struct Reader {
     pub found: Vec<Pending>,
     /// The variables in force.
     pub scope: Scope,
-    /// How beats are counted here.
+    /// The tempo by which beats are counted here.
     pub music: Music,
     /// For the movements of all cues.
     pub knots: Budget,

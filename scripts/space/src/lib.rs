@@ -2,9 +2,9 @@
 //!
 //! | module | |
 //! |---|---|
-//! | [`space`] | closest approaches, volumes and speeds of moving bodies; arms and robots that drive |
+//! | [`space`] | closest approaches, volumes and speeds of moving bodies; arms and driving robots |
 //! | [`formation`] | places for groups of bodies |
-//! | [`transit`] | which body takes which place, and ways there that keep apart |
+//! | [`transit`] | a place for each body, and paths there that keep the bodies apart |
 
 pub mod formation;
 pub mod space;

@@ -56,7 +56,7 @@ impl Budget {
         self.most
     }
 
-    /// The rest.
+    /// The part of the budget that is left.
     pub const fn left(&self) -> usize {
         self.left
     }

@@ -239,7 +239,7 @@ impl Finding {
 /// A finding that knows its place only as a path into the tree.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pending {
-    /// Its kind.
+    /// The code of the finding.
     pub code: Code,
     /// Where the user must act.
     pub place: Place,
@@ -264,7 +264,7 @@ pub struct Place {
     pub file: u16,
     /// The steps from the root of the file.
     pub path: Vec<Part>,
-    /// Whether it is the key that leads to the node, and not the node.
+    /// Whether the place is the key of the node instead of the node itself.
     pub key: bool,
     /// Some characters of the text that stands there.
     pub within: Option<Within>,
@@ -288,9 +288,9 @@ pub struct Use {
 pub struct Within {
     /// The whole text.
     pub text: Box<str>,
-    /// The first of the characters, counted from 0.
+    /// The index of the first character, counted from 0.
     pub from: usize,
-    /// How many they are.
+    /// The number of characters.
     pub width: usize,
 }
 
@@ -377,7 +377,7 @@ pub fn within_file<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Opti
     Some(did_you_mean_this(only))
 }
 
-/// The same hint for a name that is known.
+/// A hint that suggests a known name.
 pub fn did_you_mean_this(name: &str) -> String {
     format!("did you mean `{name}`?")
 }

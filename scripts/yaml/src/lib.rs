@@ -1,14 +1,14 @@
-//! The YAML of Downbeat's files: text to tree, and findings that show the lines that they concern.
+//! The YAML of Downbeat's files: parses text into a tree, and shows findings with the lines that they concern.
 //!
 //! | module | |
 //! |---|---|
-//! | [`node`], [`at`] | the tree; a node with the way that led to it |
-//! | [`finding`] | what a user did wrong: a code, a place, and how to fix it |
+//! | [`node`], [`at`] | the tree; a node with the path that leads to it |
+//! | [`finding`] | a mistake of a user: its code, its place, and how to fix it |
 //! | [`locate`], [`render`], [`sarif`] | lines and columns of findings; findings as text and as SARIF |
 //! | [`source`], [`open`], [`project`], [`files`], [`refusal`] | files, and which of them may be read |
-//! | [`formats`], [`identify`], [`syntax`], [`tags`] | files of other programs, and what is not YAML |
-//! | [`aliases`], [`budget`], [`composed`] | limits of what a file may expand to; names in Unicode |
-//! | [`duration`], [`shown`] | times as they are written; text from outside, shown safely |
+//! | [`formats`], [`identify`], [`syntax`], [`tags`] | files of other programs, and text that is not YAML |
+//! | [`aliases`], [`budget`], [`composed`] | limits on the expansion of a file; names in Unicode |
+//! | [`duration`], [`shown`] | durations as text; untrusted text, displayed safely |
 
 pub mod aliases;
 pub mod at;

@@ -114,8 +114,8 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "Like the first act, it is committed for all robots or none, or without those that have failed if \
-         `on_failure` is `without`.",
+        "Like the first act, it is committed for all robots or none; if `on_failure` is `without`, it is \
+         committed without the robots that have failed.",
         &[Test(
             "scheduler/rehearsal/src/dry_run/tests/approach.rs::an_approach_is_committed_for_all_robots_or_none_or_without_those_that_failed_as_the_show_says",
         )],
@@ -437,8 +437,8 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "No robot is blamed for a missing acceptance if the disk left it less than half of the time to \
-         prepare, or if the mission is called more than 20 ms late for the decision.",
+        "No robot whose link is up is blamed for a missing acceptance if the disk left the robot less than \
+         half of the time to prepare, or if the mission runs more than 20 ms late when it decides.",
         &[
             Test(
                 "scheduler/mission/src/act/tests/preparing.rs::no_robot_is_blamed_for_the_time_that_the_disk_took",

@@ -95,8 +95,8 @@ struct Deviation {
     by_plan: bool,
 }
 
-/// How far apart two of these robots certainly were. They come in the order of their ends, between which the clock of this machine
-/// may have drifted at this rate. It does not matter for robots whose plans follow that clock.
+/// The largest time by which two of these robots were certainly apart. The robots are sorted by their ends, between which the clock of
+/// this machine may have drifted at this rate. Its drift does not affect robots whose plans follow that clock.
 fn apart<'a>(all: impl Iterator<Item = &'a Deviation>, rate: f64) -> Option<Span> {
     let mut all = all.peekable();
     let first = all.peek()?.end;

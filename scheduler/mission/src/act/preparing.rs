@@ -11,7 +11,7 @@ use crate::script::{Script, ScriptRef};
 use crate::skew::SkewBudget;
 use crate::{Outcome, Progress};
 
-/// A decision that is overdue for longer than this was delayed by this machine.
+/// A decision that is overdue by more than this was delayed by this machine.
 pub(super) const HELD_UP: Span = Span::from_millis(20);
 
 /// Whether robots that have not answered were asked again.

@@ -31,7 +31,7 @@ struct Place {
     stalls_until: Timestamp<Server>,
     /// `None`: the robot delays its messages itself, and nothing is lost.
     link: Option<Link>,
-    /// The newest attempt to reach it: those before it end.
+    /// The newest attempt to reach the robot; it replaces earlier ones.
     attempt: Option<LinkNumber>,
     /// The connections that it has.
     connections: BTreeSet<LinkNumber>,

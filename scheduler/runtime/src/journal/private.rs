@@ -143,7 +143,7 @@ pub fn file(within: &Path, name: &str, how: How) -> io::Result<File> {
 /// Makes sure that a socket in a folder of the state is one of this user.
 ///
 /// # Errors
-/// As [`file()`].
+/// Same as [`file()`].
 pub fn socket(within: &Path, name: &str) -> io::Result<PathBuf> {
     let path = within.join(name);
     let found = rustix::fs::statat(folder(within)?, name, AtFlags::SYMLINK_NOFOLLOW)?;

@@ -147,10 +147,10 @@ fn write_all<D: Disk>(
     }
 }
 
-/// Writes all records that wait, so that one sync covers them.
+/// Writes all pending records, so that one sync covers them.
 ///
 /// # Errors
-/// The disk refuses a record.
+/// Fails if the disk refuses a record.
 pub fn append_all<D: Disk>(
     journal: &mut Journal<D>,
     mut waiting: impl Iterator<Item = (Timestamp<Server>, Record)>,

@@ -139,7 +139,7 @@ impl Hmac {
         Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
     }
 
-    /// The pass to begin with.
+    /// The first pass to present.
     ///
     /// # Errors
     /// The operator has no pass; the error says how to make one.
@@ -391,7 +391,7 @@ mod tests {
         drop(host);
     }
 
-    /// Where somebody answers the first connection with this line, in place of the robot.
+    /// The address of a listener that answers the first connection with this line, in place of the robot.
     async fn forged(line: String) -> SocketAddr {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -406,7 +406,7 @@ mod tests {
         address
     }
 
-    /// The link to the robot `b`, with what happens on it first.
+    /// The link to the robot `b`, with the first event on it.
     async fn link_to_b(at: SocketAddr, security: &Security) -> (Link, mpsc::Receiver<Happened>, Event) {
         let endpoint = Endpoint::Tcp {
             host: at.ip().to_string(),

@@ -73,7 +73,7 @@ impl StopLane {
     /// The same for a mission that moves nothing: the lane hears no signals, so that one of them ends the process.
     ///
     /// # Errors
-    /// As [`start`](Self::start), but for signal handlers.
+    /// Same as [`start`](Self::start), except for signal handlers.
     pub fn deaf() -> io::Result<(Self, mpsc::Receiver<Operator>)> {
         Self::hearing(None)
     }

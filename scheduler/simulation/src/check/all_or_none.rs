@@ -391,7 +391,7 @@ fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
 }
 
 /// The scheduler ended or stalled after the commitment was written down and before every robot had started. Once all robots have
-/// answered the commitment, their leases last beyond the start of the act: those that start with it need the scheduler no longer.
+/// answered the commitment, their leases last beyond the start of the act: robots that start with it no longer need the scheduler.
 fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
     let committed = act.committed?;
     let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;

@@ -57,7 +57,7 @@ impl Cause {
     ];
 
     /// The largest share of acts in which this cause may excuse a violation of an invariant: about a quarter more than in a million
-    /// seeds. More means that an excuse has become wider, or that missions meet this fault in another way.
+    /// seeds. A larger share means that an excuse has become wider, or that missions react to this fault in another way.
     #[must_use]
     pub const fn largest_share(self, invariant: char) -> f64 {
         let of_100_000 = match (invariant, self) {

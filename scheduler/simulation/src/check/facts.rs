@@ -328,8 +328,8 @@ impl<'a> Facts<'a> {
         self.ran.history.iter().any(|(_, happened)| matches!(happened, Happened::TakenUp(_)))
     }
 
-    /// Whether a record that was written at an instant was surely on the disk when its process ended, so that the next one knew it. A sync
-    /// that is under way comes first.
+    /// Whether a record written at an instant was certainly on the disk when its process ended, so that the next process knew it. A sync
+    /// in progress ends first.
     pub(super) fn was_kept(&self, at: Timestamp<Server>) -> bool {
         let crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash && hit.from >= at);
         let Some(ended) = crashes.map(|hit| hit.from).min() else { return true };

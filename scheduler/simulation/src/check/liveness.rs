@@ -370,8 +370,8 @@ fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bo
     facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
 }
 
-/// An act whose time has passed was sent only once the act before it had ended, because a link of one of its robots had been slow: a
-/// script that follows the act before on its device might have come late.
+/// An act whose time had passed was sent only once the preceding act had ended, because a link of one of its robots had been slow: a
+/// script that follows the preceding act on its device might have arrived late.
 fn waited_for_room(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
     let has_passed = matches!(act.written.wait, Wait::Instant(at) if at < act.promise.start + act.ahead);
     let slow = |hit: &Hit| {

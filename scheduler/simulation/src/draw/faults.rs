@@ -78,7 +78,7 @@ pub enum Fault {
     Lag {
         /// Index of the robot in the fleet.
         robot: usize,
-        /// How much longer.
+        /// The additional delay of each message.
         by: Span,
         /// For how long.
         lasts: Span,
@@ -116,7 +116,7 @@ pub enum Fault {
     },
     /// The scheduler's process ends while it acts: after this many more actions.
     SchedulerCrashAmid {
-        /// How many: messages, connections, records.
+        /// The number of actions: messages, connections, records.
         actions: u32,
         /// After how long the operator says `resume`.
         resumed_after: Option<Span>,
@@ -126,10 +126,10 @@ pub enum Fault {
         /// For how long.
         lasts: Span,
     },
-    /// The scheduler's process stalls while it acts: after this many more actions. It performs the remaining actions of that instant
+    /// The scheduler's process stalls after this many more actions. It performs the remaining actions of that instant
     /// when it continues.
     SchedulerPauseAmid {
-        /// How many: messages, connections, records.
+        /// The number of actions: messages, connections, records.
         actions: u32,
         /// For how long.
         lasts: Span,
@@ -200,7 +200,7 @@ fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
     draw_kind(rng).draw(rng, robot)
 }
 
-/// The kinds that chance alone brings, each about as often as it may be expected.
+/// The kinds of ordinary missions, each in proportion to its expected frequency.
 fn draw_kind(rng: &mut Rng) -> FaultKind {
     match rng.u8(0..40) {
         0..=6 => FaultKind::RobotCrash,

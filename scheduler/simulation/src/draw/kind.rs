@@ -61,7 +61,7 @@ impl FaultKind {
         Self::StopByJournal,
     ];
 
-    /// A fault of this kind. `robot`: the robot that it concerns, if it concerns one.
+    /// Draws a fault of this kind; `robot` is the robot that it concerns, if any.
     pub(super) fn draw(self, rng: &mut Rng, robot: usize) -> Fault {
         match self {
             Self::RobotCrash => {

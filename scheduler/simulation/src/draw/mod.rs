@@ -62,13 +62,13 @@ impl Drawn {
     }
 }
 
-/// Seeds with the same remainder of this stand for missions of one family, if the remainder is one of the following.
+/// If the remainder of a seed divided by this is one of the following constants, its mission belongs to that family.
 const FAMILIES: u64 = 50;
-/// Several things come together that chance alone hardly ever brings together.
+/// Several events coincide that would rarely coincide by chance.
 const TOGETHER: u64 = 12;
 /// The operator sends the robots home.
 const SENT_HOME: u64 = 37;
-/// Acts, movements and robots are of other shapes.
+/// Acts, movements and robots have unusual shapes.
 const UNUSUAL: u64 = 32;
 /// A fault of a certain kind meets a certain stage.
 const STAGED: u64 = 38;
@@ -98,7 +98,7 @@ pub fn draw(seed: u64) -> Drawn {
     }
 }
 
-/// A mission as chance alone brings it.
+/// An ordinary mission, drawn by chance alone.
 fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
     let network = network::draw_network(rng);
     let (delay, tail) = network::draw_delay(rng);

@@ -13,7 +13,7 @@ use crate::stage::{faults_met, intervals};
 use crate::{Ran, Stage, play};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// Missions that are drawn for one seed until the fault meets its stage.
+/// The maximum number of missions that are drawn for one seed until the fault meets its stage.
 const ATTEMPTS: usize = 16;
 
 /// The kinds of faults with the stages that they can meet.
@@ -22,8 +22,8 @@ fn cells() -> Vec<(FaultKind, Stage)> {
     cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
 }
 
-/// Replaces the faults of a mission by one of the kind and at the stage for which this seed stands, and half of the time by another
-/// one that meets any stage. `index`: which of these missions the seed stands for.
+/// Replaces the faults of a mission by one of the kind and at the stage that this seed determines; half of the time, adds another
+/// fault at any stage. `index`: the number of this mission among those with such faults.
 pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn {
     let cells = cells();
     let (kind, stage) = cells[usize::try_from(index).unwrap_or(0) % cells.len()];
@@ -36,7 +36,7 @@ pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn
     drawn
 }
 
-/// A mission in which a fault of a kind meets a stage; `None` if this one does not come to that stage.
+/// A mission in which a fault of a kind meets a stage; `None` if the mission does not reach that stage.
 fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
     let robot = rng.usize(0..drawn.robots.len());
     if kind == FaultKind::HardwareDies {

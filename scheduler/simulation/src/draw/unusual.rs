@@ -10,9 +10,9 @@ use urrcp::{Millis, Script, Span, Step};
 use super::{Drawn, faults, one_in};
 use downbeat_mission::{ClockMode, Join};
 
-/// A robot that comes this long after the beginning never comes.
+/// A robot that joins this long after the beginning never joins.
 const NEVER: Span = Span::from_millis(3_600_000);
-/// The longest that all acts may last together.
+/// The maximum total duration of all acts.
 const LAST_MAX: f64 = 120_000.0;
 
 /// Gives a mission one of these shapes, and draws its faults again.
@@ -50,7 +50,7 @@ fn begin_later(rng: &mut Rng, choreography: &mut Choreography) {
     }
 }
 
-/// One robot never comes.
+/// One robot never joins.
 fn leave_one_out(rng: &mut Rng, drawn: &mut Drawn) {
     let robot = rng.usize(0..drawn.robots.len());
     drawn.robots[robot].there_from = NEVER;
@@ -71,7 +71,7 @@ fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
     }
 }
 
-/// Changes when a script starts and when its steps are, in whole milliseconds.
+/// Changes the start of a script and the times of its steps, in whole milliseconds.
 fn move_script(script: &mut DeviceScript, start: impl Fn(f64) -> f64, offset: impl Fn(f64) -> f64) {
     let steps = script.script.steps().iter().map(|step| {
         let offset = Millis::new(offset(step.offset.get()).round()).ok()?;

@@ -60,13 +60,13 @@ pub(super) struct Scheduler {
     arrived: VecDeque<drive::Happened>,
     /// The links as the process sees them.
     links: Vec<Option<LinkId>>,
-    /// The newest attempt to reach each robot: those before it end.
+    /// The newest attempt to reach each robot; it replaces earlier ones.
     attempts: Vec<Option<LinkId>>,
     /// `None` only while it changes hands.
     journal: Option<Journal<SimulatedDisk>>,
     /// Records that wait for the disk.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
-    /// Messages of an instant at which the process stalled while it acted: it sends them when it continues.
+    /// Messages of the instant at which the process stalled while it acted; it sends them when it continues.
     unsent: Vec<(usize, LinkId, Message)>,
     /// It stalls, and has to continue with what it did at that instant.
     stalls_in_act: bool,
@@ -251,7 +251,7 @@ impl World {
         side.timers_first = self.drawn.seed.is_multiple_of(2);
     }
 
-    /// The process continues with what it did when it stalled.
+    /// The process continues with the actions at which it stalled.
     fn finish_acting(&mut self) {
         if std::mem::take(&mut self.scheduler.stalls_in_act) {
             for (robot, link, message) in std::mem::take(&mut self.scheduler.unsent) {

@@ -27,7 +27,7 @@ const DIGITS: i128 = 10i128.pow(17);
 /// What an expression may amount to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Quantity {
-    /// Whether something is true.
+    /// A truth value.
     Truth(bool),
     /// A number with its unit.
     Amount(Amount),
@@ -36,11 +36,11 @@ pub enum Quantity {
 /// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts as well.
 #[derive(Clone, Copy, Debug)]
 pub struct Amount {
-    /// Everything but the musical parts.
+    /// The number without its musical parts.
     pub number: Num,
-    /// Bars of a time.
+    /// The bars of a musical time.
     pub bars: Num,
-    /// Beats of a time.
+    /// The beats of a musical time.
     pub beats: Num,
     /// The unit.
     pub unit: Unit,
@@ -98,7 +98,7 @@ impl Amount {
     }
 }
 
-/// A fraction as an expression that is read as this fraction again.
+/// The text of an expression that evaluates to exactly this fraction.
 pub fn fraction(value: Fraction) -> String {
     let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
     match size.is_integer() {
@@ -131,7 +131,7 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// A fault of the kind of expressions, without a hint.
+    /// A fault with the code for expressions, without a hint.
     pub fn new(span: Span, message: impl Into<String>, expected: impl Into<String>) -> Self {
         Self { span, code: Code::Expression, message: message.into(), expected: expected.into(), hint: None }
     }
@@ -141,17 +141,17 @@ impl Fault {
         Self::new(span, "", "")
     }
 
-    /// Whether the fault is reported elsewhere.
+    /// Whether the fault has been reported elsewhere.
     pub fn is_told(&self) -> bool {
         self.message.is_empty()
     }
 
-    /// The same with a hint.
+    /// Adds a hint.
     pub fn hint(self, hint: impl Into<String>) -> Self {
         Self { hint: Some(hint.into()), ..self }
     }
 
-    /// The same with this hint, or none.
+    /// Sets or removes the hint.
     pub fn hint_or(self, hint: Option<String>) -> Self {
         Self { hint, ..self }
     }

@@ -25,9 +25,9 @@ const VALUE_MAX: f64 = 1e12;
 /// A part of a formula from one time to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Piece {
-    /// When it begins.
+    /// The beginning of the piece.
     pub begin: Span,
-    /// When it ends.
+    /// The end of the piece.
     pub end: Span,
     /// Largest slope in units a second, and its largest slope. None of a nanosecond or two with a corner or a jump.
     pub rates: Option<(f64, f64)>,
@@ -38,9 +38,9 @@ pub struct Piece {
 /// Why a formula is no movement.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trouble {
-    /// It has no value at this time.
+    /// The formula has no value at this time.
     NoValue(Span),
-    /// It has more pieces than are tried.
+    /// The formula has more pieces than the limit.
     TooMany,
 }
 

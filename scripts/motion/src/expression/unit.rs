@@ -3,7 +3,7 @@
 /// A product of powers of time and angle, or a percentage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unit {
-    /// The power of time.
+    /// The exponent of time.
     pub time: i8,
     /// Of half turns: `pi`. Angles in degrees are plain numbers.
     pub angle: i8,

@@ -23,11 +23,11 @@ const SAMPLES_MIN: f64 = 16.0;
 /// The device as far as motion is concerned.
 #[derive(Clone, Copy)]
 pub struct Actuator<'a> {
-    /// How it moves between two steps.
+    /// The movement of the device between two steps.
     pub interpolation: Interpolation,
-    /// What its steps set.
+    /// The quantity that its steps set.
     pub control_type: ControlType,
-    /// Its limits.
+    /// The limits of the device, if it has any.
     pub limits: Option<&'a Limits>,
     /// With more steps than this a movement is given up.
     pub room: usize,

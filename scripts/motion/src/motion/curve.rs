@@ -40,11 +40,11 @@ pub struct Curve {
 /// A value at a time, and the way there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Knot {
-    /// Its time.
+    /// The time of the knot.
     pub at: Span,
-    /// Its value.
+    /// The value of the knot.
     pub to: f64,
-    /// The way to it.
+    /// The shape of the course to the knot.
     pub shape: Shape,
     /// Which item of the list in the file it comes from.
     pub item: u32,
@@ -67,11 +67,11 @@ pub enum Shape {
     Meets,
     /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
     Function {
-        /// Which of the functions of the curve.
+        /// Index of the function among the functions of the curve.
         index: u32,
-        /// What the function is multiplied by.
+        /// The factor of the function.
         gain: f64,
-        /// What is added.
+        /// The value that is added to the product.
         offset: f64,
         /// Whether s runs from 1 to 0.
         reversed: bool,

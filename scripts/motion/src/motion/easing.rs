@@ -23,7 +23,7 @@ impl Easing {
         Self::WORDS.iter().find(|(word, _)| *word == name).map(|(_, easing)| *easing)
     }
 
-    /// Its value at s.
+    /// The value of the easing at s.
     pub fn at(self, s: f64) -> f64 {
         match self {
             Self::Linear => s,

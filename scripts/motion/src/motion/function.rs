@@ -14,12 +14,12 @@ pub enum Function {
     Polynomial(Box<[f64]>),
     /// sin(2 pi (cycles s + phase)); the phase in turns.
     Sine {
-        /// How many periods it has from 0 to 1.
+        /// The number of periods from 0 to 1.
         cycles: f64,
-        /// Where it begins, in turns.
+        /// The phase at the beginning, in turns.
         phase: f64,
     },
-    /// A part of a formula of the time.
+    /// A part of a formula over time.
     Formula(Box<FormulaPart>),
     /// A coordinate of a body that moves with a group.
     Swept(Box<Swept>),
@@ -54,13 +54,13 @@ pub struct Swept {
 pub struct Carried {
     /// The path.
     pub path: Arc<Path>,
-    /// What the path moves.
+    /// The quantity that follows the path.
     pub along: Along,
     /// Units in a metre.
     pub gain: f64,
     /// How far along the path it begins, and how far it goes, in metres.
     pub from: f64,
-    /// How far it goes along the path, in metres.
+    /// The distance along the path, in metres.
     pub length: f64,
     /// Whether the angle changes with the heading of the path.
     pub turning: bool,
@@ -213,9 +213,9 @@ pub struct FormulaPart {
     pub from: f64,
     /// When the part ends, in seconds.
     pub to: f64,
-    /// Bound of its first derivative, a second.
+    /// Bound of the first derivative, per second.
     pub slope_max: f64,
-    /// Bound of its second derivative, a second squared.
+    /// Bound of the second derivative, per second squared.
     pub curvature_max: f64,
 }
 
@@ -226,7 +226,7 @@ impl FormulaPart {
 }
 
 impl Function {
-    /// Its value at s.
+    /// The value of the function at s.
     pub fn at(&self, s: f64) -> f64 {
         match self {
             Self::Polynomial(coefficients) => horner(coefficients, s),

@@ -36,7 +36,7 @@ pub struct Group {
 /// A robot and where it stands.
 #[derive(Debug)]
 pub struct Standing {
-    /// Its id.
+    /// The id of the robot.
     pub id: RobotId,
     /// x, y and z; none without a body.
     pub axes: Option<[Axis; 3]>,
@@ -47,7 +47,7 @@ pub struct Standing {
 pub struct Axis {
     /// The device that moves it, or a fixed value.
     pub of: Coordinate,
-    /// Where the robot is.
+    /// The position of the robot on this axis.
     pub at: Whereabouts,
 }
 
@@ -56,7 +56,7 @@ pub struct Axis {
 pub enum Whereabouts {
     /// In metres.
     Known(f64),
-    /// It is not known.
+    /// The coordinate is not known.
     Unknown,
     /// A group moved it that has no ways, or none that is known: mostly the compiler tells why.
     Lost,
@@ -65,12 +65,12 @@ pub enum Whereabouts {
 /// The order of the robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Across {
-    /// What the robots are ordered by.
+    /// The criterion by which the robots are ordered.
     pub by: By,
     direction: Direction,
 }
 
-/// What the robots are ordered by.
+/// The criterion by which the robots are ordered.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum By {
     /// Their number in the cue.
@@ -124,7 +124,7 @@ impl Group {
         Self { fleet, ..Self::default() }
     }
 
-    /// The number of robots of the cue.
+    /// The number of robots in the cue.
     pub fn count(&self) -> usize {
         self.robots.len()
     }
@@ -137,7 +137,7 @@ impl Group {
 }
 
 impl Axis {
-    /// From here on, the coordinate is lost if a device moves it.
+    /// Marks the coordinate as unknown from here on if a device moves it.
     pub fn lose(&mut self) {
         if matches!(self.of, Coordinate::Device { .. }) {
             self.at = Whereabouts::Lost;

@@ -27,9 +27,9 @@ const NANOS_MAX: f64 = 1e20;
 /// The number of a robot among those of its cue, from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
-    /// Its position, from 0.
+    /// The position of the robot in the cue, counted from 0.
     pub index: usize,
-    /// The number of robots of the cue.
+    /// The number of robots in the cue.
     pub count: usize,
 }
 
@@ -299,7 +299,7 @@ impl Reader {
         None
     }
 
-    /// Whether an expression is true.
+    /// Evaluates a condition; `None` if it is wrong and a finding was added.
     pub fn truth_of(&mut self, at: &At<'_>, text: &str) -> Option<bool> {
         match self.quantity(at, text)? {
             Quantity::Truth(truth) => Some(truth),

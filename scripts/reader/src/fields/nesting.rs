@@ -12,7 +12,7 @@ use downbeat_yaml::finding::Place;
 pub struct Name {
     /// The name.
     pub text: String,
-    /// Its place.
+    /// The place of the name.
     pub place: Place,
 }
 

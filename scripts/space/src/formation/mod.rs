@@ -38,9 +38,9 @@ pub type Point = [f64; 3];
 /// A set of places, for as many bodies as take part.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Formation {
-    /// Where the places are.
+    /// The arrangement of the places.
     pub shape: Shape,
-    /// How they are turned and moved.
+    /// The rotation and translation of the places.
     pub placing: Placing,
 }
 
@@ -79,7 +79,7 @@ pub struct Unfit {
 /// More places than a formation may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyPlaces {
-    /// How many places it would have.
+    /// The number of places that the formation would have.
     pub count: usize,
 }
 

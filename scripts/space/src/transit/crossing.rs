@@ -56,7 +56,7 @@ impl Limits {
 /// A body that takes part.
 #[derive(Clone, Copy, Debug)]
 pub struct Body {
-    /// Where it begins, in metres.
+    /// The start of the body, in metres.
     pub from: Point,
     /// The distance that another body keeps from its middle, in metres: half of what is required between both, and its own radius.
     pub keep: f64,
@@ -84,7 +84,7 @@ pub enum Goals<'a> {
 pub struct Crossing<'a> {
     /// The bodies that take part.
     pub bodies: &'a [Body],
-    /// Where they go.
+    /// The destinations of the bodies.
     pub goals: Goals<'a>,
     /// The quantity to minimize.
     pub least: Least,
@@ -99,11 +99,11 @@ pub enum Required {
     Apart(f64),
     /// As far apart as where they begin or end, which is less than that.
     AsAtEnds(f64),
-    /// They end closer than they may be at all.
+    /// The ends of two bodies are closer to each other than permitted.
     AtEnd {
-        /// How far apart they end.
+        /// The distance between their ends.
         end: f64,
-        /// How far apart they have to be.
+        /// The minimum distance between them.
         least: f64,
     },
 }
@@ -136,7 +136,7 @@ pub struct Blocked {
 pub enum Refused {
     /// The shortest time that would do for all bodies, and the body that needs it.
     TooShort {
-        /// Its index.
+        /// Index of the body.
         body: usize,
         /// The time, in seconds.
         seconds: f64,

@@ -11,9 +11,9 @@ pub const CURVATURE: f64 = 5.773_502_691_896_258;
 /// from + (to - from) u + lift 4 u (1 - u) upwards, where u is the time law of the time since the beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Way {
-    /// Where it begins, in metres.
+    /// The start of the way, in metres.
     pub from: Point,
-    /// Where it ends, in metres.
+    /// The end of the way, in metres.
     pub to: Point,
     /// In seconds.
     pub begin: f64,
@@ -29,7 +29,7 @@ impl Way {
         Self { from, to, begin, length, lift: 0.0 }
     }
 
-    /// When it ends, in seconds.
+    /// The time at which the way ends, in seconds.
     pub fn end(&self) -> f64 {
         self.begin + self.length
     }

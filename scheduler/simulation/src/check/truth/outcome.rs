@@ -94,7 +94,7 @@ impl Said<'_> {
         }
     }
 
-    /// No act begins beyond the bound, also after another process has taken the mission up.
+    /// No act begins beyond the bound, even after another process has taken up the mission.
     fn bound(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let written = |act: &&SentAct<'_>| act.counts() && act.promise.act < drawn.choreography.acts.len();
@@ -208,13 +208,13 @@ impl Said<'_> {
         act.robots().iter().any(left)
     }
 
-    /// Whether a process that took the mission up may not have known that a robot of an act had been left out.
+    /// Whether a process that took up the mission may not have known that a robot of an act had been left out.
     fn has_lost_drops(&self, act: &SentAct<'_>) -> bool {
         let dropped = act.robots().into_iter().filter_map(|robot| self.facts.dropped[robot]);
         dropped.into_iter().any(|at| !self.facts.was_kept(at))
     }
 
-    /// The last attempt at an act that the report states: the record of a later one, and of its withdrawal, may be lost with the disk.
+    /// The last attempt at an act that the report states: the disk may have lost the records of a later attempt and of its withdrawal.
     fn last_reported(&self, index: usize) -> Option<&SentAct<'_>> {
         let states =
             |act: &SentAct<'_>| self.report.acts.iter().any(|said| said.number == act.promise.number);

@@ -93,7 +93,7 @@ pub enum Width {
 }
 
 impl Width {
-    /// How many values a row has.
+    /// The number of values in a row.
     pub fn count(self) -> usize {
         match self {
             Self::One => 1,
@@ -105,9 +105,9 @@ impl Width {
 /// One keyframe.
 #[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
-    /// Its time.
+    /// The time of the row.
     pub at: Span,
-    /// Its values.
+    /// The values of the row.
     pub values: &'a [f64],
     /// One of [`EASES`].
     pub ease: Option<&'static str>,
