@@ -146,7 +146,7 @@ impl ActReport {
             spread: spread(act, act.members().iter()),
             margin_left: timing.accepted_at.map(|at| timing.decision - at),
             window: timing.round.map(|(sent, answered)| answered - sent),
-            doubt: timing.doubt(),
+            doubt: timing.stated_doubt.unwrap_or_else(|| timing.doubt()),
             prepared_again: act.attempts(),
             readings: act.readings().to_vec(),
             robots: act.members().iter().map(robot).collect(),

@@ -40,6 +40,8 @@ pub struct Kept {
     pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
+    /// The doubt that was stated at the decision of each act, by its number.
+    pub(crate) doubts: HashMap<u32, Span>,
     /// The offset that was last added to timestamps for a robot's clock.
     shifts: BTreeMap<RobotId, Span>,
     /// The offsets of scripts that were not sent with the offset of their promise.
@@ -116,6 +118,8 @@ struct Head {
     #[serde(default)]
     unnamed: Vec<RobotId>,
     request_id: Option<RequestId>,
+    #[serde(rename = "doubt_ms")]
+    doubt: Option<Span>,
     #[serde(rename = "shift_ms")]
     shift: Option<Span>,
     report: Option<Numbered>,
@@ -287,6 +291,7 @@ impl Kept {
         match head.record.as_str() {
             "decided" => {
                 came_to(Progressed::Decided);
+                self.doubts.extend(head.number.zip(head.doubt));
                 self.unnamed.extend(head.unnamed);
             }
             "committed" => came_to(Progressed::Committed),

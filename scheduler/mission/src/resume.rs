@@ -59,6 +59,8 @@ impl Mission {
                 Progressed::Decided => mission.take_up(promise, Reached::Decision, now)?,
                 Progressed::Committed => mission.take_up(promise, Reached::Commitment, now)?,
             }
+            let act = mission.acts.last_mut().filter(|act| act.number() == promise.number);
+            act.into_iter().for_each(|act| act.keep_doubt(kept.doubts.get(&promise.number).copied()));
         }
         mission.note_as_sent(now);
         if mission.acts.is_empty() {

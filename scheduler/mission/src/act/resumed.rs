@@ -90,6 +90,15 @@ impl Act {
         Ok(act)
     }
 
+    /// An act that plays keeps the doubt that was stated at its decision: this process does not know the leases and links of
+    /// that time.
+    pub(crate) fn keep_doubt(&mut self, stated: Option<Span>) {
+        let plays = self.is_playing();
+        if let Some(timing) = self.timing.as_mut().filter(|_| plays) {
+            timing.stated_doubt = stated;
+        }
+    }
+
     fn timing_of(&self, promise: &Promise) -> Timing {
         let prepare = promise.start - promise.timestamp - promise.lease;
         let tolerance = self.written().plan.start_tolerance;

@@ -179,6 +179,8 @@ pub(crate) struct Timing {
     pub(crate) pace: Pace,
     /// What spread the clocks allow.
     pub(crate) skew: Option<SkewBudget>,
+    /// The doubt that the process before this one stated, where this one has taken the act up after its start.
+    pub(crate) stated_doubt: Option<Span>,
     /// The robot whose link determines the lead, and its round trip.
     pub(crate) slowest: Option<(RobotId, Span)>,
     /// How much later it starts than it should: at the end of the act before, or at the time that it waits for.
@@ -204,6 +206,7 @@ impl Timing {
             end: start + duration,
             pace,
             skew: None,
+            stated_doubt: None,
             slowest: None,
             gap: None,
             played: None,

@@ -330,3 +330,31 @@ fn a_mission_that_continued_after_a_stop_is_withdrawn_so_no_device_that_the_stop
     played.recorded.insert(second, stopping);
     assert!(matches!(kept(&played).0.fate(), crate::Fate::Withdraw(_)));
 }
+
+#[test]
+fn a_script_that_the_process_that_died_did_not_send_in_time_is_not_said_to_be_lost() {
+    let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
+    let mut played = Played::begun(begins_with(Everything, &chain));
+    played.run_to_the_start();
+    let mut resumed = resumed_after(&played, 900);
+    assert_eq!(resumed.run_to_the_end(), Outcome::Failed);
+    let texts: Vec<_> =
+        resumed.mission.robots[0].failures.iter().map(|failure| failure.kind.to_string()).collect();
+    assert!(
+        matches!(texts.as_slice(), [text] if text.contains("does not have the script, and its start has passed")),
+        "{texts:?}"
+    );
+}
+
+#[test]
+fn an_act_that_plays_keeps_the_doubt_that_was_stated_at_its_decision() {
+    let mut played = Played::begun(begins_at_once(Everything));
+    played.run_to_the_start();
+    let stated = played.recorded.iter().find_map(|record| match record {
+        Record::Decided { doubt, .. } => Some(*doubt),
+        _ => None,
+    });
+    let mut resumed = resumed_after(&played, 50);
+    assert_eq!(resumed.run_to_the_end(), Outcome::Done);
+    assert_eq!(Some(resumed.mission.reports[0].doubt), stated);
+}
