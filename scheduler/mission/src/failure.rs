@@ -175,10 +175,26 @@ impl Mission {
             self.stop_on_new_link(now, robot);
             return self.ask_how_far_it_came(now, robot);
         }
-        match self.robots[robot].takes_inquiries() {
-            true => self.inquire(now, robot),
-            false => self.send_held_again(now, robot),
+        if self.robots[robot].takes_inquiries() {
+            return self.inquire(now, robot);
         }
+        self.ask(now, robot);
+        if !self.robots[robot].owes_its_times() {
+            self.send_held_again(now, robot);
+        }
+    }
+
+    /// A robot has answered on its new link, and its clock is the one by which its scripts were translated: what waited for that is
+    /// sent.
+    pub(super) fn catch_up(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        if self.phase != Phase::Performing || state.standing != Standing::In || state.stop_was_sent() {
+            return;
+        }
+        if !state.takes_inquiries() {
+            self.send_held_again(now, robot);
+        }
+        self.refill(now, robot);
     }
 
     /// It has been heard again on a new link. Of one that was not there so far it is told when it joins.
@@ -193,7 +209,6 @@ impl Mission {
     /// A robot that takes no inquiries is sent again what it may not have received. What it has, it knows by its name; what
     /// has begun is left alone.
     fn send_held_again(&mut self, now: Timestamp<Server>, robot: usize) {
-        self.ask(now, robot);
         let mut again = Vec::new();
         for act in self.acts.iter().filter(|act| act.is_open()) {
             let (Some(place), Some(timing)) = (act.place_of(robot), act.timing()) else { continue };

@@ -107,7 +107,7 @@ impl Mission {
 
     /// Sends a robot as many scripts as its devices have room for, in order of start.
     pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
-        if self.robots[robot].stop_was_sent() {
+        if self.robots[robot].stop_was_sent() || self.robots[robot].owes_its_times() {
             return;
         }
         for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {

@@ -15,7 +15,7 @@ use super::latency::LatencyDiffers;
 use super::requests::may_be_for_a_stop;
 use super::script::{Ending, Script, ScriptRef, ScriptState};
 use super::seize::Ownership;
-use super::{Loss, MissionSettings, Participant};
+use super::{ClockMode, Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
@@ -445,6 +445,12 @@ impl RobotState {
         let stands = matches!(self.link, Link::Unnamed { .. } | Link::Up { .. });
         let answered = self.questions.answered();
         self.relinked_at.filter(|at| stands && self.clock.samples() > 0 && answered < Some(*at))
+    }
+
+    /// Whether scripts have to wait until it has answered: its clock is not known, or was measured on an earlier link.
+    pub(crate) fn owes_its_times(&self) -> bool {
+        let unknown = self.clock.samples() == 0 && self.settings.clock == ClockMode::Measured;
+        unknown || self.unmeasured_since().is_some()
     }
 
     /// It is the one that is meant, or it is not asked. `false`: that was known of this link.

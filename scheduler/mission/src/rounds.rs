@@ -161,9 +161,11 @@ impl Mission {
     pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
         let state = &mut self.robots[robot];
         let (steps, known) = (state.clock.steps(), state.clock.tells_outliers());
+        let owed = state.owes_its_times();
         let known = known && state.unmeasured_since().is_none();
         state.clock.add(sample);
         state.questions.answer(sample.sent);
+        let answered = owed && !state.owes_its_times();
         // A process that takes a mission up does not know by which clock the robot was sent what it has.
         if state.clock.steps() > steps || state.clock.samples() == 1 {
             self.clock_is_new(now, robot);
@@ -171,6 +173,12 @@ impl Mission {
         if !known {
             // An act may have waited for its times.
             self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+        }
+        if let Some(kind) = self.acts.iter().find_map(|act| act.clock_was_set(now, robot, &self.robots)) {
+            self.fail(now, robot, kind);
+        }
+        if answered {
+            self.catch_up(now, robot);
         }
     }
 

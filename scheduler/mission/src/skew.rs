@@ -92,6 +92,13 @@ impl SkewBudget {
         Some(self.robots[*self.place.get(robot)?].range().1)
     }
 
+    /// The offset of a robot's clock as it was when its scripts were translated, or what the translation left of it, with its
+    /// uncertainty.
+    pub(crate) fn offset_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
+        let robot = self.robots.get(*self.place.get(robot)?)?;
+        Some((robot.offset, robot.uncertainty))
+    }
+
     /// Of these members; `None` as long as the clock of one is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,

@@ -614,6 +614,27 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
+        "It sends scripts only once the robot has answered a question on the new link, because the answer \
+         may come from a new process with another clock.",
+        &[Test(
+            "scheduler/mission/src/tests/clocks.rs::a_robot_that_is_back_with_the_same_clock_is_sent_what_waits_once_it_has_answered",
+        )],
+    ),
+    (
+        Mission,
+        "If a clock turns out to have been set during an act, and a script that has not begun would \
+         certainly start more than `start_tolerance` off its plan, the robot has failed (`clock`).",
+        &[
+            Test(
+                "scheduler/mission/src/tests/clocks.rs::a_robot_that_is_back_with_another_clock_in_the_middle_of_an_act_fails_and_is_sent_no_script",
+            ),
+            Test(
+                "scheduler/mission/src/tests/clocks.rs::a_robot_whose_clock_is_set_in_the_middle_of_an_act_fails_if_more_scripts_are_to_begin",
+            ),
+        ],
+    ),
+    (
+        Mission,
         "If it never joins, or connects only after the last of its acts has begun, the mission is done \
          without it (`done_without`), and the report names it (`never_joined`).",
         &[Test(

@@ -4,6 +4,8 @@
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
 use super::{Act, ActAction, Stage};
+use crate::ClockMode;
+use crate::clock::DRIFT_BOUND;
 use crate::failure_kind::FailureKind;
 use crate::robot_state::RobotState;
 use crate::script::{Script, ScriptState};
@@ -23,6 +25,41 @@ impl Act {
         let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);
         let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
         self.by_index(strayed, robots)
+    }
+
+    /// While the act plays, the clock of a robot turns out to have been set since its scripts were translated: those that have not
+    /// begun would start too far from their plan. `None` where that is not certain.
+    pub(crate) fn clock_was_set(
+        &self,
+        now: Timestamp<Server>,
+        robot: usize,
+        robots: &[RobotState],
+    ) -> Option<FailureKind> {
+        let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
+        let member = self.member(robot).filter(|member| member.takes_part())?;
+        let state = &robots[robot];
+        if member.clock_steps == Some(state.clock.steps()) {
+            return None;
+        }
+        let reading = state.clock_at(now)?;
+        let known = timing.skew.as_ref().and_then(|skew| skew.offset_of(&state.id));
+        let (left, uncertainty) = match (known, state.settings.clock) {
+            (Some(known), _) => known,
+            (None, ClockMode::Measured) => (Span::ZERO, Span::ZERO),
+            // The offset that it had is not known.
+            (None, ClockMode::Ntp) => return None,
+        };
+        let tolerance = self.written().plan.start_tolerance;
+        let drift = Span::from_millis_f64((now - timing.timestamp).as_millis_f64() * DRIFT_BOUND);
+        let allowed = tolerance + reading.uncertainty + uncertainty + drift;
+        let ahead = |script: &Script| timing.start + script.plan.start.span() > now;
+        let deviations = member
+            .under_way()
+            .filter(|(_, script)| ahead(script))
+            .map(|(_, script)| reading.offset - left - member.shift_of(script));
+        let offset = deviations.max_by_key(|deviation| deviation.abs())?;
+        let uncertainty = reading.uncertainty;
+        (offset.abs() > allowed).then_some(FailureKind::Clock { offset, uncertainty, tolerance })
     }
 
     fn by_index(

@@ -84,3 +84,83 @@ fn an_act_that_needs_a_longer_silence_than_the_leases_of_another_is_sent_after_i
     let (sent, end) = second_is_sent(300);
     assert!(sent >= end, "{sent}, {end}");
 }
+
+/// A mission whose only robot cannot be asked for its scripts. It plays two of four scripts that follow one another, its queue holds two.
+fn plays_a_chain(tells: Tells, clock: ClockMode, ahead: Span) -> Played {
+    let mut mission =
+        begins_with(tells, &[("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)]);
+    mission.robots[0].settings.clock = clock;
+    let mut played = Played::linked(mission, &[0]);
+    played.ahead = [(0, ahead)].into();
+    // Its clock is known before the act is sent, as after a greeting.
+    let there = by_robot(at(0)) + ahead;
+    played.mission.robots[0].clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+    played.run_until(at(10));
+    played.run_to_the_start();
+    played
+}
+
+/// The process of the robot is replaced by one whose clock is ahead by this much.
+fn is_replaced(played: &mut Played, ahead: Span) {
+    let scripts: Vec<_> = played.mission.robots[0].requests.keys().cloned().collect();
+    scripts.iter().for_each(|script| played.loses(script));
+    let reason = "it broke".to_owned();
+    played.happens(Event::LinkDown { robot: 0, loss: Loss::Closed, reason });
+    played.ahead = [(0, ahead)].into();
+    played.sent.clear();
+    played.happens(Event::LinkUp { robot: 0 });
+}
+
+fn scripts_sent(played: &Played) -> usize {
+    let script = |message: &Message| matches!(message, Message::ControlRequest(request) if request.time_offset_to_start.is_some());
+    played.sent.iter().filter(|(.., message)| script(message)).count()
+}
+
+#[test]
+fn a_robot_that_is_back_with_another_clock_in_the_middle_of_an_act_fails_and_is_sent_no_script() {
+    for tells in [Tells::Nothing, Tells::Reports] {
+        for clock in [ClockMode::Measured, ClockMode::Ntp] {
+            for by in [-2_000, 2_000] {
+                let mut played = plays_a_chain(tells, clock, ms(3));
+                is_replaced(&mut played, ms(3 + by));
+                played.run_until(played.now + ms(20));
+                let case = format!("{tells:?}, {clock:?}, {by} ms");
+                let blamed = blamed(&played.mission);
+                assert!(matches!(blamed.as_slice(), [(0, FailureKind::Clock { .. })]), "{case}: {blamed:?}");
+                assert_eq!(scripts_sent(&played), 0, "{case}");
+                assert_eq!(played.run_to_the_end(), Outcome::Failed, "{case}");
+                assert_eq!(scripts_sent(&played), 0, "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_is_back_with_the_same_clock_is_sent_what_waits_once_it_has_answered() {
+    for clock in [ClockMode::Measured, ClockMode::Ntp] {
+        let mut played = plays_a_chain(Tells::Nothing, clock, ms(3));
+        is_replaced(&mut played, ms(3));
+        assert_eq!(scripts_sent(&played), 0, "{clock:?}: its clock is not known yet");
+        played.run_until(played.now + ms(20));
+        assert_eq!(blamed(&played.mission), [], "{clock:?}");
+        assert_eq!(scripts_sent(&played), 1, "{clock:?}: one waits, and its device has no room for more");
+        assert_eq!(played.run_to_the_end(), Outcome::Unknown, "{clock:?}");
+        assert_eq!(scripts_sent(&played), 3, "{clock:?}");
+    }
+}
+
+#[test]
+fn a_robot_whose_clock_is_set_in_the_middle_of_an_act_fails_if_more_scripts_are_to_begin() {
+    for tells in [Everything, Tells::Answers, Tells::Reports, Tells::Nothing] {
+        for (until, fails) in [(50, true), (1_250, false)] {
+            let mut played = plays_a_chain(tells, ClockMode::Ntp, ms(3));
+            let start = played.mission.acts[0].timing().unwrap().start;
+            played.run_until(start + ms(until));
+            // Further than the robot's answers can contradict its reports.
+            played.ahead = [(0, ms(-100))].into();
+            played.run_until(start + ms(until + 1_100));
+            let clock = |(_, kind): &(usize, FailureKind)| matches!(kind, FailureKind::Clock { .. });
+            assert_eq!(blamed(&played.mission).iter().any(clock), fails, "{tells:?}, {until} ms");
+        }
+    }
+}
