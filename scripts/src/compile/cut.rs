@@ -1,6 +1,6 @@
 //! A movement that is cut into scripts: where, and when each of them begins.
 
-use urrcp::{ControlType, DeviceId, Millis, Script, Span, Step, StopCondition};
+use urrcp::{ControlType, Device, DeviceId, Millis, Script, Setpoint, Span, Step, StopCondition};
 
 use crate::plan::DeviceScript;
 
@@ -10,6 +10,8 @@ pub(super) struct Cutting {
     /// It moves linearly.
     pub(super) moves: bool,
     pub(super) stop_condition: StopCondition,
+    /// Whether the starts of later scripts are corrected for the drift of the robot's clock.
+    pub(super) corrected: bool,
     /// When its movement ends, from the act's start.
     pub(super) end: Span,
 }
@@ -20,14 +22,18 @@ impl Cutting {
         let mut scripts = Vec::with_capacity(cuts.len());
         let mut from = 0;
         for &to in cuts {
-            let begin = match from {
-                0 => start,
-                // Two scripts of a device never begin at the same instant.
-                from if self.moves && to - from == 1 => steps[from - 1].offset.span(),
-                from => self.begin_after(&steps[from - 1], &steps[from]),
+            let (planned, pause) = match from {
+                0 => (start, Span::ZERO),
+                from => self.begin_after(&steps[from - 1], &steps[from..to]),
             };
-            let relative =
-                |step: &Step| Step { offset: Millis::from_span(step.offset.span() - begin), ..step.clone() };
+            let begin = planned + pause;
+            let relative = |step: &Step| {
+                let offset = match step.offset.span() - planned {
+                    offset if pause == Span::ZERO => offset,
+                    offset => Span::from_millis_f64(offset.as_millis_f64() * (1.0 - CATCH_UP)),
+                };
+                Step { offset: Millis::from_span(offset), ..step.clone() }
+            };
             // Times out of order have been found already; then there is no plan.
             let script = Script::new(steps[from..to].iter().map(relative).collect()).ok()?;
             scripts.push(DeviceScript {
@@ -45,14 +51,20 @@ impl Cutting {
         Some(scripts)
     }
 
-    /// When a script begins that continues after `last` with `next`. If the value does not change until then, it begins with
-    /// that step: the pause leaves room for a start that is corrected because the robot's clock has drifted. Otherwise it begins
-    /// where the script before it ends.
-    fn begin_after(&self, last: &Step, next: &Step) -> Span {
-        match rests(last, next, self.moves) {
-            true => next.offset.span(),
-            false => last.offset.span(),
+    /// When a script begins that continues after `last` with these steps, and a pause before it. If the value does not change
+    /// until the first of them, it begins with that step: this leaves room for a start that is corrected because the robot's clock
+    /// has drifted. Otherwise it begins where the script before it ends. If its start is to be corrected, a pause then leaves the
+    /// room, and the script catches up until its end.
+    fn begin_after(&self, last: &Step, steps: &[Step]) -> (Span, Span) {
+        let (end, first) = (last.offset.span(), &steps[0]);
+        // Two scripts of a device never begin at the same instant.
+        let is_alone = self.moves && steps.len() == 1;
+        if rests(last, first, self.moves) && !is_alone {
+            return (first.offset.span(), Span::ZERO);
         }
+        let length = steps.last().map_or(Span::ZERO, |step| step.offset.span() - end);
+        let pause = if self.corrected { length.as_millis_f64() * CATCH_UP } else { 0.0 };
+        (end, Span::from_millis_f64(pause))
     }
 }
 
@@ -73,9 +85,63 @@ fn rests(last: &Step, next: &Step, moves: bool) -> bool {
     is_position(last) && is_position(next) && (!moves || last.setpoint == next.setpoint)
 }
 
-/// A robot's clock that is measured may drift by 50 ppm, like any quartz clock: by 1.5 ms in this time. Scripts no longer than
-/// this are corrected for the drift one after the other.
+/// The share of a script's length by which it begins later if it continues a movement without a rest. Clocks drift apart more slowly
+/// than this, so the mission can start the script earlier than planned by the drift of a slow clock.
+const CATCH_UP: f64 = 100e-6;
+
+/// The longest scripts of robots whose clocks are measured, and the least length to which they are cut for a small tolerance.
 pub(super) const CORRECTED_EVERY: Span = Span::from_millis(30_000);
+const CORRECTED_EVERY_LEAST: Span = Span::from_millis(1_000);
+
+/// How long scripts may be that are corrected for the drift of clocks one after the other: two clocks drift apart by a third of the
+/// tolerance in the meantime at most.
+pub(super) fn longest_corrected(tolerance: Span) -> Span {
+    let longest = Span::from_millis_f64(tolerance.as_millis_f64() / 3.0 / CATCH_UP);
+    longest.clamp(CORRECTED_EVERY_LEAST, CORRECTED_EVERY)
+}
+
+/// The same movement with further steps, so that no two steps in which a position changes linearly are further apart than this. A
+/// further step has a value that the device can take, at the instant at which the movement passes it.
+pub(super) fn divided(steps: Vec<Step>, device: &Device, longest: Span) -> Vec<Step> {
+    let mut all: Vec<Step> = Vec::with_capacity(steps.len());
+    for step in steps {
+        if let Some(last) = all.last().filter(|last| !rests(last, &step, true)) {
+            let between = between(last, &step, device, longest);
+            all.extend(between);
+        }
+        all.push(step);
+    }
+    all
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a number of scripts")]
+fn between(last: &Step, step: &Step, device: &Device, longest: Span) -> Vec<Step> {
+    let time = step.offset.span() - last.offset.span();
+    let (from, to) = (&last.setpoint, &step.setpoint);
+    let is_position = |at: &Setpoint| at.control_type == ControlType::Position;
+    let limits = device.available_control_types.limits(ControlType::Position);
+    let (Some(limits), true) = (limits, time > longest && is_position(from) && is_position(to)) else {
+        return Vec::new();
+    };
+    let way = to.value - from.value;
+    let parts = (time + longest - Span::from_nanos(1)).as_nanos() / longest.as_nanos();
+    let mut further: Vec<Step> = Vec::new();
+    for part in 1..parts {
+        let value = limits.nearest_settable(from.value + way * part as f64 / parts as f64);
+        let offset =
+            last.offset.span() + Span::from_millis_f64(time.as_millis_f64() * (value - from.value) / way);
+        let is_ahead = offset > further.last().unwrap_or(last).offset.span() && offset < step.offset.span();
+        let setpoint = Setpoint::new(ControlType::Position, value);
+        if is_ahead && device.check_in_script(&setpoint).is_ok() {
+            further.push(Step {
+                offset: Millis::from_span(offset),
+                setpoint,
+                stop_condition: step.stop_condition,
+            });
+        }
+    }
+    further
+}
 
 /// Where to cut steps into scripts of at most `most` steps and about this length: at the last rest in the second half of a script,
 /// if there is one.
@@ -120,6 +186,66 @@ mod tests {
             stop_condition: None,
         };
         of.iter().map(step).collect()
+    }
+
+    /// A device that moves linearly from 0 to 600 in steps of this size.
+    fn rail(granularity: f64) -> Device {
+        let limits = urrcp::Limits::new(0.0, 600.0, granularity).unwrap();
+        let mut rail = Device::new("rail".parse().unwrap()).with_position(limits.clone());
+        rail = rail.with_scripts(urrcp::ScriptParameters::new(limits, 100));
+        rail.interpolation = urrcp::Interpolation::Linear;
+        rail
+    }
+
+    fn split(of: &[(i64, f64)], cuts: &[usize], corrected: bool) -> Vec<DeviceScript> {
+        let steps = steps(of);
+        let end = steps.last().unwrap().offset.span();
+        let stop_condition = StopCondition { pending: None, running: None };
+        let cutting = Cutting { device: rail(1.0).id, moves: true, stop_condition, corrected, end };
+        cutting.split(&steps, cuts, Span::ZERO).unwrap()
+    }
+
+    #[test]
+    fn a_script_without_a_rest_before_it_begins_later_and_ends_on_time_if_its_start_is_corrected() {
+        let ramp = [(0, 0.0), (30, 30.0), (40, 40.0), (60, 60.0)];
+        for (corrected, pause) in [(true, 3.0), (false, 0.0)] {
+            let scripts = split(&ramp, &[2, 4], corrected);
+            assert_eq!(
+                (scripts[0].start.get(), scripts[0].script.duration()),
+                (0.0, Span::from_millis(30_000))
+            );
+            assert_eq!(scripts[1].start.get(), 30_000.0 + pause);
+            let offsets: Vec<_> = scripts[1].script.steps().iter().map(|step| step.offset.get()).collect();
+            let slower = 1.0 - pause / 30_000.0;
+            assert_eq!(offsets, [10_000.0 * slower, 30_000.0 * slower]);
+        }
+        // The device rests at 30 for ten seconds, which leaves room enough.
+        let rests = [(0, 0.0), (30, 30.0), (40, 30.0), (60, 60.0)];
+        assert_eq!(split(&rests, &[2, 4], true)[1].start.get(), 40_000.0);
+        let alone = split(&[(0, 0.0), (30, 30.0), (40, 30.0)], &[2, 3], true);
+        assert_eq!((alone[1].start.get(), alone[1].script.duration()), (30_001.0, Span::from_millis(9_999)));
+    }
+
+    #[test]
+    fn a_long_linear_movement_is_divided_at_values_that_the_device_can_take() {
+        let divided = |of: &[(i64, f64)], granularity: f64| {
+            let all = divided(steps(of), &rail(granularity), CORRECTED_EVERY);
+            all.iter().map(|step| (step.offset.get() / 1_000.0, step.setpoint.value)).collect::<Vec<_>>()
+        };
+        let slide = [(0, 0.0), (100, 10.0)];
+        assert_eq!(divided(&slide, 1.0), [(0.0, 0.0), (30.0, 3.0), (50.0, 5.0), (80.0, 8.0), (100.0, 10.0)]);
+        assert_eq!(divided(&slide, 10.0), [(0.0, 0.0), (100.0, 10.0)], "no value lies between");
+        let still = [(0, 10.0), (100, 10.0), (130, 0.0)];
+        assert_eq!(divided(&still, 1.0), still.map(|(at, value)| (at as f64, value)));
+    }
+
+    #[test]
+    fn two_clocks_drift_apart_by_a_third_of_the_tolerance_within_a_script() {
+        for (tolerance, longest) in
+            [(60_000, 30_000), (9_000, 30_000), (3_000, 10_000), (300, 1_000), (100, 1_000)]
+        {
+            assert_eq!(longest_corrected(Span::from_micros(tolerance)), Span::from_millis(longest));
+        }
     }
 
     fn lengths(of: &[(i64, f64)], most: usize, moves: bool) -> Vec<usize> {

@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, HashMap};
 use urrcp::{ControlType, Device, Interpolation, Millis, Setpoint, Span, Step, StopCondition};
 
 use super::cast::{Cast, Left, Rest};
-use super::cut::{CORRECTED_EVERY, Cutting, REFILL, can_be_refilled, cuts, every};
+use super::cut::{
+    CORRECTED_EVERY, Cutting, REFILL, can_be_refilled, cuts, divided, every, longest_corrected,
+};
 use super::jumps::{First, Moved, Mover, Position};
 use super::overlap;
 use super::perform::capacity;
@@ -53,7 +55,8 @@ pub(super) fn join(
         let device = &cast.devices(robot)[index];
         let speed = cast.limits(robot, device, ControlType::Position).speed;
         let corrected = cast.fleet.robots[robot].mission.clock == ClockMode::Measured;
-        let longest = (corrected && device.script_queue > 1).then_some(CORRECTED_EVERY);
+        let longest =
+            (corrected && device.script_queue > 1).then(|| longest_corrected(scenario.start_tolerance));
         let is_limited = speed.is_some() || moves_limited_body(cast, robot, device);
         let id = cast.id(robot);
         let lane = Lane { scenario, robot: id, device, speed, is_limited, longest, segments: &segments };
@@ -303,9 +306,13 @@ impl Lane<'_> {
         let count = steps.div_ceil(most).max(1);
         let queue = self.device.script_queue.max(1) as usize;
         if count <= queue || queue > 1 {
-            let all = self.steps();
-            let at_rests = self.longest.map(|longest| cuts(&all, most, self.moves(), longest));
-            for cuts in at_rests.into_iter().chain([every(most, all.len())]) {
+            let all = match self.longest.filter(|_| self.moves()) {
+                Some(longest) => divided(self.steps(), self.device, longest),
+                None => self.steps(),
+            };
+            let lengths = self.longest.into_iter().flat_map(|longest| [longest, CORRECTED_EVERY]);
+            let at_rests = lengths.map(|longest| cuts(&all, most, self.moves(), longest));
+            for cuts in at_rests.chain([every(most, all.len())]) {
                 let scripts = self.cutting().split(&all, &cuts, start)?;
                 if can_be_refilled(&scripts, queue) {
                     let used = self.used(all.len(), scripts.len(), most);
@@ -320,8 +327,8 @@ impl Lane<'_> {
     }
 
     fn cutting(&self) -> Cutting {
-        let (device, moves) = (self.device.id.clone(), self.moves());
-        Cutting { device, moves, stop_condition: self.stop_condition(), end: self.end() }
+        let (device, moves, corrected) = (self.device.id.clone(), self.moves(), self.longest.is_some());
+        Cutting { device, moves, stop_condition: self.stop_condition(), corrected, end: self.end() }
     }
 
     fn used(&self, steps: usize, scripts: usize, most: usize) -> DeviceUse {

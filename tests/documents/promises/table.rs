@@ -1968,12 +1968,6 @@ pub const NO_PROMISES: &[(Document, &str, &str)] = &[
     ),
     (
         Mission,
-        "A linear movement without a rest has no such place: its scripts can only start later, and a slow \
-         clock is corrected at the next rest.",
-        "It states a limit of the mission.",
-    ),
-    (
-        Mission,
         "It compares what the robots really set with nine invariants: (a) all or none, (b) nothing late \
          or twice, (c) rest after a stop and beyond a lease, (d) no value outside limits, (e) every \
          mission ends in a report, (f) starts within the printed skew budget, (g) the report is true, (h) \
