@@ -154,8 +154,5 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
 
 fn on_grid(value: f64, control_type: ControlType, device: Option<&Device>) -> f64 {
     let limits = device.and_then(|device| device.available_control_types.limits(control_type));
-    match limits.map(|limits| limits.granularity).filter(|granularity| *granularity > 0.0) {
-        Some(granularity) => (value / granularity).round() * granularity,
-        None => value,
-    }
+    limits.map_or(value, |limits| limits.nearest(value))
 }

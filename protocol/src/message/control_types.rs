@@ -112,6 +112,12 @@ fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), Limit
 /// How far, in steps, a value may lie off the grid through rounding of decimal text.
 const GRID_TOLERANCE: f64 = 1e-6;
 
+/// Of larger factors, the rounding of the granularity is more than [`GRID_TOLERANCE`].
+const FACTOR_MAX: f64 = 1e9;
+
+/// Granularities are written with this many decimal digits or fewer.
+const POWERS_OF_TEN: [f64; 13] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12];
+
 impl Limits {
     /// Limits without a known error.
     ///
@@ -139,16 +145,29 @@ impl Limits {
     /// The multiple of the granularity nearest to the value. It may lie outside the limits.
     #[must_use]
     pub fn nearest(&self, value: f64) -> f64 {
-        (value / self.granularity).round() * self.granularity
+        self.multiple((value / self.granularity).round())
     }
 
     /// The settable value nearest to this one: a multiple of the granularity within the limits.
     #[must_use]
     pub fn nearest_settable(&self, value: f64) -> f64 {
         let [low, high] = self.multiples();
-        let multiple = (value / self.granularity).round().min(high).max(low) * self.granularity;
-        // In floating point, 3 * 0.1 exceeds the bound 0.3, which counts as a multiple of 0.1.
+        let multiple = self.multiple((value / self.granularity).round().min(high).max(low));
+        // A bound may lie off the grid by the rounding of decimal text.
         multiple.clamp(self.min_value, self.max_value)
+    }
+
+    /// The multiple of the granularity with this factor, in at most as many decimal digits as the granularity: 41 * 0.1 is 4.1, and
+    /// not 4.1000000000000005.
+    fn multiple(&self, factor: f64) -> f64 {
+        let is_whole = |scale: &f64| {
+            let scaled = self.granularity * scale;
+            scaled >= 0.5 && (scaled - scaled.round()).abs() <= scaled * 2.0 * f64::EPSILON
+        };
+        match POWERS_OF_TEN.iter().find(|scale| is_whole(scale)) {
+            Some(scale) if factor.abs() < FACTOR_MAX => factor * (self.granularity * scale).round() / scale,
+            _ => factor * self.granularity,
+        }
     }
 
     /// The smallest and the largest multiple of the granularity within the limits, as factors of the granularity.
@@ -463,6 +482,28 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_multiple_has_no_more_digits_than_the_granularity() {
+        for (granularity, digits) in
+            [(0.1, 1), (0.02, 2), (0.25, 2), (2.5, 1), (3.0, 0), (1e-7, 7), (0.017, 3)]
+        {
+            let limits = Limits::new(-1e6, 1e6, granularity).unwrap();
+            for n in -2_000..2_000 {
+                let between = f64::from(n) * 1.37 * granularity;
+                for value in [limits.nearest(between), limits.nearest_settable(between)] {
+                    assert_eq!(
+                        value.to_string().parse::<f64>(),
+                        format!("{value:.digits$}").parse(),
+                        "{value}"
+                    );
+                    assert!(limits.on_grid(value), "{value} of {granularity}");
+                }
+            }
+        }
+        let third = Limits::new(0.0, 10.0, 1.0 / 3.0).unwrap();
+        assert_eq!(third.nearest_settable(0.7), 2.0 * (1.0 / 3.0), "no decimal digits write it");
+    }
 
     #[test]
     fn a_value_is_settable_if_it_is_a_multiple_within_the_limits() {

@@ -4,9 +4,6 @@ use urrcp::{Device, InitializationBlock};
 
 use super::Key;
 
-/// More digits than a number has behind its point say nothing.
-const DIGITS_MAX: usize = 17;
-
 /// The value of a signal on the grid of its device: values between those of scripts come from movements and stops. 82 steps of
 /// 0.02 are 1.64, not 1.6400000000000001.
 pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
@@ -17,19 +14,11 @@ pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key,
     if is_default(device, value) && !limits.on_grid(value) {
         return value;
     }
-    as_written(limits.nearest(value).clamp(limits.min_value, limits.max_value), limits.granularity)
+    limits.nearest(value).clamp(limits.min_value, limits.max_value)
 }
 
 fn is_default(device: Option<&Device>, value: f64) -> bool {
     device.and_then(|device| device.default_value) == Some(value)
-}
-
-/// The number with as many digits behind its point as the granularity has, if that is nearly the same number.
-fn as_written(value: f64, granularity: f64) -> f64 {
-    let digits = granularity.to_string().split_once('.').map_or(0, |(_, digits)| digits.len());
-    let written = format!("{value:.*}", digits.min(DIGITS_MAX)).parse().unwrap_or(value);
-    // A limit may lie off the grid.
-    if (written - value).abs() <= granularity * 1e-6 { written } else { value }
 }
 
 #[cfg(test)]

@@ -58,16 +58,8 @@ impl Actor {
 
     /// The smallest and the largest value that the device must take.
     pub(super) fn edges(&self) -> (f64, f64) {
-        let Limits { min_value, max_value, granularity, .. } = self.limits;
-        let low = match self.limits.on_grid(min_value) {
-            true => min_value,
-            false => (min_value / granularity).ceil() * granularity,
-        };
-        let high = match self.limits.on_grid(max_value) {
-            true => max_value,
-            false => (max_value / granularity).floor() * granularity,
-        };
-        (low, high)
+        let limits = &self.limits;
+        (limits.nearest_settable(limits.min_value), limits.nearest_settable(limits.max_value))
     }
 
     /// A multiple of the granularity just below the smallest value, and one just above the largest.

@@ -108,12 +108,6 @@ impl PlannedDevice {
     /// The nearest position that the device can be sent to.
     #[must_use]
     pub fn on_grid(&self, value: f64) -> f64 {
-        let granularity = self.limits.granularity;
-        let value = (value / granularity).round() * granularity;
-        let inward = |edge: f64, sign: f64| {
-            let steps = edge / granularity;
-            (if sign > 0.0 { (steps - 1e-6).ceil() } else { (steps + 1e-6).floor() }) * granularity
-        };
-        value.max(inward(self.limits.min_value, 1.0)).min(inward(self.limits.max_value, -1.0))
+        self.limits.nearest_settable(value)
     }
 }

@@ -114,7 +114,7 @@ fn out_of_range(
     limits: &Limits,
 ) {
     let value = tidy(knot.to);
-    let nearest = tidy(limits.nearest_settable(value));
+    let nearest = limits.nearest_settable(value);
     let size = beyond(limits, knot.to);
     let expected = between(limits);
     let said = format!("{}{value} lies outside the limits for ", named(on.track, knot.item));

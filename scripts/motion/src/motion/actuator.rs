@@ -308,8 +308,7 @@ impl<'a> Actuator<'a> {
     }
 
     fn on_grid(&self, value: f64) -> f64 {
-        self.limits
-            .map_or(value, |limits| tidy(limits.nearest_settable(value), tidy_scale(limits.granularity)))
+        self.limits.map_or(value, |limits| limits.nearest_settable(value))
     }
 
     /// How a way becomes steps that lasts for some time.
@@ -464,11 +463,9 @@ fn tidy_scale(granularity: f64) -> f64 {
     10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
 }
 
-/// The nearest value to which a device can be set, in as few digits as it is sent; beyond the limits the nearest multiple of the
-/// granularity.
+/// The nearest value to which a device can be set; beyond the limits the nearest multiple of the granularity.
 pub fn nearest_on_grid(limits: &Limits, value: f64) -> f64 {
-    let nearest = if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) };
-    tidy(nearest, tidy_scale(limits.granularity))
+    if limits.contains(value) { limits.nearest_settable(value) } else { limits.nearest(value) }
 }
 
 /// A value on a grid without the dust of its multiplication: fewer digits on the wire.
