@@ -21,9 +21,8 @@ enum Format {
 
 static ONLY: LazyLock<Option<Format>> = LazyLock::new(|| {
     let word = std::env::var("DOWNBEAT_FORMAT").ok()?;
-    let known = ImportFormat::WORDS.iter().find(|(known, _)| *known == word);
-    match known {
-        Some((_, format)) => Some(Format::Motions(*format)),
+    match ImportFormat::ALL.iter().find(|known| known.word == word) {
+        Some(known) => Some(Format::Motions(known.format)),
         None if word == "urdf" => Some(Format::Urdf),
         None => panic!("DOWNBEAT_FORMAT={word} is no format"),
     }
@@ -42,9 +41,9 @@ fuzz_target!(|data: &[u8]| {
 });
 
 fn of_byte(which: u8) -> Format {
-    let formats = ImportFormat::WORDS;
+    let formats = ImportFormat::ALL;
     match formats.get(usize::from(which) % (formats.len() + 1)) {
-        Some((_, format)) => Format::Motions(*format),
+        Some(known) => Format::Motions(known.format),
         None => Format::Urdf,
     }
 }

@@ -21,30 +21,7 @@ use super::{Exit, Format, console};
 
 /// Convert files of other tools into a scenario and its fleet.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Formats:
-  crazyswarm        CSVs of polynomial pieces, one file or folder per robot
-  waypoints         CSV with id,x[m],y[m],z[m],t[s]
-  joint-trajectory  ROS trajectory_msgs/JointTrajectory as YAML or JSON
-  play-motion2      motions of PAL Robotics' robots, YAML
-  bitbots           keyframe animations of the Bit-Bots, JSON
-  skybrush          compiled drone shows, .skyc
-  webots            motions of Webots, .motion
-  bvh               motion capture, .bvh
-  midi              notes and controllers, .mid
-  fseq              light sequences of xLights and Falcon Player, .fseq, with --map
-  mcap              recordings of ROS with JointState, .mcap
-  csv               any CSV with times, with --time and --map
-  urdf              a description of a robot
-
-Each scene becomes an act. With --join, all scenes become one list of cues.
-
-Examples:
-  downbeat import crazyswarm pp*.csv --robots cf1,cf2,cf3 --output swap
-  downbeat import bitbots dance.json --init wolf.yaml --robots wolf-1
-  downbeat import fseq star.fseq --map star/lamp=1,2,3 --output star
-  downbeat import urdf arm.urdf --output arm
-  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2
-  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *'")]
+#[command(after_help = after_help())]
 pub(super) struct ImportArgs {
     /// The format of the files.
     #[arg(value_name = "FORMAT")]
@@ -113,6 +90,26 @@ pub(super) struct ImportArgs {
     scale: Vec<(String, f64)>,
 }
 
+const URDF: (&str, &str) = ("urdf", "a description of a robot");
+
+fn after_help() -> String {
+    let formats = ImportFormat::ALL.iter().map(|facts| (facts.word, facts.about)).chain([URDF]);
+    let formats: String = formats.map(|(word, about)| format!("  {word:<18}{about}\n")).collect();
+    format!(
+        "Formats:
+{formats}
+Each scene becomes an act. With --join, all scenes become one list of cues.
+
+Examples:
+  downbeat import crazyswarm pp*.csv --robots cf1,cf2,cf3 --output swap
+  downbeat import bitbots dance.json --init wolf.yaml --robots wolf-1
+  downbeat import fseq star.fseq --map star/lamp=1,2,3 --output star
+  downbeat import urdf arm.urdf --output arm
+  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2
+  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *'"
+    )
+}
+
 /// A format as it is typed.
 #[derive(Clone, Copy, Debug)]
 enum From {
@@ -124,11 +121,11 @@ enum From {
 
 impl clap::ValueEnum for From {
     fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [From; ImportFormat::WORDS.len() + 1] = {
-            let mut all = [From::Urdf; ImportFormat::WORDS.len() + 1];
+        const ALL: [From; ImportFormat::ALL.len() + 1] = {
+            let mut all = [From::Urdf; ImportFormat::ALL.len() + 1];
             let mut index = 0;
-            while index < ImportFormat::WORDS.len() {
-                all[index] = From::Motions(ImportFormat::WORDS[index].1);
+            while index < ImportFormat::ALL.len() {
+                all[index] = From::Motions(ImportFormat::ALL[index].format);
                 index += 1;
             }
             all
@@ -139,7 +136,7 @@ impl clap::ValueEnum for From {
     fn to_possible_value(&self) -> Option<PossibleValue> {
         Some(PossibleValue::new(match self {
             Self::Motions(format) => format.word(),
-            Self::Urdf => "urdf",
+            Self::Urdf => URDF.0,
         }))
     }
 }
@@ -274,7 +271,7 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
         )
     } else if from != ImportFormat::Csv && for_csv.contains(&true) {
         Some("--time, --time-unit, --skip, --decimal and --hold are options of csv only: leave them out")
-    } else if !from.is_mapped() && !args.map.is_empty() {
+    } else if !from.facts().is_mapped && !args.map.is_empty() {
         Some("--map is an option of csv and fseq only: leave it out")
     } else if args.map.iter().any(whose) && args.map.iter().any(nobodys) {
         Some("name a robot in every --map, or in none if each file is a robot")

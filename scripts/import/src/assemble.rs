@@ -55,7 +55,7 @@ pub(super) fn assemble(
     remarks::note_joins(&scenes, sink);
     let kind = options.kind.clone().filter(|kind| !kind.is_empty()).unwrap_or_else(|| match &options.init {
         Some(init) => init.id.to_string(),
-        None => format.kind().to_owned(),
+        None => format.facts().kind.to_owned(),
     });
     let kind = kind.chars().take(KIND_CHARS_MAX).collect();
     let origin = format!("{} {}", format.word(), origin(paths));
@@ -158,7 +158,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     if old.len() != options.robots.len() && !scenes.is_empty() {
         let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
         let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
-        let one = format.is_single();
+        let one = format.facts().is_single;
         let hint =
             one.then_some("give one name for each file, or one name if all files are scenes of one robot");
         sink.about(file, Code::ImportNames, message, &expected, hint);

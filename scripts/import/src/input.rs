@@ -117,17 +117,7 @@ fn scene_name(stem: &str) -> String {
 
 /// Files are scenes of the same robots, unless as many names as files say that each is a robot of its own.
 fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sink: &mut Sink) -> Vec<Input> {
-    let extensions: &[&str] = match format {
-        ImportFormat::Crazyswarm | ImportFormat::Waypoints | ImportFormat::Csv => &["csv"],
-        ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 => &["yaml", "yml", "json"],
-        ImportFormat::Bitbots => &["json"],
-        ImportFormat::Skybrush => &["skyc"],
-        ImportFormat::Webots => &["motion"],
-        ImportFormat::Bvh => &["bvh"],
-        ImportFormat::Midi => &["mid", "midi"],
-        ImportFormat::Fseq => &["fseq"],
-        ImportFormat::Mcap => &["mcap"],
-    };
+    let extensions = format.facts().ends;
     let mut files = Vec::new();
     for path in paths {
         match path.is_dir() {
@@ -148,15 +138,15 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
             false => files.push(path.clone()),
         }
     }
-    if format.is_mapped() && robot_a_file(options) {
+    if format.facts().is_mapped && robot_a_file(options) {
         return robots_apart(files, sink);
     }
     if files.len() > 1 && files.iter().all(|file| is_number(&stem(file))) {
         files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
         sink.note(format!("sorted {} scenes by number", files.len()));
     }
-    let kind = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
-    let apart = format.is_single() && files.len() > 1 && files.len() == options.robots.len();
+    let kind = options.kind.clone().unwrap_or_else(|| format.facts().kind.to_owned());
+    let apart = format.facts().is_single && files.len() > 1 && files.len() == options.robots.len();
     let alone = files.len() == 1;
     let scenes = scene_names(&files);
     let inputs = files.into_iter().zip(scenes).enumerate().map(|(index, (path, scene))| {

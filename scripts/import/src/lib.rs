@@ -51,7 +51,7 @@ use input::Input;
 use sink::Sink;
 
 pub use dialect::Decimal;
-pub use downbeat_yaml::formats::ImportFormat;
+pub use downbeat_yaml::formats::{FormatFacts, ImportFormat};
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
 pub use position::Clearance;
@@ -306,7 +306,7 @@ pub struct ImportOutcome {
 pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) -> ImportOutcome {
     let mut sink = Sink::default();
     let inputs = input::gather(format, paths, options, &mut sink);
-    if options.rate_hz.is_some() && !format.has_curves() && format != ImportFormat::Csv {
+    if options.rate_hz.is_some() && !format.facts().has_curves && format != ImportFormat::Csv {
         sink.note(format!("{} has no curves: --rate samples nothing", format.word()));
     }
     let mut motions = Vec::new();
@@ -352,13 +352,10 @@ fn read(
     sink: &mut Sink,
 ) -> Vec<Motion> {
     let name = input.path.display().to_string();
-    let motions = match format {
-        ImportFormat::Skybrush => skybrush::read(input, &name, &bytes, options, sink),
-        ImportFormat::Midi => midi::read(input, &name, &bytes, sink),
-        ImportFormat::Fseq => fseq::read(input, &name, &bytes, options, sink),
-        ImportFormat::Mcap => joint_states::read(input, &name, &bytes, sink),
-        _ => match text::source(&name, bytes) {
-            Ok(source) => read_text(format, input, &source, options, sink),
+    let motions = match reader(format) {
+        Reader::Bytes(read) => read(input, &name, &bytes, options, sink),
+        Reader::Text(read) => match text::source(&name, bytes) {
+            Ok(source) => read(input, &source, options, sink),
             Err(finding) => {
                 sink.findings.push(finding);
                 Vec::new()
@@ -369,23 +366,29 @@ fn read(
     motions
 }
 
-fn read_text(
-    format: ImportFormat,
-    input: &Input,
-    source: &Source,
-    options: &ImportOptions,
-    sink: &mut Sink,
-) -> Vec<Motion> {
+/// How a file of a format is read.
+enum Reader {
+    Bytes(fn(&Input, &str, &[u8], &ImportOptions, &mut Sink) -> Vec<Motion>),
+    Text(fn(&Input, &Source, &ImportOptions, &mut Sink) -> Vec<Motion>),
+}
+
+fn reader(format: ImportFormat) -> Reader {
+    use Reader::{Bytes, Text};
     match format {
-        ImportFormat::Crazyswarm => crazyswarm::read(input, source, options, sink),
-        ImportFormat::Waypoints => waypoints::read(input, source, sink),
-        ImportFormat::JointTrajectory => joint_trajectory::read(input, source, options, sink),
-        ImportFormat::PlayMotion2 => play_motion2::read(input, source, sink),
-        ImportFormat::Bitbots => bitbots::read(input, source, sink),
-        ImportFormat::Csv => timed_csv::read(input, source, options, sink),
-        ImportFormat::Webots => webots::read(input, source, sink),
-        ImportFormat::Bvh => bvh::read(input, source, sink),
-        ImportFormat::Skybrush | ImportFormat::Midi | ImportFormat::Fseq | ImportFormat::Mcap => Vec::new(),
+        ImportFormat::Crazyswarm => Text(crazyswarm::read),
+        ImportFormat::Waypoints => Text(|input, source, _, sink| waypoints::read(input, source, sink)),
+        ImportFormat::JointTrajectory => Text(joint_trajectory::read),
+        ImportFormat::PlayMotion2 => Text(|input, source, _, sink| play_motion2::read(input, source, sink)),
+        ImportFormat::Bitbots => Text(|input, source, _, sink| bitbots::read(input, source, sink)),
+        ImportFormat::Skybrush => Bytes(skybrush::read),
+        ImportFormat::Webots => Text(|input, source, _, sink| webots::read(input, source, sink)),
+        ImportFormat::Bvh => Text(|input, source, _, sink| bvh::read(input, source, sink)),
+        ImportFormat::Midi => Bytes(|input, name, bytes, _, sink| midi::read(input, name, bytes, sink)),
+        ImportFormat::Fseq => Bytes(fseq::read),
+        ImportFormat::Mcap => {
+            Bytes(|input, name, bytes, _, sink| joint_states::read(input, name, bytes, sink))
+        }
+        ImportFormat::Csv => Text(timed_csv::read),
     }
 }
 
@@ -399,7 +402,7 @@ pub fn import_bytes(
 ) -> ImportOutcome {
     let mut sink = Sink::default();
     let path = PathBuf::from(name);
-    let robot = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
+    let robot = options.kind.clone().unwrap_or_else(|| format.facts().kind.to_owned());
     let input = Input { path: path.clone(), robot, scene: String::new() };
     let motions = read(format, &input, bytes.to_vec(), options, &mut sink);
     finish(format, &[path], motions, options, sink)

@@ -2,107 +2,188 @@
 
 use std::path::Path;
 
-/// Which tool's files they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImportFormat {
+/// What there is to know of a format, apart from how its files are read.
+#[derive(Clone, Copy, Debug)]
+pub struct FormatFacts {
+    /// The format.
+    pub format: ImportFormat,
+    /// Its name on the command line.
+    pub word: &'static str,
+    /// Its files, in a few words.
+    pub about: &'static str,
+    /// How the names of its files end.
+    pub ends: &'static [&'static str],
+    /// Whether such a name is enough to recognize a file.
+    pub is_recognized: bool,
+    /// The kind of robot that plays such files, unless the user states another one.
+    pub kind: &'static str,
+    /// Whether each file is of one robot.
+    pub is_single: bool,
+    /// Whether the user says what moves what.
+    pub is_mapped: bool,
+    /// Whether its files contain curves besides points.
+    pub has_curves: bool,
+}
+
+/// The defaults of the table.
+const POINTS: FormatFacts = FormatFacts {
+    format: ImportFormat::Csv,
+    word: "",
+    about: "",
+    ends: &[],
+    is_recognized: true,
+    kind: "robot",
+    is_single: false,
+    is_mapped: false,
+    has_curves: false,
+};
+
+/// Declares the formats and [`FORMATS`], the facts of each in the same order.
+macro_rules! formats {
+    ($($(#[$doc:meta])* $format:ident { $($fact:ident: $value:expr,)* })*) => {
+        /// The program whose files they are.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum ImportFormat {
+            $($(#[$doc])* $format,)*
+        }
+
+        const FORMATS: &[FormatFacts] =
+            &[$(FormatFacts { format: ImportFormat::$format, $($fact: $value,)* ..POINTS },)*];
+    };
+}
+
+formats! {
     /// Crazyswarm: one CSV of polynomial pieces a robot, or a folder of numbered scenes a robot.
-    Crazyswarm,
+    Crazyswarm {
+        word: "crazyswarm",
+        about: "CSVs of polynomial pieces, one file or folder per robot",
+        ends: &["csv"],
+        is_recognized: false,
+        kind: "crazyflie",
+        has_curves: true,
+    }
+
     /// `id,x[m],y[m],z[m],t[s]`.
-    Waypoints,
+    Waypoints {
+        word: "waypoints",
+        about: "CSV with id,x[m],y[m],z[m],t[s]",
+        ends: &["csv"],
+        is_recognized: false,
+        kind: "crazyflie",
+    }
+
     /// The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML or JSON.
-    JointTrajectory,
+    JointTrajectory {
+        word: "joint-trajectory",
+        about: "ROS trajectory_msgs/JointTrajectory as YAML or JSON",
+        ends: &["yaml", "yml", "json"],
+        is_recognized: false,
+        is_single: true,
+        has_curves: true,
+    }
+
     /// The motions of PAL Robotics' `play_motion2`, YAML.
-    PlayMotion2,
+    PlayMotion2 {
+        word: "play-motion2",
+        about: "motions of PAL Robotics' robots, YAML",
+        ends: &["yaml", "yml", "json"],
+        is_recognized: false,
+        kind: "tiago",
+        is_single: true,
+    }
+
     /// Keyframe animations of the RoboCup team Bit-Bots, JSON.
-    Bitbots,
+    Bitbots {
+        word: "bitbots",
+        about: "keyframe animations of the Bit-Bots, JSON",
+        ends: &["json"],
+        is_recognized: false,
+        kind: "humanoid",
+        is_single: true,
+    }
+
     /// Compiled drone shows of Skybrush, `.skyc`.
-    Skybrush,
+    Skybrush {
+        word: "skybrush",
+        about: "compiled drone shows, .skyc",
+        ends: &["skyc"],
+        kind: "drone",
+        has_curves: true,
+    }
+
     /// Motions of Webots, `.motion`.
-    Webots,
+    Webots {
+        word: "webots",
+        about: "motions of Webots, .motion",
+        ends: &["motion"],
+        is_single: true,
+    }
+
     /// Motion capture, `.bvh`.
-    Bvh,
+    Bvh {
+        word: "bvh",
+        about: "motion capture, .bvh",
+        ends: &["bvh"],
+        kind: "skeleton",
+        is_single: true,
+    }
+
     /// Standard MIDI files.
-    Midi,
+    Midi {
+        word: "midi",
+        about: "notes and controllers, .mid",
+        ends: &["mid", "midi"],
+        kind: "midi",
+        is_single: true,
+    }
+
     /// Light sequences of xLights and Falcon Player, `.fseq`.
-    Fseq,
+    Fseq {
+        word: "fseq",
+        about: "light sequences of xLights and Falcon Player, .fseq, with --map",
+        ends: &["fseq"],
+        kind: "lamps",
+        is_mapped: true,
+    }
+
     /// Recordings of ROS with joint states, `.mcap`.
-    Mcap,
+    Mcap {
+        word: "mcap",
+        about: "recordings of ROS with JointState, .mcap",
+        ends: &["mcap"],
+    }
+
     /// Any CSV with a column of times.
-    Csv,
+    Csv {
+        word: "csv",
+        about: "any CSV with times, with --time and --map",
+        ends: &["csv"],
+        is_mapped: true,
+    }
 }
 
 impl ImportFormat {
-    /// All of them with the names that people type.
-    pub const WORDS: [(&'static str, Self); 12] = [
-        ("crazyswarm", Self::Crazyswarm),
-        ("waypoints", Self::Waypoints),
-        ("joint-trajectory", Self::JointTrajectory),
-        ("play-motion2", Self::PlayMotion2),
-        ("bitbots", Self::Bitbots),
-        ("skybrush", Self::Skybrush),
-        ("webots", Self::Webots),
-        ("bvh", Self::Bvh),
-        ("midi", Self::Midi),
-        ("fseq", Self::Fseq),
-        ("mcap", Self::Mcap),
-        ("csv", Self::Csv),
-    ];
+    /// All formats, in the order in which they are listed.
+    pub const ALL: &'static [FormatFacts] = FORMATS;
 
-    /// As it is typed.
+    /// What there is to know of it.
     #[must_use]
-    pub fn word(self) -> &'static str {
-        Self::WORDS.iter().find(|(_, format)| *format == self).map_or("", |(word, _)| word)
+    pub const fn facts(self) -> &'static FormatFacts {
+        &FORMATS[self as usize]
     }
 
-    /// Whether its files are of one robot each.
-    pub fn is_single(self) -> bool {
-        use ImportFormat::{Bitbots, Bvh, JointTrajectory, Midi, PlayMotion2, Webots};
-        matches!(self, JointTrajectory | PlayMotion2 | Bitbots | Webots | Bvh | Midi)
-    }
-
-    /// Whether the user says what moves what.
+    /// Its name on the command line.
     #[must_use]
-    pub fn is_mapped(self) -> bool {
-        matches!(self, Self::Csv | Self::Fseq)
-    }
-
-    /// Whether its files contain curves besides points.
-    #[must_use]
-    pub fn has_curves(self) -> bool {
-        matches!(self, Self::Crazyswarm | Self::JointTrajectory | Self::Skybrush)
-    }
-
-    /// The kind of robot that plays such files, unless the user states another one.
-    pub fn kind(self) -> &'static str {
-        match self {
-            Self::Crazyswarm | Self::Waypoints => "crazyflie",
-            Self::JointTrajectory | Self::Webots | Self::Mcap | Self::Csv => "robot",
-            Self::Bvh => "skeleton",
-            Self::Midi => "midi",
-            Self::Fseq => "lamps",
-            Self::Skybrush => "drone",
-            Self::PlayMotion2 => "tiago",
-            Self::Bitbots => "humanoid",
-        }
+    pub const fn word(self) -> &'static str {
+        self.facts().word
     }
 }
-
-/// Where files of other tools belong, by the ends of their names.
-const IMPORTED: [(&str, ImportFormat); 8] = [
-    ("csv", ImportFormat::Csv),
-    ("mid", ImportFormat::Midi),
-    ("midi", ImportFormat::Midi),
-    ("bvh", ImportFormat::Bvh),
-    ("fseq", ImportFormat::Fseq),
-    ("mcap", ImportFormat::Mcap),
-    ("motion", ImportFormat::Webots),
-    ("skyc", ImportFormat::Skybrush),
-];
 
 /// The format of another tool's file by the end of its name.
 pub fn format_of(name: &str) -> Option<ImportFormat> {
     let end = Path::new(name).extension()?.to_str()?.to_ascii_lowercase();
-    IMPORTED.iter().find(|(known, _)| *known == end).map(|(_, format)| *format)
+    let known = |facts: &&FormatFacts| facts.is_recognized && facts.ends.contains(&end.as_str());
+    ImportFormat::ALL.iter().find(known).map(|facts| facts.format)
 }
 
 /// The command that makes a scenario of another tool's file.
