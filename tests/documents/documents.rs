@@ -73,6 +73,17 @@ fn the_table_of_findings_lists_every_code_with_its_title() {
 }
 
 #[test]
+fn every_format_that_is_imported_has_a_row_in_its_document_and_a_seed_for_the_fuzzer() {
+    let document = read("docs/import.md");
+    for facts in downbeat_scripts::import::ImportFormat::ALL {
+        let row = format!("\n| `{}` | ", facts.word);
+        assert!(document.contains(&row), "docs/import.md has no row of `{}`", facts.word);
+        let seed = root().join("fuzz/seeds/import").join(facts.word);
+        assert!(seed.is_file(), "{} is missing", seed.display());
+    }
+}
+
+#[test]
 fn the_messages_in_the_protocol_document_are_messages() {
     let document = read("docs/protocol.md");
     let mut messages: Vec<_> = blocks(&document, "```json");
@@ -193,6 +204,18 @@ fn every_command_of_the_readme_exists() {
             .collect();
         let help = Ran(Command::new(program()).args(&words).arg("--help").output().unwrap());
         assert_eq!(help.code(), 0, "{line}");
+    }
+}
+
+#[test]
+fn every_command_is_in_the_table_of_the_readme() {
+    let readme = read("README.md");
+    let rows: String = readme.lines().filter(|line| line.starts_with("| `")).collect();
+    let commands = super::help::commands();
+    // A group of commands has a row for each of them.
+    let is_group = |command: &String| commands.iter().any(|other| other.starts_with(&format!("{command} ")));
+    for command in commands.iter().filter(|command| !command.is_empty() && !is_group(command)) {
+        assert!(rows.contains(&format!("`{command}`")), "README.md does not list `{command}`");
     }
 }
 
