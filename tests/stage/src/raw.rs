@@ -47,6 +47,7 @@ pub struct Raw {
     pub port: u16,
     heard: Arc<Mutex<Vec<String>>>,
     said: Arc<AtomicU64>,
+    asked_on: Arc<AtomicU64>,
 }
 
 #[derive(Clone)]
@@ -56,22 +57,34 @@ struct Own {
     flood: Flood,
     heard: Arc<Mutex<Vec<String>>>,
     said: Arc<AtomicU64>,
+    asked_on: Arc<AtomicU64>,
 }
 
 impl Raw {
     pub fn start(id: &str, floods: Floods, flood: Flood) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let (heard, said) = (Arc::default(), Arc::default());
-        let own =
-            Own { id: id.to_owned(), floods, flood, heard: Arc::clone(&heard), said: Arc::clone(&said) };
+        let (heard, said, asked_on) = (Arc::default(), Arc::default(), Arc::default());
+        let own = Own {
+            id: id.to_owned(),
+            floods,
+            flood,
+            heard: Arc::clone(&heard),
+            said: Arc::clone(&said),
+            asked_on: Arc::clone(&asked_on),
+        };
         std::thread::spawn(move || {
             for stream in listener.incoming().map_while(Result::ok) {
                 let own = own.clone();
                 std::thread::spawn(move || own.serve(stream));
             }
         });
-        Self { port, heard, said }
+        Self { port, heard, said, asked_on }
+    }
+
+    /// The number of connections on which it was asked which robot it is. A slow robot is asked again on the same connection.
+    pub fn connections(&self) -> u64 {
+        self.asked_on.load(Ordering::Relaxed)
     }
 
     /// The messages of this kind that it was sent, without the name of the kind.
@@ -91,10 +104,16 @@ impl Own {
     fn serve(&self, stream: TcpStream) {
         let mut out = stream.try_clone().unwrap();
         let pours = Arc::new(AtomicBool::new(false));
+        let mut asked_its_name = false;
         for line in BufReader::new(stream).lines() {
             let Ok(line) = line else { return };
             let Ok(message) = serde_json::from_str::<Value>(&line) else { return };
             self.heard.lock().unwrap().push(line);
+            if message.get("initialization_request").is_some()
+                && !std::mem::replace(&mut asked_its_name, true)
+            {
+                self.asked_on.fetch_add(1, Ordering::Relaxed);
+            }
             // An answer would end the endless line.
             let silent = self.flood == Flood::Line && pours.load(Ordering::Relaxed);
             let answered = match message.as_object().and_then(|message| message.iter().next()) {
