@@ -2,8 +2,8 @@
 //! and a robot that gets it keeps its invariants.
 #![no_main]
 
-use downbeat_robot::invariants::ask;
 use libfuzzer_sys::fuzz_target;
+use robot_invariants::ask;
 use urrcp::ControlRequest;
 
 fuzz_target!(|text: &str| {

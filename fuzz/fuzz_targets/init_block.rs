@@ -4,8 +4,8 @@
 
 use std::collections::HashSet;
 
-use downbeat_robot::invariants::drive_all;
 use libfuzzer_sys::fuzz_target;
+use robot_invariants::drive_all;
 use urrcp::{ControlParameters, DEVICES_MAX, InitializationBlock, STRING_CHARS_MAX};
 
 fn check_limits(block: &InitializationBlock) {

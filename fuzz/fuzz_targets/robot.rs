@@ -2,8 +2,8 @@
 //! invariants.
 #![no_main]
 
-use downbeat_robot::invariants::{operations, play};
 use libfuzzer_sys::fuzz_target;
+use robot_invariants::{operations, play};
 
 fuzz_target!(|bytes: &[u8]| {
     let operations = operations(bytes);

@@ -114,7 +114,7 @@ pub(crate) enum Effect {
 const NOT_CONFIRMED: &str = "`pending_until` passed before its start";
 
 /// A stop takes back what its own party sends up to this long after its receipt, whatever its own timestamp.
-pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
+const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a
 /// stop with a timestamp of the future close the device to everyone.
 const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);

@@ -91,8 +91,6 @@ mod held;
 #[cfg(feature = "host")]
 mod host;
 mod ids;
-#[cfg(any(test, feature = "invariants"))]
-pub mod invariants;
 mod late_steps;
 mod lease;
 mod outgoing;

@@ -63,6 +63,7 @@ fn no_module_imports_one_that_imports_it() {
         "robot/realtime/src",
         "robot/sealed/src",
         "robot/src",
+        "robot/invariants/src",
         "scripts/yaml/src",
         "scripts/motion/src",
         "scripts/space/src",

@@ -1,21 +1,20 @@
 //! An inquiry is answered truthfully, and it changes nothing but leases.
 
+use downbeat_robot::{LinkId, Output};
 use urrcp::{
     ErrorCode, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport, RequestState, Status,
     Timestamp,
 };
 
-use super::judge::Judge;
-use super::model::{Order, Party};
-use super::{Violation, hold};
-use crate::ids::LinkId;
-use crate::robot::Output;
+use crate::judge::Judge;
+use crate::model::{Order, Party};
+use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
     /// An inquiry came, after everything that was due.
-    pub(super) fn inquired(
+    pub(crate) fn inquired(
         &mut self,
         now: Now,
         link: LinkId,

@@ -1,5 +1,5 @@
 //! What must hold of a robot whatever happens to it: an independent, simpler account of what it owes, compared with what
-//! it does. For the tests of this crate and for the fuzzer, which feed it lists of operations.
+//! it does. The tests of this crate and the fuzzer feed it lists of operations. It uses only the public interface of robots.
 //!
 //! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
 //! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
@@ -16,17 +16,15 @@ mod operation;
 #[cfg(test)]
 mod tests;
 
+use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlRequest, DecodeError, DecodeErrorKind, DeviceId,
-    InitializationBlock, InitializationRequest, Label, Message, SessionId, Status, Timestamp,
+    InitializationBlock, InitializationRequest, Label, Message, Proof, Role, SessionId, Status, Timestamp,
 };
 
-use crate::ids::LinkId;
-use crate::robot::{Input, Output, Robot};
 pub use described::drive_all;
 use judge::Judge;
 pub use operation::{Operation, Pause, Question, Request, operations};
-use urrcp::{Proof, Role};
 
 /// An invariant does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

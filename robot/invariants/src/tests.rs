@@ -41,7 +41,7 @@ fn a_device_is_somewhere_however_wide_its_range_and_however_weak_or_strong_its_b
 
 #[test]
 fn what_the_fuzzer_begins_from_and_what_it_once_found_keeps_the_invariants() {
-    let seeds = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds/robot");
+    let seeds = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/robot");
     let mut played = 0;
     for entry in std::fs::read_dir(seeds).unwrap() {
         let path = entry.unwrap().path();

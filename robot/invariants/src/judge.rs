@@ -2,35 +2,32 @@
 
 use std::collections::{HashMap, HashSet};
 
+use downbeat_robot::{LinkId, Motion, Output, SetValue};
 use urrcp::{
     ContentHash, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
     Interpolation, Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
-use super::model::{DeviceModel, Heard, Order, Party, Way, cancels_from};
-use super::{Violation, hold};
-use crate::device::Motion;
-use crate::ids::LinkId;
-use crate::robot::{Output, SetValue};
-use crate::tolerance::START_LATE_MAX;
+use crate::model::{DeviceModel, Heard, Order, Party, START_LATE_MAX, Way, cancels_from};
+use crate::{Violation, hold};
 
 type Now = Timestamp<urrcp::Robot>;
 
 /// What the robot owes, and what it has said.
 #[derive(Debug)]
-pub(super) struct Judge {
-    pub(super) heard: Heard,
-    pub(super) devices: HashMap<DeviceId, DeviceModel>,
-    pub(super) answers: HashMap<RequestId, ControlResponse>,
-    pub(super) serials: usize,
+pub(crate) struct Judge {
+    pub(crate) heard: Heard,
+    pub(crate) devices: HashMap<DeviceId, DeviceModel>,
+    pub(crate) answers: HashMap<RequestId, ControlResponse>,
+    pub(crate) serials: usize,
     /// Orders that were cancelled by what is being judged.
-    pub(super) cancelled: HashSet<usize>,
+    pub(crate) cancelled: HashSet<usize>,
     /// From where on what is being judged cancels; `None`: all.
     cancels_from: Option<Now>,
     /// The content hash of each request that was accepted with one.
-    pub(super) hashes: HashMap<RequestId, ContentHash>,
+    pub(crate) hashes: HashMap<RequestId, ContentHash>,
     /// When each request that has started did so.
-    pub(super) starts: HashMap<RequestId, Now>,
+    pub(crate) starts: HashMap<RequestId, Now>,
     /// What leases of each device have ended by what is being judged.
     lost: HashMap<DeviceId, Lost>,
     /// Devices that came to rest.
@@ -56,14 +53,14 @@ impl Lost {
 }
 
 /// A request and its sender.
-pub(super) struct Asked<'a> {
+pub(crate) struct Asked<'a> {
     link: LinkId,
-    pub(super) party: Party,
-    pub(super) request: &'a ControlRequest,
+    pub(crate) party: Party,
+    pub(crate) request: &'a ControlRequest,
 }
 
 impl Judge {
-    pub(super) fn new(block: &InitializationBlock) -> Self {
+    pub(crate) fn new(block: &InitializationBlock) -> Self {
         let devices =
             block.devices.iter().map(|spec| (spec.id.clone(), DeviceModel::new(spec.clone()))).collect();
         Self {
@@ -83,18 +80,18 @@ impl Judge {
     }
 
     /// A message came on a link.
-    pub(super) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
+    pub(crate) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         self.heard.message(now, link, session)
     }
 
     /// Time has passed, and nothing else has happened.
-    pub(super) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
+    pub(crate) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.judge(now, out, None)?;
         hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
     /// An operator has seized the robot: if it held anything, all of that has ended, and what has gone to rest did so for that.
-    pub(super) fn seized(
+    pub(crate) fn seized(
         &mut self,
         now: Now,
         link: LinkId,
@@ -142,7 +139,7 @@ impl Judge {
     }
 
     /// A request came, after everything that was due.
-    pub(super) fn asked(
+    pub(crate) fn asked(
         &mut self,
         now: Now,
         link: LinkId,
@@ -442,6 +439,6 @@ fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
 }
 
 /// Whether the answer refuses for this reason.
-pub(super) fn is_refused(answer: &ControlResponse, code: &ErrorCode) -> bool {
+pub(crate) fn is_refused(answer: &ControlResponse, code: &ErrorCode) -> bool {
     answer.error.as_ref().is_some_and(|error| error.code == *code)
 }

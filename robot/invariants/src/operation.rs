@@ -87,7 +87,7 @@ pub struct Pause {
 /// An inquiry before it is written out.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Question {
-    pub(super) link: u8,
+    pub(crate) link: u8,
     session: u8,
     /// Earlier requests, and one that never was.
     requests: [u8; 3],
@@ -100,7 +100,7 @@ pub struct Question {
 /// A control request before it is written out.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Request {
-    pub(super) link: u8,
+    pub(crate) link: u8,
     session: u8,
     device: u8,
     id: Id,
@@ -241,7 +241,7 @@ pub fn operations(bytes: &[u8]) -> Vec<Operation> {
 
 impl Pause {
     /// The instant at which it is over.
-    pub(super) fn until(&self, now: Timestamp<Robot>) -> Timestamp<Robot> {
+    pub(crate) fn until(&self, now: Timestamp<Robot>) -> Timestamp<Robot> {
         // Mostly shorter than a script, now and then longer than all leases.
         let ticks = if self.ticks < 240 { self.ticks % 12 } else { self.ticks };
         now.max(on_grid(now, i64::from(ticks)) + nudged(self.nudge))
@@ -250,7 +250,7 @@ impl Pause {
 
 impl Question {
     /// Writes the inquiry out: about requests that were sent, and about one that was not.
-    pub(super) fn written(
+    pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
         sent: &[ControlRequest],
@@ -273,7 +273,7 @@ impl Question {
 
 impl Request {
     /// Writes the request out, as of `now`, for one of these devices or for none. `fresh` makes an id that no other has.
-    pub(super) fn written(
+    pub(crate) fn written(
         &self,
         now: Timestamp<Robot>,
         devices: &[Device],
@@ -308,7 +308,7 @@ impl Request {
 }
 
 /// The session of a number, mostly none.
-pub(super) fn session(number: u8) -> Option<SessionId> {
+pub(crate) fn session(number: u8) -> Option<SessionId> {
     let named = number.checked_sub(SESSIONLESS)?;
     SessionId::new(format!("session-{}", named % SESSIONS)).ok()
 }

@@ -2,22 +2,24 @@
 
 use std::collections::HashSet;
 
+use downbeat_robot::Robot;
 use urrcp::{
     Command, ContentHash, ControlRequest, ControlResponse, ControlType, ErrorCode, RequestId, Server,
     SessionId, Span, Status, StatusValue, Timestamp,
 };
 
-use super::judge::{Asked, Judge, is_refused};
-use super::model::{DeviceModel, Order, cancels_from, start_of};
-use super::{Violation, hold};
-use crate::device::TAKEN_BACK_AHEAD_MAX;
-use crate::robot::Robot;
+use crate::judge::{Asked, Judge, is_refused};
+use crate::model::{DeviceModel, Order, cancels_from, start_of};
+use crate::{Violation, hold};
+
+/// A stop takes back what its own party sends up to this long after its receipt, as `docs/protocol.md` demands.
+const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 
 type Now = Timestamp<urrcp::Robot>;
 
 impl Judge {
     /// The robot answers a request that it has not answered before.
-    pub(super) fn answered(
+    pub(crate) fn answered(
         &mut self,
         now: Now,
         asked: &Asked<'_>,
@@ -53,7 +55,7 @@ impl Judge {
     }
 
     /// The robot belongs to the session for which it holds something.
-    pub(super) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
+    pub(crate) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
         let of_others = |order: &&Order| order.session.is_some() && order.session.as_ref() != session;
         let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
         hold(others.is_none(), || format!("{session:?} while the robot is held by {others:?}"))
@@ -171,7 +173,7 @@ impl Judge {
     }
 
     /// Between two operations nothing that was due is still to be done, and the robot asks to be woken in time.
-    pub(super) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
+    pub(crate) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
         let wakeup = robot.next_wakeup();
         hold(wakeup.is_none_or(|at| at > now || now == Timestamp::from_nanos(i64::MAX)), || {
             format!("at {now} it asks to be woken at {wakeup:?}")
@@ -201,7 +203,7 @@ impl Judge {
     }
 
     /// In the end nothing is held any more.
-    pub(super) fn check_rest(&self, robot: &Robot) -> Result<(), Violation> {
+    pub(crate) fn check_rest(&self, robot: &Robot) -> Result<(), Violation> {
         let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
         hold(held.is_none() && robot.is_idle(), || format!("in the end there is still {held:?}"))
     }

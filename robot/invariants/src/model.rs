@@ -3,26 +3,27 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use downbeat_robot::LinkId;
 use urrcp::{
     Command, ControlParameters, ControlRequest, ControlType, Device, Interpolation, Millis, RequestId, Robot,
     Server, SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
-use crate::ids::LinkId;
-use crate::tolerance::START_LATE_MAX;
+/// A robot that is delayed over a start drops what it would start later than this, as `docs/protocol.md` demands.
+pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 
 type Now = Timestamp<Robot>;
 
 /// For which a lease counts: a link without a session, or a session on any of its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Party {
+pub(crate) enum Party {
     Link(LinkId),
     Session(usize),
 }
 
 /// Who spoke on which link, and when last.
 #[derive(Debug, Default)]
-pub(super) struct Heard {
+pub(crate) struct Heard {
     of_link: HashMap<LinkId, Party>,
     of_session: HashMap<SessionId, Party>,
     last: HashMap<Party, Now>,
@@ -30,7 +31,7 @@ pub(super) struct Heard {
 
 impl Heard {
     /// A message arrived, with its sender.
-    pub(super) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
+    pub(crate) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
             Some(session) => self.session(link, session),
@@ -51,7 +52,7 @@ impl Heard {
     }
 
     /// All sessions that ever named themselves.
-    pub(super) fn sessions(&self) -> impl Iterator<Item = &SessionId> {
+    pub(crate) fn sessions(&self) -> impl Iterator<Item = &SessionId> {
         self.of_session.keys()
     }
 
@@ -63,28 +64,28 @@ impl Heard {
 
 /// A command that was accepted and of which no end was reported.
 #[derive(Debug)]
-pub(super) struct Order {
-    pub(super) serial: usize,
-    pub(super) id: Option<RequestId>,
-    pub(super) session: Option<SessionId>,
-    pub(super) party: Party,
+pub(crate) struct Order {
+    pub(crate) serial: usize,
+    pub(crate) id: Option<RequestId>,
+    pub(crate) session: Option<SessionId>,
+    pub(crate) party: Party,
     accepted: Now,
-    pub(super) start: Now,
-    pub(super) steps: Vec<Step>,
-    pub(super) is_script: bool,
+    pub(crate) start: Now,
+    pub(crate) steps: Vec<Step>,
+    pub(crate) is_script: bool,
     condition: Option<StopCondition>,
     /// The lease before the start ends then at the latest.
     pending_until: Option<Now>,
     /// Steps that were set.
-    pub(super) done: usize,
+    pub(crate) done: usize,
     /// Whether its start has come.
-    pub(super) began: bool,
+    pub(crate) began: bool,
     /// Whether the robot has reported that it started.
-    pub(super) started: bool,
+    pub(crate) started: bool,
 }
 
 impl Order {
-    pub(super) fn new(serial: usize, now: Now, party: Party, request: &ControlRequest) -> Self {
+    pub(crate) fn new(serial: usize, now: Now, party: Party, request: &ControlRequest) -> Self {
         let steps = match &request.command {
             Command::Set(setpoint) => {
                 vec![Step { offset: Millis::ZERO, setpoint: setpoint.clone(), stop_condition: None }]
@@ -109,41 +110,41 @@ impl Order {
         }
     }
 
-    pub(super) fn end(&self) -> Now {
+    pub(crate) fn end(&self) -> Now {
         self.start + self.steps.last().map_or(Span::ZERO, |step| step.offset.span())
     }
 
-    pub(super) fn time_of(&self, step: usize) -> Option<Now> {
+    pub(crate) fn time_of(&self, step: usize) -> Option<Now> {
         Some(self.start + self.steps.get(step)?.offset.span())
     }
 
-    pub(super) fn is_done(&self) -> bool {
+    pub(crate) fn is_done(&self) -> bool {
         self.done == self.steps.len()
     }
 
     /// Whether an empty script ends it: whatever has yet to begin from then on, or all.
-    pub(super) fn falls(&self, from: Option<Now>) -> bool {
+    pub(crate) fn falls(&self, from: Option<Now>) -> bool {
         from.is_none_or(|from| !self.began && self.start >= from)
     }
 
-    pub(super) fn next_event(&self) -> Option<Now> {
+    pub(crate) fn next_event(&self) -> Option<Now> {
         if self.began { self.time_of(self.done) } else { Some(self.start) }
     }
 
     /// When the lease before the start ends.
-    pub(super) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
+    pub(crate) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
         let silent = heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending));
         silent.into_iter().chain(self.pending_until).min()
     }
 
     /// When the lease ends that holds once this many steps are done.
-    pub(super) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
+    pub(crate) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
         let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
     /// It may wait for its start no longer than this without a word, and until this instant at the latest.
-    pub(super) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
+    pub(crate) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
         self.pending_until = until.or(self.pending_until);
         let Some(pending) = pending else { return };
         let condition = self.condition.unwrap_or_default();
@@ -152,7 +153,7 @@ impl Order {
     }
 
     /// Whether it may have begun: its start was at most `START_LATE_MAX` ago, and its lease was in force at the start.
-    pub(super) fn begins_by(&self, now: Now, heard: &Heard) -> bool {
+    pub(crate) fn begins_by(&self, now: Now, heard: &Heard) -> bool {
         let in_force = self.pending_ends(heard).is_none_or(|end| end > self.start);
         self.start <= now && now - self.start <= START_LATE_MAX && in_force
     }
@@ -163,7 +164,7 @@ impl Order {
     }
 
     /// When it must be given up: its lease has ended, or would have ended once the next event has taken place.
-    pub(super) fn must_end(&self, heard: &Heard) -> Option<Now> {
+    pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
         let current = match self.began {
             false => self.pending_ends(heard),
             true => self.running_ends(heard, self.done),
@@ -176,50 +177,50 @@ impl Order {
 }
 
 /// The start of a request that comes now.
-pub(super) fn start_of(now: Now, request: &ControlRequest) -> Now {
+pub(crate) fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
 /// From where on a request cancels, if it is an empty script of a later start.
-pub(super) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
+pub(crate) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
     let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
     Some(start_of(now, request)).filter(|from| empty && *from > now)
 }
 
 /// Rates left on by a command that has ended, still under its lease.
 #[derive(Debug)]
-pub(super) struct Guard {
-    pub(super) id: Option<RequestId>,
-    pub(super) party: Party,
+pub(crate) struct Guard {
+    pub(crate) id: Option<RequestId>,
+    pub(crate) party: Party,
     accepted: Now,
     silence: Option<Millis>,
     rates: Vec<ControlType>,
 }
 
 impl Guard {
-    pub(super) fn must_end(&self, heard: &Heard) -> Option<Now> {
+    pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
         heard.ends(self.party, self.accepted, self.silence)
     }
 }
 
 /// The last movement of a signal.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Way {
-    pub(super) from: f64,
-    pub(super) since: Now,
-    pub(super) to: f64,
-    pub(super) until: Now,
+pub(crate) struct Way {
+    pub(crate) from: f64,
+    pub(crate) since: Now,
+    pub(crate) to: f64,
+    pub(crate) until: Now,
     /// It changes its speed on the way.
-    pub(super) is_slowing: bool,
+    pub(crate) is_slowing: bool,
 }
 
 impl Way {
-    pub(super) const fn at(value: f64, now: Now) -> Self {
+    pub(crate) const fn at(value: f64, now: Now) -> Self {
         Self { from: value, since: now, to: value, until: now, is_slowing: false }
     }
 
     /// Where it is, if it goes at one speed.
-    pub(super) fn value(&self, now: Now) -> Option<f64> {
+    pub(crate) fn value(&self, now: Now) -> Option<f64> {
         if now >= self.until {
             return Some(self.to);
         }
@@ -227,30 +228,30 @@ impl Way {
         (!self.is_slowing).then_some(self.from * (1.0 - part) + self.to * part)
     }
 
-    pub(super) fn moves(&self, now: Now) -> bool {
+    pub(crate) fn moves(&self, now: Now) -> bool {
         now < self.until
     }
 }
 
 /// One device, as its orders and movements tell.
 #[derive(Debug)]
-pub(super) struct DeviceModel {
-    pub(super) spec: Device,
+pub(crate) struct DeviceModel {
+    pub(crate) spec: Device,
     /// In the order in which they are to be done.
-    pub(super) queue: Vec<Order>,
-    pub(super) guards: Vec<Guard>,
+    pub(crate) queue: Vec<Order>,
+    pub(crate) guards: Vec<Guard>,
     /// Guards that a stop of this very moment released; their reports follow.
-    pub(super) released: Vec<Guard>,
+    pub(crate) released: Vec<Guard>,
     /// How each signal moves, or where it rests.
-    pub(super) ways: BTreeMap<ControlType, Way>,
+    pub(crate) ways: BTreeMap<ControlType, Way>,
     /// What was sent up to then has been taken back, from any sender.
-    pub(super) taken_back: Option<Timestamp<Server>>,
+    pub(crate) taken_back: Option<Timestamp<Server>>,
     /// What was sent later has not been, from any sender.
-    pub(super) taken_back_at_most: Option<Timestamp<Server>>,
+    pub(crate) taken_back_at_most: Option<Timestamp<Server>>,
 }
 
 impl DeviceModel {
-    pub(super) fn new(spec: Device) -> Self {
+    pub(crate) fn new(spec: Device) -> Self {
         let (queue, guards, released) = (Vec::new(), Vec::new(), Vec::new());
         Self {
             spec,
@@ -263,14 +264,14 @@ impl DeviceModel {
         }
     }
 
-    pub(super) fn insert(&mut self, order: Order) {
+    pub(crate) fn insert(&mut self, order: Order) {
         let key = (order.start, order.end());
         let place = self.queue.partition_point(|held| (held.start, held.end()) <= key);
         self.queue.insert(place, order);
     }
 
     /// A signal is driven: it is no longer under the lease of the command before.
-    pub(super) fn drive(&mut self, control_type: ControlType, way: Way) {
+    pub(crate) fn drive(&mut self, control_type: ControlType, way: Way) {
         self.ways.insert(control_type, way);
         for guard in &mut self.guards {
             guard.rates.retain(|rate| *rate != control_type);
@@ -279,7 +280,7 @@ impl DeviceModel {
     }
 
     /// The last step of an order is set: the rates that it leaves on stay under its lease.
-    pub(super) fn guard_what_goes_on(&mut self, at: usize) {
+    pub(crate) fn guard_what_goes_on(&mut self, at: usize) {
         let order = &self.queue[at];
         let last = order.steps.last().and_then(|step| step.stop_condition);
         let silence = last.or(order.condition).and_then(|lease| lease.running);
@@ -297,7 +298,7 @@ impl DeviceModel {
     }
 
     /// Where a rate rests; `None` for what stays as it is.
-    pub(super) fn rest(&self, rate: ControlType) -> Option<f64> {
+    pub(crate) fn rest(&self, rate: ControlType) -> Option<f64> {
         match rate {
             ControlType::Speed | ControlType::Acceleration => Some(0.0),
             _ => Some(self.spec.available_control_types.at_rest(rate, 1)?.value),
@@ -305,26 +306,26 @@ impl DeviceModel {
     }
 
     /// The earliest instant at which the device has something to do.
-    pub(super) fn earliest(&self, heard: &Heard) -> Option<Now> {
+    pub(crate) fn earliest(&self, heard: &Heard) -> Option<Now> {
         let orders = self.queue.iter().flat_map(|order| [order.next_event(), order.must_end(heard)]);
         orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
     }
 
     /// Whether some lease of what runs, or of a rate left on, is over.
-    pub(super) fn running_lease_is_over(&self, now: Now, heard: &Heard) -> bool {
+    pub(crate) fn running_lease_is_over(&self, now: Now, heard: &Heard) -> bool {
         let guards = self.guards.iter().chain(&self.released).map(|guard| guard.must_end(heard));
         let running = self.queue.iter().filter(|order| order.began && !order.is_done());
         running.map(|order| order.must_end(heard)).chain(guards).flatten().any(|end| end <= now)
     }
 
     /// The earliest start of what waited for it until its lease was over: what starts then or later falls.
-    pub(super) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
+    pub(crate) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
         let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
         over.map(|order| order.start).min()
     }
 
     /// Begins orders of a device that holds if their start has come and their first value is due later.
-    pub(super) fn begin_untold(&mut self, now: Now, heard: &Heard) {
+    pub(crate) fn begin_untold(&mut self, now: Now, heard: &Heard) {
         let falls = self.falls_from(now, heard);
         let untold = self.spec.interpolation == Interpolation::Hold;
         for order in self.queue.iter_mut().filter(|order| untold && !order.began) {
@@ -335,12 +336,12 @@ impl DeviceModel {
     }
 
     /// Whether its end is seen: a speed is set to zero.
-    pub(super) fn must_rest(&self) -> bool {
+    pub(crate) fn must_rest(&self) -> bool {
         self.spec.primary_control_type() == Some(ControlType::Speed)
     }
 
     /// Whether a request may set this: of a type that the device has, within its limits, on its grid.
-    pub(super) fn can_take(&self, setpoint: &Setpoint) -> bool {
+    pub(crate) fn can_take(&self, setpoint: &Setpoint) -> bool {
         match self.spec.available_control_types.get(setpoint.control_type) {
             Some(ControlParameters::Motion(limits)) => {
                 let steps = setpoint.value / limits.granularity;

@@ -1,14 +1,13 @@
 //! A robot of any description that the protocol takes: it says what it is, and each device can be driven to its bounds
 //! and stopped on the way.
 
+use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::{
     Command, ControlRequest, ControlType, Device, DeviceId, InitializationBlock, InitializationRequest,
     Message, Millis, Robot as RobotClock, Script, Setpoint, Span, Step, Timestamp,
 };
 
-use super::{BEGIN, Violation, hold};
-use crate::ids::LinkId;
-use crate::robot::{Input, Output, Robot};
+use crate::{BEGIN, Violation, hold};
 
 const LINK: LinkId = LinkId(1);
 /// From one bound to the other.
