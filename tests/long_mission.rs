@@ -2,9 +2,9 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking and may print")]
 
 use downbeat_mission::{Action, Event, Mission, MissionOptions, Participant, Progress, Rest};
+use downbeat_plan::{Choreography, DeviceScript, Plan, Requirements, RobotPlan, Way};
 use downbeat_robot::simulated::{Outgoing, Settings, SimulatedRobot};
 use downbeat_robot::{Input, LinkId};
-use downbeat_scripts::{Choreography, DeviceScript, Plan, Requirements, RobotPlan, Way};
 use urrcp::{
     ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Server, Setpoint, Span, Step,
     StopCondition, Timestamp,

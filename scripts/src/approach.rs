@@ -5,10 +5,11 @@ use std::collections::HashMap;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
-use crate::compile::poses::{self, DeviceWay, Positions, settable, unused_name};
+use crate::compile::poses::{self, DeviceWay, settable, unused_name};
 use crate::finding::Finding;
 use crate::fleet::Fleet;
-use crate::plan::{Act, Choreography, Wait, Way};
+use crate::home::{largest_speeds, transfer};
+use crate::plan::{Act, Choreography, Positions, Wait, Way};
 
 /// How devices are moved to their first positions.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -31,85 +32,89 @@ impl Approach {
 
 const NAME: &str = "approach";
 
-impl Choreography {
-    /// Adds an act ahead of `first` that moves devices to their first positions in that act and those that follow it. Returns the
-    /// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as
-    /// far as bodies are known, without collisions. Lamps, and devices that are there already, are not moved. If no device has to
-    /// move, no act is added.
-    ///
-    /// # Errors
-    /// The errors in the new act, for example a movement that a device cannot make in that time.
-    pub fn approached(
-        mut self,
-        first: usize,
-        fleet: &Fleet,
-        approach: &Approach,
-    ) -> Result<(Self, usize), Vec<Finding>> {
-        let Some(act) = self.acts.get(first) else { return Ok((self, first)) };
-        let uses = self.first_uses(first);
-        let firsts = uses.iter().filter_map(|first| self.first_position(*first));
-        let ways = self.ways_to(firsts, fleet, &approach.from);
-        if ways.is_empty() {
-            return Ok((self, first));
-        }
-        let standing = poses::standing(fleet, &approach.from);
-        let mut ahead = poses::compiled("--approach", &ways, &standing, approach.over)?;
-        poses::name_like(&mut ahead, unused_name(NAME, &self.acts), &self.scenario, act);
-        for act in &mut self.acts {
-            for way in [&mut act.next, &mut act.on_timeout] {
-                if let Way::Act(index) = way {
-                    *index += 1;
-                }
-            }
-            act.on_failure.then = act.on_failure.then.map(|index| index + 1);
-        }
-        ahead.next = Way::Act(first + 1);
-        self.acts.insert(0, ahead);
-        Ok((self, 0))
+/// Adds an act ahead of `first` that moves devices to their first positions in that act and those that follow it. Returns the
+/// choreography and the index of its first act. The new act is compiled like any other: within the limits of the devices and, as
+/// far as bodies are known, without collisions. Lamps, and devices that are there already, are not moved. If no device has to
+/// move, no act is added.
+///
+/// # Errors
+/// The errors in the new act, for example a movement that a device cannot make in that time.
+pub fn add_approach(
+    mut choreography: Choreography,
+    first: usize,
+    fleet: &Fleet,
+    approach: &Approach,
+) -> Result<(Choreography, usize), Vec<Finding>> {
+    let Some(act) = choreography.acts.get(first) else { return Ok((choreography, first)) };
+    let uses = choreography.first_uses(first);
+    let firsts = uses.iter().filter_map(|first| choreography.first_position(*first));
+    let ways = ways_to(&choreography, firsts, fleet, &approach.from);
+    if ways.is_empty() {
+        return Ok((choreography, first));
     }
-
-    /// Plans an act that moves devices from these positions to their first positions, in the act `to` or in those that follow it. The act is planned like that
-    /// of [`home`](Self::home), and its settings are those of `to`. If `to` waits for the operator, the new act waits, too.
-    ///
-    /// Returns `None` if no device has to move.
-    ///
-    /// # Errors
-    /// The errors in the act, for example a collision.
-    pub fn approach(&self, to: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
-        let Some(act) = self.acts.get(to) else { return Ok(None) };
-        let uses = self.first_uses(to);
-        let firsts = uses.iter().filter_map(|first| self.first_position(*first));
-        let mut ahead = self.transfer(NAME, (to, self.ways_to(firsts, fleet, from)), fleet, from)?;
-        if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
-            ahead.wait = Wait::Operator;
-        }
-        Ok(ahead)
-    }
-
-    /// The movements to these positions. Lamps, and devices whose position is unknown, stay.
-    fn ways_to<'a>(
-        &'a self,
-        positions: impl Iterator<Item = (&'a RobotId, &'a DeviceId, f64)>,
-        fleet: &Fleet,
-        from: &Positions,
-    ) -> Vec<DeviceWay<'a>> {
-        let speeds = self.largest_speeds();
-        let listed: HashMap<_, _> = fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
-        let mut ways = Vec::new();
-        for (robot, device, to) in positions {
-            let block = listed.get(robot).and_then(|listed| listed.init.as_ref());
-            let described = block.and_then(|block| block.device(device.as_str()));
-            let from = from.get(robot).and_then(|devices| devices.get(device));
-            let (Some(described), Some(&from)) = (described, from) else { continue };
-            let moves =
-                described.interpolation == Interpolation::Linear || speeds.contains_key(&(robot, device));
-            let from = settable(described, from);
-            if moves && from != to {
-                ways.push(DeviceWay { robot, device, from, to });
+    let standing = poses::standing(fleet, &approach.from);
+    let mut ahead = poses::compiled("--approach", &ways, &standing, approach.over)?;
+    let name = unused_name(NAME, &choreography.acts);
+    poses::name_like(&mut ahead, name, &choreography.scenario, act);
+    for act in &mut choreography.acts {
+        for way in [&mut act.next, &mut act.on_timeout] {
+            if let Way::Act(index) = way {
+                *index += 1;
             }
         }
-        ways
+        act.on_failure.then = act.on_failure.then.map(|index| index + 1);
     }
+    ahead.next = Way::Act(first + 1);
+    choreography.acts.insert(0, ahead);
+    Ok((choreography, 0))
+}
+
+/// Plans an act that moves devices from these positions to their first positions, in the act `to` or in those that follow it. The act is
+/// planned like that of [`plan_home`](crate::plan_home), and its settings are those of `to`. If `to` waits for the operator, the new act waits, too.
+///
+/// Returns `None` if no device has to move.
+///
+/// # Errors
+/// The errors in the act, for example a collision.
+pub fn plan_approach(
+    choreography: &Choreography,
+    to: usize,
+    fleet: &Fleet,
+    from: &Positions,
+) -> Result<Option<Act>, Vec<Finding>> {
+    let Some(act) = choreography.acts.get(to) else { return Ok(None) };
+    let uses = choreography.first_uses(to);
+    let firsts = uses.iter().filter_map(|first| choreography.first_position(*first));
+    let ways = ways_to(choreography, firsts, fleet, from);
+    let mut ahead = transfer(choreography, NAME, (to, ways), fleet, from)?;
+    if let Some(ahead) = ahead.as_mut().filter(|_| act.wait == Wait::Operator) {
+        ahead.wait = Wait::Operator;
+    }
+    Ok(ahead)
+}
+
+/// The movements to these positions. Lamps, and devices whose position is unknown, stay.
+fn ways_to<'a>(
+    choreography: &'a Choreography,
+    positions: impl Iterator<Item = (&'a RobotId, &'a DeviceId, f64)>,
+    fleet: &Fleet,
+    from: &Positions,
+) -> Vec<DeviceWay<'a>> {
+    let speeds = largest_speeds(choreography);
+    let listed: HashMap<_, _> = fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
+    let mut ways = Vec::new();
+    for (robot, device, to) in positions {
+        let block = listed.get(robot).and_then(|listed| listed.init.as_ref());
+        let described = block.and_then(|block| block.device(device.as_str()));
+        let from = from.get(robot).and_then(|devices| devices.get(device));
+        let (Some(described), Some(&from)) = (described, from) else { continue };
+        let moves = described.interpolation == Interpolation::Linear || speeds.contains_key(&(robot, device));
+        let from = settable(described, from);
+        if moves && from != to {
+            ways.push(DeviceWay { robot, device, from, to });
+        }
+    }
+    ways
 }
 
 #[cfg(test)]
@@ -145,7 +150,7 @@ acts:
     #[test]
     fn a_device_is_moved_from_where_it_is_to_its_first_position_and_a_lamp_is_not() {
         let (show, fleet) = show();
-        let (show, first) = show.approached(0, &fleet, &approach(5, 80.0)).unwrap();
+        let (show, first) = add_approach(show, 0, &fleet, &approach(5, 80.0)).unwrap();
         let names: Vec<_> = show.acts.iter().map(|act| act.name.as_str()).collect();
         assert_eq!((first, names), (0, vec!["approach", "one", "two"]));
         let ways: Vec<_> = show.acts.iter().map(|act| act.next).collect();
@@ -167,7 +172,7 @@ acts:
         let mut linear = fleet.clone();
         let block = linear.robots[0].init.as_mut().unwrap();
         block.devices.iter_mut().for_each(|device| device.interpolation = Interpolation::Linear);
-        let (show, _) = show.approached(0, &linear, &approach).unwrap();
+        let (show, _) = add_approach(show, 0, &linear, &approach).unwrap();
         let ends = |device: &str| {
             let mut scripts = show.acts[0].plan.robots[0].scripts.iter();
             let script = scripts.rfind(|script| script.device.as_str() == device).unwrap();
@@ -179,7 +184,7 @@ acts:
     #[test]
     fn an_approach_faster_than_a_device_is_refused_and_the_time_that_it_needs_is_named() {
         let (show, fleet) = show();
-        let findings = show.approached(0, &fleet, &approach(1, 80.0)).unwrap_err();
+        let findings = add_approach(show, 0, &fleet, &approach(1, 80.0)).unwrap_err();
         assert!(findings.iter().any(|finding| finding.message.contains("joint")), "{findings:?}");
     }
 
@@ -187,7 +192,7 @@ acts:
     fn a_device_that_came_to_rest_off_its_grid_or_beyond_its_limits_approaches_from_the_nearest_position() {
         for (rests_at, from) in [(63.2174, 63.0), (-180.2, -180.0)] {
             let (show, fleet) = show();
-            let (show, _) = show.approached(0, &fleet, &approach(9, rests_at)).unwrap();
+            let (show, _) = add_approach(show, 0, &fleet, &approach(9, rests_at)).unwrap();
             let first = show.acts[0].plan.robots[0].first_positions().next().unwrap().1;
             assert!((first - from).abs() < 1e-9, "{rests_at}: {first}");
         }
@@ -199,14 +204,14 @@ acts:
         show.acts[1].wait = Wait::Operator;
         // It returns from `one` to `two`, and only its first position counts.
         show.acts[1].next = Way::Act(0);
-        let ahead = show.approach(1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
+        let ahead = plan_approach(&show, 1, &fleet, &approach(0, 80.0).from).unwrap().unwrap();
         assert_eq!((ahead.name.as_str(), &ahead.wait, ahead.next), ("approach", &Wait::Operator, Way::End));
         let [script] = ahead.plan.robots[0].scripts.as_slice() else { panic!("only the joint moves") };
         let steps = script.script.steps();
         assert_eq!([steps[0].setpoint.value, steps[steps.len() - 1].setpoint.value], [80.0, 30.0]);
         // 1.875 * 50 / 60 = 1.5625 s, and 2 %.
         assert_eq!(script.script.duration().as_millis_f64().round(), 1_594.0);
-        assert_eq!(show.approach(1, &fleet, &approach(0, 30.0).from).unwrap(), None);
+        assert_eq!(plan_approach(&show, 1, &fleet, &approach(0, 30.0).from).unwrap(), None);
     }
 
     /// The acts that are planned for the arm, which stands at 80 degrees, before the show and after a stop. Another robot has come to
@@ -221,8 +226,8 @@ acts:
         poses::on_rails(&mut fleet, &[0.0, y]);
         let mut approach = approach(5, 80.0);
         approach.from.insert("other".parse().unwrap(), [("joint".parse().unwrap(), 40.0)].into());
-        let ahead = show.clone().approached(0, &fleet, &approach);
-        let after = show.approach(0, &fleet, &approach.from);
+        let ahead = add_approach(show.clone(), 0, &fleet, &approach);
+        let after = plan_approach(&show, 0, &fleet, &approach.from);
         [ahead.map(|(show, _)| show.acts[0].clone()), after.map(Option::unwrap)]
     }
 
@@ -241,7 +246,7 @@ acts:
     #[test]
     fn without_a_way_to_go_there_is_no_approach() {
         let (show, fleet) = show();
-        let (approached, first) = show.clone().approached(1, &fleet, &approach(5, 30.0)).unwrap();
+        let (approached, first) = add_approach(show.clone(), 1, &fleet, &approach(5, 30.0)).unwrap();
         assert_eq!((approached, first), (show, 1));
     }
 }

@@ -4,11 +4,11 @@ use std::collections::HashMap;
 
 use urrcp::{DeviceId, Interpolation, RobotId, Span};
 
-use crate::compile::poses::{self, DeviceWay, Positions, settable, unused_name};
+use crate::compile::poses::{self, DeviceWay, settable, unused_name};
 use crate::finding::Finding;
 use crate::fleet::Fleet;
 use crate::motion::Easing;
-use crate::plan::{Act, Choreography, FailurePolicy, OnFailure};
+use crate::plan::{Act, Choreography, FailurePolicy, OnFailure, Positions};
 
 const NAME: &str = "home";
 /// The shortest duration of the act.
@@ -20,73 +20,77 @@ const SLACK: f64 = 0.02;
 /// The maximum number of times that the duration is doubled if a device cannot move that fast.
 const DOUBLED_MAX: u32 = 4;
 
-impl Choreography {
-    /// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other:
-    /// within the limits of the devices and, as far as bodies are known, without collisions. It takes the time that the largest
-    /// speeds demand, but at least 1 s, and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a
-    /// default position do not move. Leases and tolerances are those of the act `like`.
-    ///
-    /// Returns `None` if every device is at its default position.
-    ///
-    /// # Errors
-    /// The errors in the act, for example a collision.
-    pub fn home(&self, like: usize, fleet: &Fleet, from: &Positions) -> Result<Option<Act>, Vec<Finding>> {
-        let mut act = self.transfer(NAME, (like, ways(fleet, from)), fleet, from)?;
-        if let Some(act) = &mut act {
-            act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
+/// Plans an act that moves devices from these positions to their default positions. The act is compiled like any other:
+/// within the limits of the devices and, as far as bodies are known, without collisions. It takes the time that the largest
+/// speeds demand, but at least 1 s, and at least 5 s if a device moves linearly and its largest speed is unknown. Devices without a
+/// default position do not move. Leases and tolerances are those of the act `like`.
+///
+/// Returns `None` if every device is at its default position.
+///
+/// # Errors
+/// The errors in the act, for example a collision.
+pub fn plan_home(
+    choreography: &Choreography,
+    like: usize,
+    fleet: &Fleet,
+    from: &Positions,
+) -> Result<Option<Act>, Vec<Finding>> {
+    let mut act = transfer(choreography, NAME, (like, ways(fleet, from)), fleet, from)?;
+    if let Some(act) = &mut act {
+        act.on_failure = FailurePolicy { default: OnFailure::Stop, ..FailurePolicy::default() };
+    }
+    Ok(act)
+}
+
+/// Plans an act with these movements and the settings of the act `like`.
+pub(crate) fn transfer(
+    choreography: &Choreography,
+    name: &str,
+    (like, ways): (usize, Vec<DeviceWay<'_>>),
+    fleet: &Fleet,
+    from: &Positions,
+) -> Result<Option<Act>, Vec<Finding>> {
+    let Some(like) = choreography.acts.get(like).filter(|_| !ways.is_empty()) else { return Ok(None) };
+    let mut over = shortest(choreography, &ways, fleet);
+    let standing = poses::standing(fleet, from);
+    let mut act = poses::compiled(name, &ways, &standing, over);
+    for _ in 0..DOUBLED_MAX {
+        if act.is_ok() {
+            break;
         }
-        Ok(act)
+        over = over * 2;
+        act = poses::compiled(name, &ways, &standing, over);
     }
+    let mut act = act?;
+    let name = unused_name(name, &choreography.acts);
+    poses::name_like(&mut act, name, &choreography.scenario, like);
+    Ok(Some(act))
+}
 
-    /// Plans an act with these movements and the settings of the act `like`.
-    pub(crate) fn transfer(
-        &self,
-        name: &str,
-        (like, ways): (usize, Vec<DeviceWay<'_>>),
-        fleet: &Fleet,
-        from: &Positions,
-    ) -> Result<Option<Act>, Vec<Finding>> {
-        let Some(like) = self.acts.get(like).filter(|_| !ways.is_empty()) else { return Ok(None) };
-        let mut over = self.shortest(&ways, fleet);
-        let standing = poses::standing(fleet, from);
-        let mut act = poses::compiled(name, &ways, &standing, over);
-        for _ in 0..DOUBLED_MAX {
-            if act.is_ok() {
-                break;
-            }
-            over = over * 2;
-            act = poses::compiled(name, &ways, &standing, over);
+/// The shortest common duration of movements that the largest speeds of their devices allow.
+fn shortest(choreography: &Choreography, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
+    let speeds = largest_speeds(choreography);
+    let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {
+        let seconds = |speed| Easing::Smooth.slope_max() * (to - from).abs() / speed * (1.0 + SLACK);
+        let is_linear = || {
+            let listed = fleet.robots.iter().find(|listed| listed.id == **robot);
+            let block = listed.and_then(|listed| listed.init.as_ref());
+            let described = block.and_then(|block| block.device(device.as_str()));
+            described.is_some_and(|described| described.interpolation == Interpolation::Linear)
+        };
+        match speeds.get(&(*robot, *device)) {
+            Some(speed) => Span::from_millis_f64(seconds(speed) * 1_000.0),
+            None if is_linear() => WITHOUT_LIMIT,
+            None => SHORTEST,
         }
-        let mut act = act?;
-        poses::name_like(&mut act, unused_name(name, &self.acts), &self.scenario, like);
-        Ok(Some(act))
-    }
+    });
+    shortest.max().unwrap_or_default().max(SHORTEST)
+}
 
-    /// The shortest common duration of movements that the largest speeds of their devices allow.
-    fn shortest(&self, ways: &[DeviceWay<'_>], fleet: &Fleet) -> Span {
-        let speeds = self.largest_speeds();
-        let shortest = ways.iter().map(|DeviceWay { robot, device, from, to }| {
-            let seconds = |speed| Easing::Smooth.slope_max() * (to - from).abs() / speed * (1.0 + SLACK);
-            let is_linear = || {
-                let listed = fleet.robots.iter().find(|listed| listed.id == **robot);
-                let block = listed.and_then(|listed| listed.init.as_ref());
-                let described = block.and_then(|block| block.device(device.as_str()));
-                described.is_some_and(|described| described.interpolation == Interpolation::Linear)
-            };
-            match speeds.get(&(*robot, *device)) {
-                Some(speed) => Span::from_millis_f64(seconds(speed) * 1_000.0),
-                None if is_linear() => WITHOUT_LIMIT,
-                None => SHORTEST,
-            }
-        });
-        shortest.max().unwrap_or_default().max(SHORTEST)
-    }
-
-    /// The largest speeds of devices that the acts use.
-    pub(crate) fn largest_speeds(&self) -> HashMap<(&RobotId, &DeviceId), f64> {
-        let used = self.acts.iter().flat_map(|act| &act.devices);
-        used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
-    }
+/// The largest speeds of devices that the acts use.
+pub(crate) fn largest_speeds(choreography: &Choreography) -> HashMap<(&RobotId, &DeviceId), f64> {
+    let used = choreography.acts.iter().flat_map(|act| &act.devices);
+    used.filter_map(|used| Some(((&used.robot, &used.device), used.speed_max?))).collect()
 }
 
 fn ways<'a>(fleet: &Fleet, from: &'a Positions) -> Vec<DeviceWay<'a>> {
@@ -137,7 +141,7 @@ acts:
     #[test]
     fn devices_move_within_their_limits_to_their_default_positions() {
         let (show, fleet) = show();
-        let home = show.home(0, &fleet, &from(&[("joint", 150.0), ("lamp", 40.0)])).unwrap().unwrap();
+        let home = plan_home(&show, 0, &fleet, &from(&[("joint", 150.0), ("lamp", 40.0)])).unwrap().unwrap();
         assert_eq!((home.name.as_str(), home.next), ("home-2", crate::Way::End));
         assert_eq!(home.on_failure.default, OnFailure::Stop);
         let scripts = &home.plan.robots[0].scripts;
@@ -169,7 +173,7 @@ acts:
         poses::on_rails(&mut fleet, &[0.0, y]);
         let mut from = from(&[("joint", 80.0)]);
         from.insert("other".parse().unwrap(), [("joint".parse().unwrap(), 40.0)].into());
-        show.home(0, &fleet, &from).map(Option::unwrap)
+        plan_home(&show, 0, &fleet, &from).map(Option::unwrap)
     }
 
     #[test]
@@ -188,6 +192,6 @@ acts:
     #[test]
     fn without_a_device_away_from_its_default_position_there_is_no_act() {
         let (show, fleet) = show();
-        assert_eq!(show.home(0, &fleet, &from(&[("joint", 0.1), ("lamp", 0.0)])).unwrap(), None);
+        assert_eq!(plan_home(&show, 0, &fleet, &from(&[("joint", 0.1), ("lamp", 0.0)])).unwrap(), None);
     }
 }

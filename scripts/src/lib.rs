@@ -17,9 +17,9 @@
 //! 3. `downbeat-space`, a crate: bodies, places, and ways between them.
 //! 4. `downbeat-reader`, a crate: reads values of a tree, with hints.
 //! 5. `downbeat-import` and `downbeat-fleet`, crates: files of other tools; robots.
-//! 6. `plan`, `refill`: the result, and the time for sending it. `ensemble`: the movements of groups. `scenario`: from tree to meaning.
+//! 6. `downbeat-plan`, a crate: the result. `ensemble`: the movements of groups. `scenario`: from tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
-//! 8. `approach`, `home`, `rehearse`, `inventory`, `export`: other products of a fleet and a scenario.
+//! 8. `approach`, `home`, `inventory`, `export`: other products of a fleet and a scenario.
 
 mod approach;
 mod compile;
@@ -27,10 +27,6 @@ mod ensemble;
 pub mod export;
 mod home;
 mod inventory;
-mod plan;
-mod refill;
-mod rehearse;
-mod requirements;
 mod scenario;
 mod schema;
 
@@ -38,6 +34,7 @@ use downbeat_fleet::{fleet, sensor_range};
 pub use downbeat_import as import;
 pub use downbeat_motion::fit;
 use downbeat_motion::{exact, expression, motion, music};
+use downbeat_plan as plan;
 use downbeat_reader::{clock_time, fields, keys, scope, slips};
 use downbeat_space::{formation, space, transit};
 #[doc(hidden)]
@@ -46,8 +43,7 @@ use downbeat_yaml::{
     budget, composed, duration, files, finding, identify, locate, node, render, source, tags,
 };
 
-pub use approach::Approach;
-pub use compile::poses::Positions;
+pub use approach::{Approach, add_approach, plan_approach};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
@@ -59,9 +55,15 @@ pub use downbeat_fleet::fleet::{
     read_fleet_to_measure, read_fleet_within, read_latency_file,
 };
 pub use downbeat_fleet::init::{init_of, init_text, read_init};
+pub use downbeat_fleet::sensor_range::SensorRange;
 pub use downbeat_fleet::world::{
     Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
     SensorWorld, Trouble, World, read_world,
+};
+pub use downbeat_plan::{
+    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor, OnDoubt,
+    OnFailure, Plan, PlannedCue, PlannedReading, Positions, Repetition, Requirements, RobotPlan, Share, Wait,
+    Way,
 };
 #[doc(hidden)]
 pub use downbeat_reader::fields::tried as try_expression;
@@ -80,13 +82,8 @@ pub use downbeat_yaml::refusal::{Attempt, Refusal};
 pub use downbeat_yaml::render::render;
 pub use downbeat_yaml::sarif::sarif;
 pub use downbeat_yaml::source::Source;
+pub use home::plan_home;
 pub use inventory::{Offer, Parameter, inventory};
-pub use plan::{
-    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor, OnDoubt,
-    OnFailure, Plan, PlannedCue, PlannedReading, Repetition, Requirements, RobotPlan, SensorRange, Share,
-    Wait, Way, is_rate,
-};
-pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, schema};
 

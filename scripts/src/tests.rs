@@ -265,6 +265,7 @@ proptest! {
 }
 
 mod carried;
+mod compensated;
 mod composed;
 mod entries;
 mod expressions;

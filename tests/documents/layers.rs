@@ -70,6 +70,7 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/reader/src",
         "scripts/import/src",
         "scripts/fleet/src",
+        "scripts/plan/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

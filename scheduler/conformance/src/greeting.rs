@@ -92,7 +92,9 @@ fn initialization(trial: &Trial) -> Checked {
     }
     let (_, second) = line.initialization()?;
     match second.message == first.message {
-        true => Ok(format!("{} with {}", block.id, downbeat_scripts::counted(block.devices.len(), "device"))),
+        true => {
+            Ok(format!("{} with {}", block.id, downbeat_yaml::render::counted(block.devices.len(), "device")))
+        }
         false => Err(differs(&sent, &second.text, "the same block as a moment before")),
     }
 }

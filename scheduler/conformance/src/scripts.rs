@@ -157,7 +157,7 @@ fn queue(trial: &Trial) -> Checked {
         line.held(&nth(trial, actor, &first, n))?;
     }
     line.refuses(&nth(trial, actor, &first, declared), ErrorCode::Busy)?;
-    Ok(format!("{} held", downbeat_scripts::counted(declared as usize, "script")))
+    Ok(format!("{} held", downbeat_yaml::render::counted(declared as usize, "script")))
 }
 
 fn overlap(trial: &Trial) -> Checked {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use downbeat_scripts::{Attempt, Refusal};
+use downbeat_yaml::refusal::{Attempt, Refusal};
 use urrcp::{
     Command, ControlRequest, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Millis, RequestId,
     Script, Server, Setpoint, Span, Status, Step, StopCondition, Timestamp,

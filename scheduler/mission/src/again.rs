@@ -1,6 +1,6 @@
 //! Prepares an act again if it was withdrawn before anything moved, because this machine was too slow to start it.
 
-use downbeat_scripts::OnFailure;
+use downbeat_plan::OnFailure;
 use urrcp::{ErrorCode, Server, Span, Timestamp};
 
 use super::act::{Member, Progressed};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan};
+use downbeat_plan::{Choreography, DeviceScript, Plan, RobotPlan};
 use urrcp::{
     ContentHash, ControlError, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
     Millis, RequestId, RequestReport, RequestState, Robot, RobotId, Script, Server, Setpoint, Span, Status,

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use downbeat_scripts::Way;
+use downbeat_plan::Way;
 use urrcp::{Server, Timestamp};
 
 use super::act::{Act, ActAction, Member, act_name};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::Choreography;
+use downbeat_plan::Choreography;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 

@@ -1,6 +1,7 @@
 //! What a robot's failure does to the others, and robots whose link breaks in mid-mission.
 
-use downbeat_scripts::{OnFailure, counted};
+use downbeat_plan::OnFailure;
+use downbeat_yaml::render::counted;
 use urrcp::{Server, Span, Timestamp};
 
 use super::failure_kind::{Failure, FailureKind};

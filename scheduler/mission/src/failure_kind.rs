@@ -1,6 +1,6 @@
 //! The ways in which a robot fails a mission.
 
-use downbeat_scripts::SensorRange;
+use downbeat_fleet::sensor_range::SensorRange;
 use serde::{Deserialize, Serialize, Serializer};
 use urrcp::{ControlError, DeviceId, ErrorCode, RobotId, Span};
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use downbeat_scripts::Wait;
+use downbeat_plan::Wait;
 use serde::{Deserialize, Serialize};
 use urrcp::Span;
 

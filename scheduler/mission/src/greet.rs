@@ -456,7 +456,7 @@ const READS_MAX: usize = 1_024;
 const UNFIT_SHOWN: usize = 12;
 
 /// Where a robot's own description does not allow what a script asks of it.
-pub(super) fn unfit(script: &downbeat_scripts::DeviceScript, block: &InitializationBlock) -> Vec<String> {
+pub(super) fn unfit(script: &downbeat_plan::DeviceScript, block: &InitializationBlock) -> Vec<String> {
     let id = &script.device;
     let Some(device) = block.device(id.as_str()) else {
         return vec![format!("it has no device `{id}`")];

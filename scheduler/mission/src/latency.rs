@@ -3,7 +3,9 @@
 use std::collections::HashSet;
 use std::fmt;
 
-use downbeat_scripts::{Choreography, LatencySource, written};
+use downbeat_fleet::fleet::LatencySource;
+use downbeat_plan::Choreography;
+use downbeat_yaml::duration::written;
 use serde::Serialize;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
@@ -98,7 +100,7 @@ impl fmt::Display for LatencyDiffers {
 mod tests {
     use std::collections::BTreeMap;
 
-    use downbeat_scripts::DeviceLatency;
+    use downbeat_fleet::fleet::DeviceLatency;
     use urrcp::Latency;
 
     use super::*;
@@ -114,7 +116,7 @@ mod tests {
         used: Option<(i64, LatencySource)>,
         known: Option<i64>,
     ) -> Option<String> {
-        let mut choreography = downbeat_scripts::Choreography::clone(&bench::played(&[&[("a", 0, 400)]]));
+        let mut choreography = downbeat_plan::Choreography::clone(&bench::played(&[&[("a", 0, 400)]]));
         let robot: RobotId = choreography.acts[0].plan.robots[0].robot.clone();
         if let Some((millis, from)) = used {
             let latency = DeviceLatency { latency: ms(millis), from, lag: None };

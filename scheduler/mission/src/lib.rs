@@ -60,11 +60,11 @@ pub mod zone;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, FirstUse, Plan};
+use downbeat_plan::{Choreography, FirstUse, Plan};
 use urrcp::{ControlError, DeviceId, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub use claim::Claim;
-pub use downbeat_scripts::{ClockMode, MissionSettings, Requirement};
+pub use downbeat_fleet::fleet::{ClockMode, MissionSettings, Requirement};
 pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
 pub use failure_kind::{Failure, FailureKind, Slow};

@@ -3,8 +3,8 @@
 
 use std::collections::VecDeque;
 
+use downbeat_fleet::fleet::{Calibration, Lag, Taken};
 use downbeat_onset::{Commanded, Readable, Reading, Sample, Trial};
-use downbeat_scripts::{Calibration, Lag, Taken};
 use serde::{Deserialize, Serialize};
 use urrcp::{
     ControlParameters, ControlType, Device, DeviceId, Interpolation, RobotId, Server, Span, Step, Timestamp,

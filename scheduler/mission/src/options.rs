@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::MissionSettings;
+use downbeat_fleet::fleet::MissionSettings;
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use downbeat_scripts::{Choreography, DeviceScript, DeviceUse, FirstUse};
+use downbeat_plan::{Choreography, DeviceScript, DeviceUse, FirstUse};
 use urrcp::{
     ControlType, DeviceId, DeviceReport, InitializationBlock, Inquiry, Interpolation, Message, RobotId,
     Server, Span, Timestamp,

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use downbeat_scripts::{Choreography, OnFailure, counted};
+use downbeat_plan::{Choreography, OnFailure};
+use downbeat_yaml::render::counted;
 use serde::Serialize;
 use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 

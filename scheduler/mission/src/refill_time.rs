@@ -3,7 +3,7 @@
 //! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
 //! today cannot do is found here, before anything has moved.
 
-use downbeat_scripts::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
+use downbeat_plan::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::act::LAPSE;
@@ -189,7 +189,7 @@ mod tests {
         ] {
             // Each act fits by itself. Behind the other one its second script has room 20 ms before its start.
             let mut mission = greeted(2, [round_trip; 2]);
-            let mut choreography = downbeat_scripts::Choreography::clone(&mission.choreography);
+            let mut choreography = downbeat_plan::Choreography::clone(&mission.choreography);
             choreography.acts.push(choreography.acts[0].clone());
             choreography.acts[1].wait = wait.clone();
             let short = [("a", 0, 10), ("a", 20, 10)].map(bench::device_script).to_vec();

@@ -1,6 +1,6 @@
 //! Judges what a scenario requires (`require`) by the figures of its trials. What no figure is known for is neither met nor not met.
 
-use downbeat_scripts::{Ceiling, Choreography, Floor, Requirements, Share};
+use downbeat_plan::{Ceiling, Choreography, Floor, Requirements, Share};
 use serde::Serialize;
 use urrcp::Span;
 

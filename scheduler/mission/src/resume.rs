@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, Requirements};
+use downbeat_plan::{Choreography, Requirements};
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::act::{Act, Reached};

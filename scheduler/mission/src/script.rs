@@ -1,6 +1,6 @@
 //! One script of one device on its way: planned, sent, held, running, ended, or unknown.
 
-use downbeat_scripts::DeviceScript;
+use downbeat_plan::DeviceScript;
 use urrcp::{
     Command, ContentHash, ControlError, ControlResponse, ErrorCode, Interpolation, Millis, RequestId,
     RequestReport, RequestState, Robot, Server, Span, Status, Timestamp,

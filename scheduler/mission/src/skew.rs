@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_scripts::Plan;
+use downbeat_plan::Plan;
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, RobotId, Span, Timestamp};
 
@@ -261,7 +261,7 @@ fn width(ranges: impl Iterator<Item = (Span, Span)> + Clone) -> Span {
 
 #[cfg(test)]
 mod tests {
-    use downbeat_scripts::{DeviceLatency, LatencySource};
+    use downbeat_fleet::fleet::{DeviceLatency, LatencySource};
 
     use super::*;
     use crate::bench::{self, Tells, at, ms};

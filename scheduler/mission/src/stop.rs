@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_scripts::Way;
+use downbeat_plan::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
 use super::act::Act;

@@ -14,7 +14,8 @@ mod transfer;
 
 use std::sync::Arc;
 
-use downbeat_scripts::{SensorRange, Wait, Way};
+use downbeat_fleet::sensor_range::SensorRange;
+use downbeat_plan::{Wait, Way};
 use urrcp::{DeviceId, ErrorCode, RequestId, Status};
 
 use super::act::ActAction;

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt;
 use std::sync::Arc;
 
-use downbeat_scripts::{Act as Written, Choreography, FirstUse, Positions, Way};
+use downbeat_plan::{Act as Written, Choreography, FirstUse, Positions, Way};
 use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 

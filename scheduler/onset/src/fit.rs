@@ -1,6 +1,6 @@
 //! The fit: a latency for each trial, and one lag for all.
 
-use downbeat_scripts::LAGS_MAX;
+use downbeat_fleet::fleet::LAGS_MAX;
 
 use super::model::{Agreement, Lag, Readings, response};
 

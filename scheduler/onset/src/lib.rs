@@ -31,7 +31,7 @@ pub use commanded::Commanded;
 pub use summary::{Latencies, quantile_bound, spread_bound};
 pub use trials::{Estimate, Onset, Readable, Sample, Trial, estimate, onset};
 
-pub use downbeat_scripts::Taken;
+pub use downbeat_fleet::fleet::Taken;
 use urrcp::Span;
 
 /// Why a motion's begin cannot be told.

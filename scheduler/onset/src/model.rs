@@ -59,15 +59,15 @@ impl Lag {
     }
 }
 
-impl From<Lag> for downbeat_scripts::Lag {
+impl From<Lag> for downbeat_fleet::fleet::Lag {
     fn from(lag: Lag) -> Self {
         let time_constant = Span::from_millis_f64(lag.constant);
         Self { time_constant, lags: lag.lags, later: Span::from_millis_f64(lag.later) }
     }
 }
 
-impl From<downbeat_scripts::Lag> for Lag {
-    fn from(lag: downbeat_scripts::Lag) -> Self {
+impl From<downbeat_fleet::fleet::Lag> for Lag {
+    fn from(lag: downbeat_fleet::fleet::Lag) -> Self {
         Self { constant: lag.time_constant.as_millis_f64(), lags: lag.lags, later: lag.later.as_millis_f64() }
     }
 }

@@ -203,7 +203,11 @@ fn a_device_that_still_moves_at_the_last_reading_is_refused() {
     let found = onset(
         &trial,
         READABLE,
-        Some(downbeat_scripts::Lag { time_constant: Span::from_millis(200), lags: 1, later: Span::ZERO }),
+        Some(downbeat_fleet::fleet::Lag {
+            time_constant: Span::from_millis(200),
+            lags: 1,
+            later: Span::ZERO,
+        }),
     );
     assert!(matches!(found, Err(Unclear::NotSettled { .. })), "{found:?}");
 }

@@ -82,7 +82,7 @@ pub struct Estimate {
     /// Of those that could be judged; `None` of fewer than three.
     pub latencies: Option<Latencies>,
     /// How the device follows; `None` where the readings do not tell it from a device that follows at once.
-    pub lag: Option<downbeat_scripts::Lag>,
+    pub lag: Option<downbeat_fleet::fleet::Lag>,
     /// How far the device is behind a ramp once it follows: dead time and time constant together, which is exact for the model. `None`
     /// where no movement lasted long enough.
     pub tracking_lag: Option<Span>,
@@ -95,7 +95,7 @@ pub struct Estimate {
 pub fn onset(
     trial: &Trial,
     readable: Readable,
-    lag: Option<downbeat_scripts::Lag>,
+    lag: Option<downbeat_fleet::fleet::Lag>,
 ) -> Result<Onset, Unclear> {
     let readings = readable.readings(trial)?;
     let known = lag.map(Lag::from);

@@ -9,7 +9,7 @@ use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted, MotionLimits};
 use downbeat_scripts::{
     Act, Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Positions, RateLimits,
-    SimulatedMoves, Wait, counted,
+    SimulatedMoves, Wait, counted, plan_approach, plan_home,
 };
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
@@ -84,8 +84,8 @@ impl PlanTransfer for Planner {
         from: &Positions,
     ) -> Result<Option<Act>, String> {
         let planned = match to {
-            Destination::Home => choreography.home(like, &self.0, from),
-            Destination::Act(act) => choreography.approach(act, &self.0, from),
+            Destination::Home => plan_home(choreography, like, &self.0, from),
+            Destination::Act(act) => plan_approach(choreography, act, &self.0, from),
         };
         planned.map_err(|errors| {
             let first = errors.first().map(|error| error.message.clone()).unwrap_or_default();

@@ -1,7 +1,7 @@
 //! The shortest story that shows what a seed violates: faults, acts, robots and scripts are taken away as long as the same
 //! invariant stays violated.
 
-use downbeat_scripts::Way;
+use downbeat_plan::Way;
 use urrcp::Span;
 
 use super::draw::{Drawn, DrawnDisk, Network};

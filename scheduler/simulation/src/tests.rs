@@ -295,7 +295,7 @@ fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
     let mut left = 0;
     for mut drawn in (0..300).map(|seed| draw(seed).without_faults()) {
         for act in &mut drawn.choreography.acts {
-            act.on_failure.default = downbeat_scripts::OnFailure::Without;
+            act.on_failure.default = downbeat_plan::OnFailure::Without;
             act.on_failure.robots.clear();
         }
         let ready = run_calmly(drawn.clone());

@@ -1,6 +1,6 @@
 //! What of a scenario is played, and how fast: a rehearsal is a choreography with something left out or slowed down.
 
-use downbeat_scripts::{Approach, Choreography, Fleet, did_you_mean};
+use downbeat_scripts::{Approach, Choreography, Fleet, add_approach, did_you_mean};
 use urrcp::RobotId;
 
 use super::{Exit, console};
@@ -125,7 +125,7 @@ pub(super) fn approached(
     fleet: &Fleet,
     approach: &Approach,
 ) -> Result<(Choreography, usize), Exit> {
-    chosen.approached(first, fleet, approach).map_err(|findings| {
+    add_approach(chosen, first, fleet, approach).map_err(|findings| {
         console::error(&format!("the robots cannot get to their first positions in {}:", approach.over));
         for finding in findings {
             console::note(&format!("  {}; expected {}", finding.message, finding.expected));

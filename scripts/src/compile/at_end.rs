@@ -5,13 +5,13 @@ use std::collections::HashMap;
 use urrcp::{ControlType, Device, DeviceId, Interpolation, RobotId, Span};
 
 use super::cast::{Cast, Rest};
-use super::poses::{self, DeviceWay, Positions, settable, unused_name};
+use super::poses::{self, DeviceWay, settable, unused_name};
 use crate::duration::written;
 use crate::fields::Reader;
 use crate::finding::{Code, Finding};
 use crate::fleet::Fleet;
 use crate::motion::Easing;
-use crate::plan::{Act, Way};
+use crate::plan::{Act, Positions, Way};
 use crate::render::counted;
 use crate::scenario::{AtEnd, Scenario};
 

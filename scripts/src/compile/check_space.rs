@@ -12,9 +12,8 @@ use super::courses::{Poses, Scripts, Standing};
 use crate::ensemble::{self, Action};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, SharedFault, robots_named};
-use crate::plan::{DeviceUse, RobotPlan};
+use crate::plan::{DeviceUse, Requirements, RobotPlan};
 use crate::render::counted;
-use crate::requirements::Requirements;
 use crate::scenario::Act;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,

@@ -1,7 +1,8 @@
 //! From a scenario and a fleet to a choreography, checked against what each robot declares.
 //!
 //! The way of an act: `cast` (which robots a cue is for), `schedule` (when it takes place), `perform` (the steps of each
-//! device for each cue), `join` (one chain of scripts a device). Then all acts: `compensate` (commands ahead of motions). `check_*` hold the rules, `acts` the graph of acts.
+//! device for each cue), `join` (one chain of scripts a device). Then all acts: [`downbeat_plan::compensate`] (commands ahead of motions).
+//! `check_*` hold the rules, `acts` the graph of acts.
 
 mod acts;
 mod ahead;
@@ -14,7 +15,6 @@ mod check_require;
 mod check_safety;
 mod check_space;
 mod check_values;
-pub(crate) mod compensate;
 mod conflict;
 mod courses;
 mod cut;
@@ -39,7 +39,7 @@ use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
 use crate::identify::mistaken_for_scenario;
 use crate::locate::locate;
-use crate::plan::{Act, Choreography, Plan, Way};
+use crate::plan::{Act, Choreography, Plan, Way, compensate};
 use crate::scenario::{self, Documents, SCENARIO_KEYS, Scenario};
 use crate::source::Source;
 

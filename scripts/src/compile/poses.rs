@@ -10,11 +10,8 @@ use crate::duration::written;
 use crate::files::NoFiles;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::Fleet;
-use crate::plan::{Act, FailurePolicy};
+use crate::plan::{Act, FailurePolicy, Positions};
 use crate::source::Source;
-
-/// Positions of devices.
-pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A device, its position, and the position that it has to reach.
 pub(crate) struct DeviceWay<'a> {

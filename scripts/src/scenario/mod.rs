@@ -40,8 +40,7 @@ use crate::fleet::{Fleet, devices_of};
 use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
-use crate::plan::{OnDoubt, Repetition};
-use crate::requirements::Requirements;
+use crate::plan::{OnDoubt, Repetition, Requirements};
 use crate::slips::Units;
 use crate::source::Source;
 

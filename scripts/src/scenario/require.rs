@@ -4,7 +4,7 @@ use crate::duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::Node;
-use crate::requirements::{AllOrNone, Ceiling, Floor, Requirements, Share};
+use crate::plan::{AllOrNone, Ceiling, Floor, Requirements, Share};
 use crate::shown::shortened;
 
 pub(crate) const REQUIRE_KEYS: [&str; 7] =

@@ -7,7 +7,7 @@
 //! the disk. If this is not the case in time, it never speaks, and no robot starts. A scheduler that stalled during the last rounds
 //! asks again, if the leases can still end just before the start.
 
-use downbeat_scripts::OnDoubt;
+use downbeat_plan::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
 
 use super::timing::Leases;

@@ -1,6 +1,6 @@
 //! Scripts that a robot has lost but another process may still run.
 
-use downbeat_scripts::is_rate;
+use downbeat_plan::is_rate;
 use urrcp::{Server, Span, Timestamp};
 
 use super::Act;

@@ -1,6 +1,6 @@
 //! A robot of an act: what it was sent, and whether it still takes part.
 
-use downbeat_scripts::DeviceScript;
+use downbeat_plan::DeviceScript;
 use urrcp::{DeviceId, RequestId, Robot, Server, Span, Timestamp};
 
 use super::timing::{Leases, Timing};
@@ -298,19 +298,19 @@ impl Member {
 }
 
 /// The members of an act: its robots that are there.
-pub(crate) fn members(plan: &downbeat_scripts::Plan, robots: &[RobotState]) -> Vec<Member> {
+pub(crate) fn members(plan: &downbeat_plan::Plan, robots: &[RobotState]) -> Vec<Member> {
     members_among(plan, robots, |robot| robot.standing == Standing::In)
 }
 
 /// The members of an act: its robots for which `has_part` holds.
 pub(super) fn members_among(
-    plan: &downbeat_scripts::Plan,
+    plan: &downbeat_plan::Plan,
     robots: &[RobotState],
     has_part: impl Fn(&RobotState) -> bool,
 ) -> Vec<Member> {
     let index_of: std::collections::HashMap<_, _> =
         robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
-    let member = |planned: &downbeat_scripts::RobotPlan| {
+    let member = |planned: &downbeat_plan::RobotPlan| {
         let robot = *index_of.get(&planned.robot)?;
         let script = |script: &DeviceScript| {
             let device = robots[robot].block.as_ref().and_then(|block| block.device(script.device.as_str()));

@@ -19,7 +19,7 @@ mod waiting;
 
 use std::sync::Arc;
 
-use downbeat_scripts::{Choreography, Way};
+use downbeat_plan::{Choreography, Way};
 use urrcp::{ControlRequest, DeviceId, RequestId, Robot, Server, SessionId, Span, Timestamp};
 
 use super::events::TakenReading;
@@ -195,7 +195,7 @@ impl Act {
     }
 
     /// What the scenario says of it.
-    pub(crate) fn written(&self) -> &downbeat_scripts::Act {
+    pub(crate) fn written(&self) -> &downbeat_plan::Act {
         &self.choreography.acts[self.index]
     }
 

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
-use downbeat_scripts::Choreography;
+use downbeat_plan::Choreography;
 use urrcp::{RequestId, Server, Span, Timestamp};
 
 use super::approaching::Approach;

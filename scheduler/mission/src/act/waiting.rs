@@ -1,6 +1,6 @@
 //! What an act waits for before it is sent.
 
-use downbeat_scripts::{Wait, Way};
+use downbeat_plan::{Wait, Way};
 use urrcp::{Server, Span, Timestamp};
 
 use super::{Act, ActAction, Stage, act_name};

@@ -1,6 +1,6 @@
 //! The loop in a world made for the purpose.
 
-use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use downbeat_plan::{DeviceScript, Plan, RobotPlan};
 use urrcp::{
     Command, ControlType, InitializationBlock, Millis, RobotId, Script, Setpoint, Step, StopCondition,
 };

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use downbeat_scripts::LatencySource;
+use downbeat_fleet::fleet::LatencySource;
 use serde_json::Value;
 use strum::VariantNames;
 

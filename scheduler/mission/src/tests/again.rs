@@ -1,6 +1,6 @@
 //! The mission prepares acts again if this machine was too slow to start them.
 
-use downbeat_scripts::OnFailure;
+use downbeat_plan::OnFailure;
 
 use super::played::Played;
 use super::*;

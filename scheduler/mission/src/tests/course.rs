@@ -1,6 +1,6 @@
 //! How acts follow each other, what became of them, and how the mission ends by that.
 
-use downbeat_scripts::{Choreography, OnFailure};
+use downbeat_plan::{Choreography, OnFailure};
 
 use super::played::Played;
 use super::*;
@@ -380,7 +380,7 @@ fn what_the_disk_takes_is_allowed_for_twice_and_slowly_forgotten() {
 
 #[test]
 fn of_robots_that_fail_together_the_strictest_policy_counts() {
-    use downbeat_scripts::OnFailure as Policy;
+    use downbeat_plan::OnFailure as Policy;
     for (of_first, of_second, rest) in [
         (Policy::Without, Policy::Home, Some(Rest::Home)),
         (Policy::Home, Policy::Without, Some(Rest::Home)),

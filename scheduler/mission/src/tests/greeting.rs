@@ -1,6 +1,6 @@
 //! Who counts as the robot that is meant, when robots are asked again, and robots of other sessions.
 
-use downbeat_scripts::AllOrNone;
+use downbeat_plan::AllOrNone;
 use urrcp::{AvailabilityResponse, ControlError};
 
 use super::played::Played;

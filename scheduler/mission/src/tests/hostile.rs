@@ -1,6 +1,6 @@
 //! Robots that say too much, and robots for which the others would have to wait without bound.
 
-use downbeat_scripts::OnFailure;
+use downbeat_plan::OnFailure;
 
 use super::*;
 use crate::bench::{ms, robot};

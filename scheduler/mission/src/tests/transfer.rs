@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use downbeat_scripts::{FailurePolicy, OnFailure, Positions};
+use downbeat_plan::{FailurePolicy, OnFailure, Positions};
 
 use super::course::{broken, fates};
 use super::played::Played;
@@ -26,7 +26,7 @@ impl PlanTransfer for Planner {
         _: Destination,
         _: usize,
         from: &Positions,
-    ) -> Result<Option<downbeat_scripts::Act>, String> {
+    ) -> Result<Option<downbeat_plan::Act>, String> {
         self.from.lock().unwrap().push(from.clone());
         let mut act = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
         act.name = "home".to_owned();

@@ -2,8 +2,8 @@
 
 use std::collections::{HashMap, HashSet};
 
+use downbeat_plan::{Act, Choreography, DeviceScript};
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::{Act, Choreography, DeviceScript};
 use urrcp::{Command, Message, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};

@@ -3,7 +3,7 @@
 
 use std::iter;
 
-use downbeat_scripts::Wait;
+use downbeat_plan::Wait;
 use urrcp::{Command, Message, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit};

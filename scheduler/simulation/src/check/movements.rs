@@ -2,8 +2,8 @@
 
 use std::collections::{HashMap, HashSet};
 
+use downbeat_plan::OnFailure;
 use downbeat_robot::set_log::LogEntry;
-use downbeat_scripts::OnFailure;
 use urrcp::{ControlType, Device, DeviceId, Interpolation, Message, Server, Span, Timestamp};
 
 use super::Verdict;

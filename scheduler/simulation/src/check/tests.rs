@@ -665,7 +665,7 @@ fn a_long_lead_of_an_act_that_starts_at_its_own_time_is_sound_if_it_is_sent_only
     let at_its_time = |by, late| {
         with_a_lead_beyond(by, |ran, promise| {
             let at = promise.start - Span::from_nanos(late);
-            ran.drawn.choreography.acts[0].wait = downbeat_scripts::Wait::Instant(at);
+            ran.drawn.choreography.acts[0].wait = downbeat_plan::Wait::Instant(at);
         })
     };
     assert_eq!(with_a_lead_beyond(1_000, |_, _| {}), 1);

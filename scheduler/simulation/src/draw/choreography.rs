@@ -1,8 +1,9 @@
 //! What is played: acts with chains of scripts, what they wait for, and what a failure does.
 
-use downbeat_scripts::{
+use downbeat_fleet::sensor_range::SensorRange;
+use downbeat_plan::{
     Act, Choreography, DeviceScript, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedReading, Requirements,
-    RobotPlan, SensorRange, Wait, Way,
+    RobotPlan, Wait, Way,
 };
 use fastrand::Rng;
 use urrcp::{ControlType, Device, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};

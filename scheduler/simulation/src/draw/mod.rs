@@ -9,7 +9,7 @@ mod staged;
 mod together;
 mod unusual;
 
-use downbeat_scripts::{Choreography, Wait};
+use downbeat_plan::{Choreography, Wait};
 use fastrand::Rng;
 use urrcp::Span;
 

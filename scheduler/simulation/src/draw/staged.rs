@@ -4,7 +4,7 @@
 //! The kind and the stage follow from the seed. When the stage is, is read from the same mission with the faults that bring it about,
 //! if it needs any: a stop, or the end of the scheduler. One seed in fifty is such a mission.
 
-use downbeat_scripts::Wait;
+use downbeat_plan::Wait;
 use fastrand::Rng;
 use urrcp::{Server, Span, Timestamp};
 

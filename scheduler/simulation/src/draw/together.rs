@@ -5,7 +5,7 @@
 //! When that is, is read from the same mission without its faults. One seed in fifty is such a mission; the others are drawn as
 //! if there were none.
 
-use downbeat_scripts::{Choreography, DeviceScript, Way};
+use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
 use urrcp::{ControlType, Millis, Script, Server, Setpoint, Span, Step, StopCondition, Timestamp};
 

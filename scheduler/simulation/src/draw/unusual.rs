@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_scripts::{Choreography, DeviceScript, Way};
+use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
 use urrcp::{Millis, Script, Span, Step};
 

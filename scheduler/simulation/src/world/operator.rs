@@ -1,6 +1,6 @@
 //! Who sits before the mission, and what it waits for: the word "go", a reading, a stop from another terminal.
 
-use downbeat_scripts::Wait;
+use downbeat_plan::Wait;
 
 use super::{Item, World};
 use crate::draw::BRIGHT;

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, Positions, RobotPlan};
+use downbeat_plan::{Act, Choreography, DeviceScript, Plan, Positions, RobotPlan};
 use urrcp::{
     ControlType, DeviceId, InitializationBlock, Interpolation, Millis, RobotId, Script, Setpoint, Span, Step,
     StopCondition,

@@ -1,7 +1,7 @@
 //! From the decision to the start: the leases end before it unless the act is committed, and it is committed only for good
 //! reasons.
 
-use downbeat_scripts::OnDoubt;
+use downbeat_plan::OnDoubt;
 
 use super::*;
 

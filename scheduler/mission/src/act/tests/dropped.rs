@@ -11,11 +11,8 @@ fn wanted_of(bench: &Bench, robot: usize) -> usize {
 fn three() -> Bench {
     let scripts: [&[Planned]; 3] = [&[("a", 0, 200), ("a", 200, 200), ("a", 400, 200)]; 3];
     let mut choreography = bench::choreography(&scripts);
-    let reading = |at| downbeat_scripts::PlannedReading {
-        robot: "r1".parse().unwrap(),
-        sensor: "b".parse().unwrap(),
-        at,
-    };
+    let reading =
+        |at| downbeat_plan::PlannedReading { robot: "r1".parse().unwrap(), sensor: "b".parse().unwrap(), at };
     choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(350))];
     Bench { policy: Policy::Without, ..Bench::of(&[Tells::Everything; 3], 2, choreography.into()) }
 }

@@ -12,7 +12,7 @@ mod waiting;
 
 use std::sync::Arc;
 
-use downbeat_scripts::Choreography;
+use downbeat_plan::Choreography;
 use urrcp::{ControlResponse, ErrorCode, RequestState, Server, Span, Status, Timestamp};
 
 use super::timing::{Leases, Measured, Pace};
@@ -89,7 +89,7 @@ struct Bench {
     failed: Vec<(Timestamp<Server>, usize, FailureKind)>,
     withdrawn: Option<(Timestamp<Server>, Outcome)>,
     told: Vec<(Timestamp<Server>, Progress)>,
-    went: Option<downbeat_scripts::Way>,
+    went: Option<downbeat_plan::Way>,
 }
 
 impl Bench {

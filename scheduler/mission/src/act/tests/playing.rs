@@ -1,6 +1,6 @@
 //! From the start to the last step.
 
-use downbeat_scripts::PlannedReading;
+use downbeat_plan::PlannedReading;
 
 use super::*;
 use crate::script::Ending;

@@ -1,7 +1,8 @@
 //! What it waits for, and what counts as the operator's go.
 
 use chrono::{FixedOffset, Offset, Utc};
-use downbeat_scripts::{SensorRange, Wait, Way};
+use downbeat_fleet::sensor_range::SensorRange;
+use downbeat_plan::{Wait, Way};
 
 use super::*;
 use crate::zone::Zone;

@@ -1,6 +1,6 @@
 //! The act that moves devices to their first positions before a show.
 
-use downbeat_scripts::{Address, Approach, Fleet, FleetRobot, NoFiles, Source, compile};
+use downbeat_scripts::{Address, Approach, Fleet, FleetRobot, NoFiles, Source, add_approach, compile};
 use urrcp::Interpolation;
 
 use super::*;
@@ -29,7 +29,7 @@ fn approached(on_failure: &str) -> Played {
     let stands = || [(DeviceId::new("shoulder").unwrap(), 10.0)].into();
     let from = (0..2).map(|id| (linear(id).id, stands())).collect();
     let over = Span::from_millis(2_000);
-    let (show, first) = show.approached(0, &fleet, &Approach { over, from }).unwrap();
+    let (show, first) = add_approach(show, 0, &fleet, &Approach { over, from }).unwrap();
     assert_eq!((first, show.acts.len()), (0, 2));
     let machine = |id| {
         let fault = (id == 1).then_some(Fault::Disconnect);

@@ -1,7 +1,7 @@
 //! Who is said to have failed, and why: no robot is blamed for what it and its link had no part in.
 
+use downbeat_plan::{RefillKind, refills_of_robots};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
-use downbeat_scripts::{RefillKind, refills_of_robots};
 use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;

@@ -7,7 +7,7 @@ use std::collections::{HashMap, VecDeque};
 
 use urrcp::{DeviceId, RobotId, Span};
 
-use crate::plan::{Act, Choreography, DeviceScript, Wait, Way};
+use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
 
 /// Where lines of acts meet, that many acts are looked at again, with what each line left on the devices.
 const AGAIN: usize = 2;
@@ -110,19 +110,6 @@ pub fn refills_behind(
     walk.tightest.clear();
     walk.act(act, begin + first.plan.duration() + pause, &mut held);
     walk.tightest.into_values().collect()
-}
-
-/// The script that leaves the least time to send it while its act plays. If that is less than `sending`, what sending takes
-/// as measured, the mission cannot be played as written.
-#[must_use]
-pub fn tightest_refill(
-    choreography: &Choreography,
-    queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
-    sending: Span,
-) -> Option<Refill> {
-    let later =
-        refills(choreography, queue, sending).into_iter().filter(|refill| refill.kind == RefillKind::Later);
-    later.min_by_key(|refill| refill.time)
 }
 
 fn scripts_of(act: &Act) -> usize {
@@ -250,7 +237,7 @@ mod tests {
     use urrcp::{ControlType, Millis, Script, Setpoint, Step, StopCondition};
 
     use super::*;
-    use crate::plan::{FailurePolicy, OnDoubt, Plan, RobotPlan};
+    use crate::choreography::{FailurePolicy, OnDoubt, Plan, RobotPlan};
     use crate::requirements::Requirements;
 
     fn script(device: &str, start: i64, duration: i64) -> DeviceScript {
@@ -372,13 +359,15 @@ mod tests {
     }
 
     #[test]
-    fn the_tightest_is_the_one_that_a_mission_cannot_wait_for() {
+    fn the_tightest_refill_of_an_act_names_the_script_that_makes_room_for_it() {
         let acts = vec![act(&[900, 100], Way::Act(1)), act(&[400, 300, 200, 100], Way::End)];
         let choreography = Choreography { scenario: "s".into(), acts, requirements: Requirements::default() };
-        let tightest = tightest_refill(&choreography, |_, _| Some(2), Span::ZERO).unwrap();
-        assert_eq!((tightest.act, tightest.script), (1, 3));
+        let refills_of = |queue| refills(&choreography, |_, _| queue, Span::ZERO);
+        let all = refills_of(Some(2));
+        let tightest = all.iter().find(|refill| refill.act == 1 && refill.kind == Later).unwrap();
+        assert_eq!(tightest.script, 3);
         assert_eq!((tightest.freed_by, tightest.time), (Freed { act: 1, script: 1 }, Span::from_millis(200)));
-        assert_eq!(tightest_refill(&choreography, |_, _| None, Span::ZERO), None);
+        assert_eq!(refills_of(None), []);
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! A choreography as it is rehearsed: slower, with a part of the fleet, or a single act.
 
+use downbeat_fleet::fleet::{Fleet, FleetRobot};
+use downbeat_space::space::DUST;
 use urrcp::{ControlType, Device, Millis, RobotId, Script, Span, Step};
 
-use crate::compile::compensate;
-use crate::fleet::{Fleet, FleetRobot};
-use crate::plan::{Act, Choreography, DeviceScript, Wait, Way};
-use crate::space::DUST;
+use crate::choreography::{Act, Choreography, DeviceScript, Wait, Way};
+use crate::compensate;
 
 /// Faults that are listed of a choreography at another speed.
 const SHOWN: usize = 20;

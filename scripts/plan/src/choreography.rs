@@ -1,16 +1,18 @@
-//! What a scenario compiles to: acts, and for each the scripts of every robot.
+//! Acts, and for each the scripts of every robot.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
+use downbeat_fleet::fleet::DeviceLatency;
+use downbeat_fleet::sensor_range::SensorRange;
+use downbeat_space::space::{Closest, InSpace};
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Server, Span, StopCondition, Timestamp};
 
-use crate::fleet::DeviceLatency;
-use crate::space::{Closest, InSpace};
+use crate::requirements::Requirements;
 
-pub use crate::requirements::{AllOrNone, Ceiling, Floor, Requirements, Share};
-pub use crate::sensor_range::SensorRange;
+/// Positions of devices.
+pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A whole scenario: acts with the ways between them.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,7 +89,8 @@ impl FailurePolicy {
     }
 
     /// Whether all robots go to their default state, whichever of them fails.
-    pub(crate) fn sends_home(&self) -> bool {
+    #[must_use]
+    pub fn sends_home(&self) -> bool {
         self.policies().all(|rule| rule == OnFailure::Home)
     }
 }

@@ -1,0 +1,120 @@
+//! Actuation latency: each device is commanded earlier by the time that it takes to move, so that motions begin when they are
+//! written. Where a script would then begin before its act, the act's motions begin later by its `lead_in`.
+//!
+//! Before, a script's start is when its motion begins; after, when it is commanded. [`Act::moves_at`] is the way back.
+
+use std::collections::{BTreeMap, HashMap};
+
+use downbeat_fleet::fleet::Fleet;
+use urrcp::{Millis, Span};
+
+use crate::choreography::{Act, DeviceScript, Way};
+
+/// Compensates what the fleet says of its devices in acts that are not compensated yet.
+pub fn compensate(acts: &mut [Act], fleet: &Fleet) {
+    if fleet.robots.iter().all(|robot| robot.mission.latencies.is_empty()) {
+        return;
+    }
+    let robots: HashMap<_, _> = fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
+    for act in &mut *acts {
+        for planned in &act.plan.robots {
+            let Some(robot) = robots.get(&planned.robot) else { continue };
+            let known = planned.scripts.iter().filter_map(|script| {
+                let latency = robot.mission.latencies.get(&script.device)?;
+                Some((script.device.clone(), *latency))
+            });
+            let known: BTreeMap<_, _> = known.collect();
+            if !known.is_empty() {
+                act.latencies.insert(planned.robot.clone(), known);
+            }
+        }
+    }
+    apply(acts);
+}
+
+/// Compensates the latencies that the acts know.
+pub(crate) fn apply(acts: &mut [Act]) {
+    for (act, lead_in) in lead_ins(acts).into_iter().enumerate() {
+        shift(&mut acts[act], lead_in);
+        acts[act].lead_in = lead_in;
+        each_script(&mut acts[act], |script, median| {
+            script.start = moved(script.start, lead_in - median);
+        });
+    }
+}
+
+/// Takes the compensation back: starts of scripts are those of their motions again.
+pub fn undo(act: &mut Act) {
+    let lead_in = std::mem::take(&mut act.lead_in);
+    each_script(act, |script, median| script.start = moved(script.start, median - lead_in));
+    shift(act, Span::ZERO - lead_in);
+}
+
+/// The least for each act with which none of its scripts begins before it, and none of its motions before those of an act that
+/// leads to it have ended: a device with a long latency still moves when its commands have ended.
+fn lead_ins(acts: &[Act]) -> Vec<Span> {
+    let mut lead_ins: Vec<Span> = acts.iter().map(needed).collect();
+    for act in acts {
+        let next = if let Way::Act(next) = act.next { Some(next) } else { None };
+        for following in next.into_iter().chain(act.on_failure.then) {
+            if let Some(lead_in) = lead_ins.get_mut(following) {
+                *lead_in = (*lead_in).max(tail(act));
+            }
+        }
+    }
+    lead_ins
+}
+
+fn needed(act: &Act) -> Span {
+    let early = scripts(act).map(|(script, median)| median - script.start.span());
+    early.max().unwrap_or_default().max(Span::ZERO)
+}
+
+/// How much later the last motion of an act ends than its last command.
+fn tail(act: &Act) -> Span {
+    let ends = |script: &DeviceScript| script.start.span() + script.duration();
+    let motions = scripts(act).map(|(script, _)| ends(script)).max();
+    let commands = scripts(act).map(|(script, median)| ends(script) - median).max();
+    motions.zip(commands).map_or(Span::ZERO, |(motions, commands)| motions - commands)
+}
+
+/// All scripts, each with the latency of its device.
+fn scripts(act: &Act) -> impl Iterator<Item = (&DeviceScript, Span)> {
+    act.plan.robots.iter().flat_map(|robot| {
+        robot.scripts.iter().map(|script| (script, act.latency_of(&robot.robot, &script.device)))
+    })
+}
+
+fn each_script(act: &mut Act, mut change: impl FnMut(&mut DeviceScript, Span)) {
+    let mut robots = std::mem::take(&mut act.plan.robots);
+    for robot in &mut robots {
+        for script in &mut robot.scripts {
+            change(script, act.latency_of(&robot.robot, &script.device));
+        }
+    }
+    act.plan.robots = robots;
+}
+
+/// What stays as it is keeps its number, to the last digit.
+fn moved(start: Millis, by: Span) -> Millis {
+    if by == Span::ZERO { start } else { Millis::from_span(start.span() + by) }
+}
+
+/// Everything that is on the time of motions.
+fn shift(act: &mut Act, by: Span) {
+    for cue in &mut act.cues {
+        (cue.start, cue.end) = (cue.start + by, cue.end + by);
+    }
+    for reading in &mut act.readings {
+        reading.at += by;
+    }
+    for used in &mut act.devices {
+        used.worst_at += by;
+    }
+    if let Some(closest) = &mut act.in_space.closest {
+        closest.at += by;
+    }
+    for point in act.in_space.driven.iter_mut().flat_map(|path| &mut path.points) {
+        point.at += by;
+    }
+}
