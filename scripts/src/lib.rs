@@ -8,7 +8,7 @@
 //!
 //! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render()`] shows findings with the lines that they concern. The
 //! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
-//! tools, and [`export`] writes what a scenario compiles to as theirs.
+//! tools; the crate `downbeat-export` writes what a scenario compiles to as theirs.
 //!
 //! The modules are layers: none imports one above it. From the bottom:
 //!
@@ -19,12 +19,11 @@
 //! 5. `downbeat-import` and `downbeat-fleet`, crates: files of other tools; robots.
 //! 6. `downbeat-plan`, a crate: the result. `ensemble`: the movements of groups. `scenario`: from tree to meaning.
 //! 7. `compile`: robots, times (solved by `downbeat-timing`), movements.
-//! 8. `approach`, `home`, `inventory`, `export`: other products of a fleet and a scenario.
+//! 8. `approach`, `home`, `inventory`: other products of a fleet and a scenario.
 
 mod approach;
 mod compile;
 mod ensemble;
-pub mod export;
 mod home;
 mod inventory;
 mod scenario;

@@ -71,6 +71,7 @@ fn no_module_imports_one_that_imports_it() {
         "scripts/import/src",
         "scripts/fleet/src",
         "scripts/plan/src",
+        "scripts/export/src",
         "scripts/src",
         "scheduler/mission/src",
         "scheduler/runtime/src",

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::builder::PossibleValue;
-use downbeat_scripts::export::{self, ExportFormat, Exported};
+use downbeat_export::{ExportFormat, Exported};
 use serde::Serialize;
 
 use super::import::{rate, write_all};
@@ -62,7 +62,8 @@ pub(super) fn export(args: &ExportArgs, format: Format) -> Exit {
         Ok((choreography, fleet, _)) => (choreography, fleet),
         Err(exit) => return exit,
     };
-    let Exported { files, notes, problem } = export::export(args.to.0, &choreography, &fleet, args.rate);
+    let Exported { files, notes, problem } =
+        downbeat_export::export(args.to.0, &choreography, &fleet, args.rate);
     if let Some(problem) = problem {
         console::error(&problem);
         return Exit::Failed;

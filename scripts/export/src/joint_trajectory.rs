@@ -3,14 +3,16 @@
 
 use std::fmt::Write;
 
+use downbeat_import::{FilePart, scalar};
+use downbeat_yaml::finding::names;
+use downbeat_yaml::shown::shortened;
 use urrcp::Interpolation;
 
-use super::track::{Robot, Track};
-use super::{LINES_MAX, file_name};
-use crate::import::{FilePart, scalar};
+use crate::track::{Robot, Track};
+use crate::{LINES_MAX, file_name};
 
 /// The files, or why there are none.
-pub(super) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
+pub(crate) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
     let mut files = Vec::new();
     let mut lines = 0;
     for robot in robots {
@@ -19,7 +21,7 @@ pub(super) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
         let left: Vec<&str> =
             robot.tracks.iter().filter(|track| !single(track)).map(|track| track.device).collect();
         if !left.is_empty() {
-            let left = crate::finding::names(left);
+            let left = names(left);
             notes.push(format!("`{}`: left out devices of several values: {left}", robot.name));
         }
         if joints.is_empty() {
@@ -36,7 +38,7 @@ pub(super) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec
             .map(|t| t.device)
             .collect();
         if !held.is_empty() {
-            let held = crate::finding::names(held);
+            let held = names(held);
             notes.push(format!(
                 "`{}`: what is held until its next step goes there straight in the last millisecond: {held}",
                 robot.name
@@ -67,7 +69,7 @@ fn times(joints: &[&Track<'_>]) -> Vec<f64> {
 fn text(robot: &Robot<'_>, joints: &[&Track<'_>], times: &[f64]) -> String {
     let names: Vec<String> = joints.iter().map(|joint| scalar(joint.device).into_owned()).collect();
     let mut text = String::new();
-    let name = crate::shown::shortened(robot.name).replace(char::is_control, " ");
+    let name = shortened(robot.name).replace(char::is_control, " ");
     // Writing to a string does not fail.
     let _infallible = writeln!(
         text,

@@ -2,16 +2,18 @@
 
 use std::fmt::Write;
 
-use super::track::{Robot, Track};
-use super::{LINES_MAX, file_name};
-use crate::import::FilePart;
+use downbeat_import::FilePart;
+use downbeat_yaml::finding::names;
+
+use crate::track::{Robot, Track};
+use crate::{LINES_MAX, file_name};
 
 /// Lines a second, by default.
 const RATE_HZ: f64 = 10.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// The files, or why there are none.
-pub(super) fn files(
+pub(crate) fn files(
     robots: &[Robot<'_>],
     rate_hz: Option<f64>,
     notes: &mut Vec<String>,
@@ -35,7 +37,7 @@ pub(super) fn files(
     let others: Vec<&str> =
         robots.iter().filter(|robot| axes(robot).is_none()).map(|robot| robot.name).collect();
     if !others.is_empty() {
-        notes.push(format!("left out robots without `x`, `y` and `z`: {}", crate::finding::names(others)));
+        notes.push(format!("left out robots without `x`, `y` and `z`: {}", names(others)));
     }
     Ok(drones.into_iter().map(|(robot, axes)| file(robot, axes, &times, notes)).collect())
 }
@@ -63,7 +65,7 @@ fn file(robot: &Robot<'_>, axes: [&Track<'_>; 3], times: &[f64], notes: &mut Vec
     };
     let left: Vec<&str> = robot.tracks.iter().filter(used).map(|track| track.device).collect();
     if !left.is_empty() {
-        notes.push(format!("`{}`: left out {}", robot.name, crate::finding::names(left)));
+        notes.push(format!("`{}`: left out {}", robot.name, names(left)));
     }
     let mut text = String::from("Time [msec],x [m],y [m],z [m]");
     text.push_str(if lamp.is_some() { ",Red,Green,Blue\n" } else { "\n" });

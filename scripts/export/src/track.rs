@@ -2,31 +2,32 @@
 
 use std::collections::BTreeMap;
 
+use downbeat_fleet::fleet::Fleet;
+use downbeat_plan::{Choreography, DeviceScript};
+use downbeat_yaml::finding::names;
+use downbeat_yaml::render::counted;
 use urrcp::{ControlType, Interpolation};
 
-use crate::fleet::Fleet;
-use crate::plan::{Choreography, DeviceScript};
-
 /// One robot.
-pub(super) struct Robot<'a> {
-    pub(super) name: &'a str,
+pub(crate) struct Robot<'a> {
+    pub(crate) name: &'a str,
     /// In the order of the plan.
-    pub(super) tracks: Vec<Track<'a>>,
+    pub(crate) tracks: Vec<Track<'a>>,
 }
 
 /// One device.
-pub(super) struct Track<'a> {
-    pub(super) device: &'a str,
-    pub(super) interpolation: Interpolation,
+pub(crate) struct Track<'a> {
+    pub(crate) device: &'a str,
+    pub(crate) interpolation: Interpolation,
     /// Where it is before its first step, as far as is known.
-    pub(super) home: Option<f64>,
+    pub(crate) home: Option<f64>,
     /// Milliseconds and values, in order.
-    pub(super) points: Vec<(f64, Vec<f64>)>,
+    pub(crate) points: Vec<(f64, Vec<f64>)>,
 }
 
 impl Track<'_> {
     /// The values at a time; before the first step those of its home, or of that step.
-    pub(super) fn values(&self, at_ms: f64) -> Vec<f64> {
+    pub(crate) fn values(&self, at_ms: f64) -> Vec<f64> {
         let next = self.points.partition_point(|(at, _)| *at <= at_ms);
         let Some((from_ms, from)) = next.checked_sub(1).map(|index| &self.points[index]) else {
             return self.before(at_ms);
@@ -47,7 +48,7 @@ impl Track<'_> {
     }
 
     /// The value at a time, of a device of one value.
-    pub(super) fn value(&self, at_ms: f64) -> f64 {
+    pub(crate) fn value(&self, at_ms: f64) -> f64 {
         self.values(at_ms).first().copied().unwrap_or(0.0)
     }
 }
@@ -57,7 +58,7 @@ fn mixed(from: &[f64], to: &[f64], share: f64) -> Vec<f64> {
 }
 
 /// All robots, and what is left out.
-pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
+pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
     let mut robots: Vec<Robot<'a>> = Vec::new();
     let mut rates: BTreeMap<String, ()> = BTreeMap::new();
     let mut begin_ms = 0.0;
@@ -86,11 +87,11 @@ pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
         notes.push(format!("{} acts follow each other at once: what they wait for is left out", line.len()));
     }
     if line.len() < choreography.acts.len() {
-        let left = crate::render::counted(choreography.acts.len() - line.len(), "act");
+        let left = counted(choreography.acts.len() - line.len(), "act");
         notes.push(format!("left out {left} that only a failure or a timeout leads to"));
     }
     if !rates.is_empty() {
-        let devices = crate::finding::names(rates.keys().take(20).map(String::as_str));
+        let devices = names(rates.keys().take(20).map(String::as_str));
         notes.push(format!("left out speeds and accelerations, which are not positions: {devices}"));
     }
     (robots, notes)

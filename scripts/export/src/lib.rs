@@ -4,9 +4,9 @@ mod drone_csv;
 mod joint_trajectory;
 mod track;
 
-use crate::fleet::Fleet;
-use crate::import::FilePart;
-use crate::plan::Choreography;
+use downbeat_fleet::fleet::Fleet;
+use downbeat_import::FilePart;
+use downbeat_plan::Choreography;
 
 /// Most lines of all files.
 const LINES_MAX: usize = 5_000_000;
