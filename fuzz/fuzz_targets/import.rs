@@ -6,9 +6,7 @@
 
 use std::sync::LazyLock;
 
-use downbeat_scripts::import::{
-    Course, ImportFormat, ImportOptions, Scenes, files_of, import_bytes, urdf,
-};
+use downbeat_import::{Course, ImportFormat, ImportOptions, Scenes, files_of, import_bytes, urdf};
 use downbeat_scripts::{Source, init_of, render};
 use libfuzzer_sys::fuzz_target;
 

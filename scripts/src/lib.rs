@@ -7,8 +7,8 @@
 //! ```
 //!
 //! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render()`] shows findings with the lines that they concern. The
-//! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
-//! tools; the crate `downbeat-export` writes what a scenario compiles to as theirs.
+//! README has both in a few lines, and `examples/compile.rs` is a program to copy. The crate
+//! `downbeat-import` makes scenarios of the files of other tools, and `downbeat-export` writes what a scenario compiles to as theirs.
 //!
 //! The modules are layers: none imports one above it. From the bottom:
 //!
@@ -30,7 +30,7 @@ mod scenario;
 mod schema;
 
 use downbeat_fleet::{fleet, sensor_range};
-pub use downbeat_import as import;
+use downbeat_import as import;
 pub use downbeat_motion::fit;
 use downbeat_motion::{exact, expression, motion, music};
 use downbeat_plan as plan;
@@ -90,7 +90,7 @@ pub use schema::{Schema, schema};
 #[doc(hidden)]
 pub use {
     downbeat_fleet::address::address_fault, downbeat_yaml::duration::written,
-    downbeat_yaml::finding::did_you_mean, downbeat_yaml::render::counted, import::scalar,
+    downbeat_yaml::finding::did_you_mean, downbeat_yaml::render::counted,
 };
 
 #[cfg(test)]

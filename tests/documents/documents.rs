@@ -75,7 +75,7 @@ fn the_table_of_findings_lists_every_code_with_its_title() {
 #[test]
 fn every_format_that_is_imported_has_a_row_in_its_document_and_a_seed_for_the_fuzzer() {
     let document = read("docs/import.md");
-    for facts in downbeat_scripts::import::ImportFormat::ALL {
+    for facts in downbeat_import::ImportFormat::ALL {
         let row = format!("\n| `{}` | ", facts.word);
         assert!(document.contains(&row), "docs/import.md has no row of `{}`", facts.word);
         let seed = root().join("fuzz/seeds/import").join(facts.word);

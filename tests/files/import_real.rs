@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::import::{
+use downbeat_import::{
     DeviceMotion, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, steps_written,
 };
 
@@ -23,7 +23,7 @@ fn demos(data: &Path) -> PathBuf {
 }
 
 fn outcome(format: ImportFormat, path: &Path, options: &ImportOptions) -> ImportOutcome {
-    downbeat_scripts::import::import(format, &[path.to_path_buf()], options)
+    downbeat_import::import(format, &[path.to_path_buf()], options)
 }
 
 #[track_caller]
@@ -136,7 +136,7 @@ fn the_sequence_of_nineteen_scenes() {
         }
     }
     let pieces = imported(ImportFormat::Crazyswarm, &folder, &ImportOptions::default());
-    let boundaries = |scene: &downbeat_scripts::import::Scene| scene.robots[0].devices[0].keyframes.len() - 1;
+    let boundaries = |scene: &downbeat_import::Scene| scene.robots[0].devices[0].keyframes.len() - 1;
     assert_eq!(pieces.scenes.iter().map(boundaries).sum::<usize>(), 198);
 }
 

@@ -8,8 +8,9 @@ pub(super) use write::write_all;
 use std::path::PathBuf;
 
 use clap::builder::PossibleValue;
-use downbeat_scripts::import::{
-    self, Decimal, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit,
+use downbeat_import::{
+    Decimal, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit, files_of, scenario_text,
+    steps_written,
 };
 use downbeat_scripts::{Finding, Source, counted};
 use serde::Serialize;
@@ -227,13 +228,11 @@ fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit
     if let Some(imported) = outcome.imported.as_ref().filter(|_| outcome.findings.is_empty()) {
         let block = init.as_ref().map(|init| (&init.block, init.text.as_str()));
         match &args.output {
-            Some(folder) => {
-                match write::write_all(folder, &import::files_of(imported, scenes, block), args.force) {
-                    Ok(written) => files = written,
-                    Err(mut findings) => outcome.findings.append(&mut findings),
-                }
-            }
-            None => text = Some(import::scenario_text(imported, scenes, block.map(|(block, _)| block), None)),
+            Some(folder) => match write::write_all(folder, &files_of(imported, scenes, block), args.force) {
+                Ok(written) => files = written,
+                Err(mut findings) => outcome.findings.append(&mut findings),
+            },
+            None => text = Some(scenario_text(imported, scenes, block.map(|(block, _)| block), None)),
         }
     }
     let ImportOutcome { imported, notes, findings } = &outcome;
@@ -314,7 +313,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
         columns: args.map.clone(),
         init: init.as_ref().map(|init| init.block.clone()),
     };
-    let mut outcome = import::import(from, &args.files, &options);
+    let mut outcome = downbeat_import::import(from, &args.files, &options);
     outcome.findings.extend(broken);
     (init, outcome)
 }
@@ -324,7 +323,7 @@ fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
         scenario: imported.map(|imported| imported.name.as_str()),
         robots: imported.map_or(0, |imported| imported.robots().len()),
         scenes: imported.map_or(0, |imported| imported.scenes.len()),
-        steps: imported.map_or(0, |imported| import::steps_written(imported, scenes)),
+        steps: imported.map_or(0, |imported| steps_written(imported, scenes)),
         held: imported.map_or(0, |imported| imported.held),
         duration_ms: imported.map_or(Span::ZERO, Imported::duration),
         told,
@@ -339,7 +338,7 @@ fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &Told<'_>) {
         imported.name,
         counted(imported.robots().len(), "robot"),
         counted(imported.scenes.len(), "scene"),
-        counted(import::steps_written(imported, scenes), "step"),
+        counted(steps_written(imported, scenes), "step"),
         imported.duration()
     ));
 }

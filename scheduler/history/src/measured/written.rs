@@ -1,6 +1,7 @@
 //! What was measured as a world file, with how it was measured in its comments. The same recording gives the same bytes.
 
-use downbeat_scripts::{counted, scalar, written};
+use downbeat_import::scalar;
+use downbeat_scripts::{counted, written};
 use urrcp::{RobotId, Span};
 
 use super::clock::{ClockMeasured, Follows};

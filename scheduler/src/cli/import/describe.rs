@@ -1,6 +1,6 @@
 //! `downbeat import urdf`: a robot's description becomes its initialization block.
 
-use downbeat_scripts::import::{UrdfOutcome, urdf};
+use downbeat_import::{UrdfOutcome, urdf};
 use downbeat_scripts::{Source, counted};
 use serde::Serialize;
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::import::FilePart;
+use downbeat_import::FilePart;
 use downbeat_scripts::{Attempt, Code, Finding, Refusal, Severity};
 
 /// Writes every file next to its place first, then moves it there.
