@@ -117,7 +117,7 @@ enum Command {
     Moves(moves::MovesArgs),
     /// Show when each cue takes place and what each robot is sent.
     Plan(plan::PlanArgs),
-    /// Write acts, cues and their relations as a graph, for Graphviz or Mermaid.
+    /// Write acts, cues and their relations as a graph, for Graphviz.
     Graph(graph::GraphArgs),
     /// Play a scenario in virtual time with simulated robots.
     DryRun(dry_run::DryRunArgs),

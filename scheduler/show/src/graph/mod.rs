@@ -1,8 +1,7 @@
-//! The graph of a scenario: acts with the course between them, and in each act its cues with their relations. `dot` and `mermaid`
-//! write it for the tools of those names.
+//! The graph of a scenario: acts with the course between them, and in each act its cues with their relations. `dot`
+//! writes it for Graphviz.
 
 mod dot;
-mod mermaid;
 
 use downbeat_scripts::shown::within;
 use downbeat_scripts::{Act, Choreography, Gap, Moment, Outline, PlannedCue, Way, WrittenCue};
@@ -99,12 +98,6 @@ impl Graph {
     #[must_use]
     pub fn dot(&self) -> String {
         dot::dot(self)
-    }
-
-    /// For Mermaid.
-    #[must_use]
-    pub fn mermaid(&self) -> String {
-        mermaid::mermaid(self)
     }
 
     fn ends(&self) -> bool {
@@ -267,7 +260,7 @@ acts:
         assert_eq!(graph.acts[0].title("s"), ["one", "waits for the operator", "lasts 0 ms"]);
     }
 
-    /// A name with everything that means something in DOT, Mermaid or HTML.
+    /// A name with everything that means something in DOT or HTML.
     pub(in crate::graph) const HOSTILE: &str =
         r#"a"]; end <script>alert(1)</script> & #quot; `x` \" %% {{ | -->"#;
 
