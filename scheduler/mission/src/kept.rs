@@ -312,7 +312,6 @@ impl Kept {
                 self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
             }
             "act_skipped" => self.course.extend(serde_json::from_slice::<ActOver>(json)),
-            // Failures that only a later version knows are ignored.
             "failed" => self.failures.extend(serde_json::from_slice::<Failure>(json)),
             "dropped" => {
                 // An earlier confirmation belongs to an earlier stop.
@@ -320,7 +319,7 @@ impl Kept {
                 self.dropped.extend(head.robot);
             }
             "stopping" => {
-                // An outcome that only a later version knows is read as a failure.
+                // Without a readable outcome, the mission is stopped as failed.
                 let unknown = Stopping { outcome: Outcome::Failed, rest: head.rest };
                 self.stopping = Some(serde_json::from_slice(json).unwrap_or(unknown));
                 self.stopping_since = self.stopping_since.or(head.at);

@@ -59,8 +59,7 @@ pub fn begins_with(json: &[u8], kind: &[u8]) -> bool {
     begin.windows(kind.len()).any(|bytes| bytes == kind)
 }
 
-/// The reports of the acts that have ended, in order, without attempts that were repeated. Reports that cannot be read, for
-/// example those of an earlier version, are left out.
+/// The reports of the acts that have ended, in order, without attempts that were repeated.
 pub fn ended_acts(bytes: &[u8]) -> impl Iterator<Item = ActReport> {
     #[derive(Deserialize)]
     struct Ended {

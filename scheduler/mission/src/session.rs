@@ -64,8 +64,7 @@ impl<'de> Deserialize<'de> for SessionKey {
 }
 
 impl Session {
-    /// A session that robots know by its name alone: everybody who knows the name can drive them. For simulations, and for
-    /// missions of earlier versions.
+    /// A session that robots know by its name alone: everybody who knows the name can drive them. For simulations.
     #[must_use]
     pub fn named(name: SessionId) -> Self {
         Self { on_the_wire: name.clone(), name }

@@ -143,9 +143,7 @@ impl<'a> Resumption<'a> {
         if !moved.is_empty() {
             return Err(failed(&moved.join("; ")));
         }
-        // A journal of an earlier version has no hash. In this case, `Mission::resume` compares only the acts that were promised.
-        let planned = found.opened.plan_hash;
-        if planned.is_some_and(|hash| hash != certificate::plan_hash(&choreography, &found.opened.asked)) {
+        if found.opened.plan_hash != Some(certificate::plan_hash(&choreography, &found.opened.asked)) {
             let what = "this is not the plan with which the mission began".to_owned();
             return Err(failed(&Changed { what }.to_string()));
         }

@@ -1039,14 +1039,6 @@ pub const PROMISES: &[Promise] = &[
     ),
     (
         Mission,
-        "A journal of an earlier version has no hash; `resume` then compares only the acts that were \
-         promised.",
-        &[Test(
-            "tests/processes/missions/resumed.rs::a_journal_without_a_hash_of_the_plan_compares_only_the_acts_that_were_promised",
-        )],
-    ),
-    (
-        Mission,
         "Two schedulers never drive one robot: a robot belongs to one session until that session ends, \
          and refuses every other one with `busy`, without naming the session that has it.",
         &[

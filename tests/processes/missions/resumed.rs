@@ -104,35 +104,6 @@ fn a_plan_of_which_another_act_was_edited_is_not_resumed() {
     session.run(&["resume"]).says(0, &["evening: done"]);
 }
 
-/// Takes the hash of the plan out of the journal of the only mission, as if an earlier version had begun the mission.
-fn without_hash(session: &Session) {
-    let mission = std::fs::read_dir(session.path("state")).unwrap().next().unwrap().unwrap();
-    let path = mission.path().join("journal");
-    let journal = std::fs::read_to_string(&path).unwrap();
-    let (begin, rest) = journal.split_once('\n').unwrap();
-    let mut opened: serde_json::Map<_, _> = serde_json::from_str(&begin[9..]).unwrap();
-    assert!(opened.remove("plan_hash").is_some(), "{begin}");
-    let opened = serde_json::to_string(&opened).unwrap();
-    let begin = format!("{:08x} {opened}", crc32fast::hash(opened.as_bytes()));
-    std::fs::write(&path, format!("{begin}\n{rest}")).unwrap();
-}
-
-#[test]
-fn a_journal_without_a_hash_of_the_plan_compares_only_the_acts_that_were_promised() {
-    let (session, _sim) = with_a_long_finale();
-    let text = std::fs::read_to_string(session.path("evening.yaml")).unwrap();
-    let text = text.replace("400ms", "4s");
-    session.file("evening.yaml", &text);
-    killed_in_act(&session, session.command(&["run", "evening.yaml"]), 0);
-    without_hash(&session);
-    let (opening, finale) = text.split_once("- act: finale").unwrap();
-    let edited = |act: &str| act.replace("to: 0}", "to: 10}");
-    session.file("evening.yaml", format!("{}- act: finale{finale}", edited(opening)));
-    session.run(&["resume"]).says(1, &["was promised another script", "restore the files"]);
-    session.file("evening.yaml", format!("{opening}- act: finale{}", edited(finale)));
-    session.run(&["resume"]).says(0, &["evening: done"]);
-}
-
 #[test]
 fn a_robot_that_was_left_out_before_the_crash_is_reported_with_its_failure_and_its_steps() {
     let session = Session::new();

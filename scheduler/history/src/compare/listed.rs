@@ -25,15 +25,10 @@ pub(crate) fn listed(found: &RunDifferences) -> Vec<Listed> {
     {
         all.extend(robots.iter().map(|robot| plain(robot, text.to_owned())));
     }
-    if let Some(failures) = &found.failures {
-        let removed = failures.removed.iter().map(|failure| ("no longer failed", failure));
-        let added = failures.added.iter().map(|failure| ("failed", failure));
-        all.extend(
-            removed
-                .chain(added)
-                .map(|(how, failure)| plain(&failure.robot, format!("{how}: {}", failure.text))),
-        );
-    }
+    let removed = found.failures.removed.iter().map(|failure| ("no longer failed", failure));
+    let added = found.failures.added.iter().map(|failure| ("failed", failure));
+    let failures = removed.chain(added);
+    all.extend(failures.map(|(how, failure)| plain(&failure.robot, format!("{how}: {}", failure.text))));
     all.extend(found.acts.iter().flat_map(|act| of_act(act).into_iter().map(|entry| (act.time, entry))));
     all
 }

@@ -6,7 +6,7 @@ use serde_json::Value;
 use urrcp::{Setpoint, Span, Timestamp};
 
 use super::steps::{Movement, TimedStep};
-use crate::history::{self, History};
+use crate::history::History;
 
 /// An act that was sent, or skipped.
 #[derive(Debug)]
@@ -99,12 +99,8 @@ fn unnamed(index: Option<u64>, names: &BTreeMap<u64, String>) -> String {
 }
 
 fn fate(record: Option<&Value>) -> String {
-    let Some(record) = record else { return "its end is not known".to_owned() };
-    match record["fate"].as_str() {
-        Some(fate) => fate.replace('_', " "),
-        // Journals of earlier versions.
-        None => history::fate_text(&record["report"]).to_owned(),
-    }
+    let fate = record.and_then(|record| record["fate"].as_str());
+    fate.map_or_else(|| "its end is not known".to_owned(), |fate| fate.replace('_', " "))
 }
 
 fn scripts(history: &History, record: &Value) -> BTreeMap<(String, String), Vec<SentScript>> {

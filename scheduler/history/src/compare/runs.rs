@@ -24,8 +24,8 @@ pub struct RunDifferences {
     /// Robots that were left out.
     pub(crate) dropped_added: Vec<String>,
     pub(crate) dropped_removed: Vec<String>,
-    /// Why robots failed. `null` if one of the files is a journal of an earlier version, which does not record that.
-    pub(crate) failures: Option<FailureDifferences>,
+    /// Why robots failed.
+    pub(crate) failures: FailureDifferences,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -102,6 +102,7 @@ pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
     let pairs = matched(&acts_a, &acts_b, |act| (act.name.as_str(), act.before));
     let acts = pairs.into_iter().map(|(in_a, in_b)| act((a, in_a), (b, in_b), within));
     let (dropped_a, dropped_b) = (dropped(a), dropped(b));
+    let (failures_a, failures_b) = (failures(a), failures(b));
     let mut found = RunDifferences {
         same: false,
         scenario: Change::of(a.scenario.clone(), b.scenario.clone()),
@@ -109,15 +110,15 @@ pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
         acts: acts.filter(|act| !act.is_empty()).collect(),
         dropped_added: beyond(&dropped_b, &dropped_a),
         dropped_removed: beyond(&dropped_a, &dropped_b),
-        failures: failures(a).zip(failures(b)).map(|(of_a, of_b)| FailureDifferences {
-            added: beyond(&of_b, &of_a),
-            removed: beyond(&of_a, &of_b),
-        }),
+        failures: FailureDifferences {
+            added: beyond(&failures_b, &failures_a),
+            removed: beyond(&failures_a, &failures_b),
+        },
     };
     found.same = found.scenario.is_none()
         && (found.outcome.is_none() && found.acts.is_empty())
         && (found.dropped_added.is_empty() && found.dropped_removed.is_empty())
-        && found.failures.as_ref().is_none_or(|failures| *failures == FailureDifferences::default());
+        && found.failures == FailureDifferences::default();
     found
 }
 
@@ -133,11 +134,11 @@ fn dropped(history: &History) -> Vec<String> {
     dropped.filter_map(|record| record["robot"].as_str().map(str::to_owned)).collect()
 }
 
-fn failures(history: &History) -> Option<Vec<RobotFailure>> {
+fn failures(history: &History) -> Vec<RobotFailure> {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let failure =
         |failed: &Value| RobotFailure { robot: text(&failed["robot"]), text: text(&failed["text"]) };
-    Some(history.failures()?.into_iter().map(failure).collect())
+    history.failures().into_iter().map(failure).collect()
 }
 
 impl Figure {

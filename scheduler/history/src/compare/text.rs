@@ -49,14 +49,12 @@ pub fn run_text(found: &RunDifferences, columns: usize) -> String {
     }
     text.names("robots left out only in the first", &found.dropped_removed);
     text.names("robots left out only in the second", &found.dropped_added);
-    if let Some(failures) = &found.failures {
-        let mut rows = Rows::new(&["failure", "robot", "reason"], usize::MAX);
-        let all = failures.removed.iter().map(|failure| ("only in the first", failure));
-        let all = all.chain(failures.added.iter().map(|failure| ("only in the second", failure)));
-        text.table(all, &mut rows, "failure", |(only, failure)| {
-            vec![only.to_owned(), failure.robot.clone(), failure.text.clone()]
-        });
-    }
+    let mut rows = Rows::new(&["failure", "robot", "reason"], usize::MAX);
+    let failures = found.failures.removed.iter().map(|failure| ("only in the first", failure));
+    let failures = failures.chain(found.failures.added.iter().map(|failure| ("only in the second", failure)));
+    text.table(failures, &mut rows, "failure", |(only, failure)| {
+        vec![only.to_owned(), failure.robot.clone(), failure.text.clone()]
+    });
     for act in &found.acts {
         text.played(act);
     }

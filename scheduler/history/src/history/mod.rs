@@ -34,8 +34,6 @@ pub struct History {
     pub source: HistorySource,
     /// Where the file stops being whole, if it does.
     pub cut_off: Option<String>,
-    /// Whether a journal records the failures of robots. Journals of earlier versions do not.
-    records_failures: bool,
     /// What was decided, as in the journal.
     pub records: Vec<(Timestamp<Server>, Value)>,
     /// What the operator was told.
@@ -196,7 +194,6 @@ impl History {
     }
 
     fn of_journal(records: journal::Records) -> Self {
-        let records_failures = records.opened.plan_hash.is_some();
         let robots = records.opened.robots;
         let cut_off = records.torn.map(|torn| match torn.whole_after {
             0 => format!("its last line, {}, is cut off", torn.line),
@@ -205,7 +202,6 @@ impl History {
         Self {
             scenario: records.opened.name,
             source: HistorySource::Journal,
-            records_failures,
             cut_off,
             records: records.all,
             told: Vec::new(),
@@ -214,15 +210,13 @@ impl History {
         }
     }
 
-    /// The failures of robots, in order; `None` for a journal of an earlier version.
-    pub(crate) fn failures(&self) -> Option<Vec<&Value>> {
+    /// The failures of robots, in order.
+    pub(crate) fn failures(&self) -> Vec<&Value> {
         let (all, kind) = match self.source {
             HistorySource::Recording => (&self.told, "progress"),
             HistorySource::Journal => (&self.records, "record"),
         };
-        let is_known = self.source == HistorySource::Recording || self.records_failures;
-        let failed = all.iter().map(|(_, value)| value).filter(|value| value[kind] == "failed");
-        is_known.then(|| failed.collect())
+        all.iter().map(|(_, value)| value).filter(|value| value[kind] == "failed").collect()
     }
 
     fn of_recording(bytes: &[u8], path: &Path) -> Result<Self, NoHistory> {

@@ -32,39 +32,37 @@ pub use writer::{News, WAITING_MAX, Writer, append_all};
 pub struct Opened {
     /// The name of the mission, by which people know its session.
     pub session: SessionId,
-    /// What follows the name of the session on the wire. `None` in journals of earlier versions: their robots know the name
-    /// alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// What follows the name of the session on the wire. `None` in simulations, whose robots know the name alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub key: Option<SessionKey>,
     /// The process that drives them.
     pub pid: u32,
-    /// The scenario's name; `None` in journals of earlier versions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The scenario's name; `None` in simulations.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The scenario file.
     pub scenario: PathBuf,
     /// The fleet file.
     pub fleet: PathBuf,
-    /// The working directory, where programs that drive robots are started; `None` in journals of earlier versions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// The working directory, where programs that drive robots are started; `None` where it was removed.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
     /// The folder in which the files have to be that scenario and fleet name, if the operator named one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub project: Option<PathBuf>,
     /// The further choices of the operator: acts, robots, speed.
     pub asked: Asked,
-    /// SHA-256 over the plan, as in certificates; `None` in journals of earlier versions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// SHA-256 over the plan, as in certificates; `None` in simulations.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub plan_hash: Option<ContentHash>,
-    /// Starts at fixed times; none in journals of earlier versions.
-    #[serde(default)]
+    /// Starts at fixed times.
     pub fixed: FixedStarts,
     /// Whether robots are asked for their identity.
     pub greeting: Greeting,
     /// The server's time minus this machine's, as NTP said when the mission began.
     #[serde(rename = "clock_offset_ms")]
     pub clock_offset: Span,
-    /// Who speaks to them; empty where that is nobody, and in journals of earlier versions.
+    /// Who speaks to them; empty where that is nobody.
     #[serde(default, skip_serializing_if = "OpenedKeys::is_empty")]
     pub keys: OpenedKeys,
     /// The robots.

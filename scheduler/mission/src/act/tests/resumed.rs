@@ -31,6 +31,17 @@ pub(super) fn taken_up(reached: Reached, before_start: Span) -> Bench {
 }
 
 #[test]
+fn an_act_of_which_another_script_was_promised_is_not_taken_up() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    let (other, mut promise) = promised(&scripts);
+    promise.scripts[1].content_hash = urrcp::Command::ReadSensor.content_hash();
+    let (choreography, robots) = (Arc::clone(&other.act.choreography), robots(&[Tells::Everything; 2], 2));
+    let changed = Act::take_up(choreography, &promise, Reached::Decision, &robots, promise.start).err();
+    let changed = changed.unwrap().to_string();
+    assert!(changed.contains("device `a` was promised another script"), "{changed}");
+}
+
+#[test]
 fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn() {
     for (before_start, commits) in [(ms(330), true), (ms(200), false), (ms(20), false), (ms(-500), false)] {
         let mut bench = taken_up(Reached::Decision, before_start);
