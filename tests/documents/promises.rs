@@ -1,8 +1,8 @@
 //! Each sentence of `docs/mission.md` and `docs/protocol.md` that promises a behaviour has a judge, which finds a violation, and a
-//! planted fault that this judge finds. The sentences are in [`table`], as [`sentences`] reads them.
+//! planted fault that this judge finds. `promises/table.txt` has the sentences, as [`sentences`] reads them, in the order of their
+//! documents, each followed by its judges, or by the reason why it promises nothing.
 
 mod sentences;
-mod table;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,30 +11,31 @@ use downbeat_simulation::Verdict;
 use stage::session::root;
 
 use sentences::sentences;
-use table::{NO_PROMISES, PROMISES};
 
-/// Which document a sentence is in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Document {
-    Mission,
-    Protocol,
+const TABLE: &str = include_str!("promises/table.txt");
+const DOCUMENTS: [&str; 2] = ["docs/mission.md", "docs/protocol.md"];
+
+/// A sentence of the table.
+struct Row {
+    document: &'static str,
+    sentence: &'static str,
+    judges: Vec<Judge>,
+    /// Why it promises nothing.
+    reason: Option<&'static str>,
 }
 
 /// What finds a violation of a promise, and what shows that it does.
 #[derive(Clone, Copy, Debug)]
-pub enum Judge {
+enum Judge {
     /// The simulation, by this invariant. It is violated if this patch in `scheduler/simulation/planted` is applied.
-    Simulation(char, &'static str),
+    Simulation(&'static str, &'static str),
     /// The simulation, by this invariant. This test of `scheduler/simulation/src/check/tests.rs` makes a mission violate it.
-    Falsified(char, &'static str),
+    Falsified(&'static str, &'static str),
     /// The conformance test, by this requirement. This robot or door of `tests/processes/conformance` fails it.
     Conformance(&'static str, &'static str),
     /// A test, written as `file::name`, that fails if the promise is broken.
     Test(&'static str),
 }
-
-/// A sentence with its judges.
-pub type Promise = (Document, &'static str, &'static [Judge]);
 
 /// The words by which these documents promise.
 const PROMISING: [&str; 12] = [
@@ -59,17 +60,36 @@ const FALSIFIED: &str = "scheduler/simulation/src/check/tests.rs";
 /// The robots and doors with faults.
 const FAULTY: &str = "tests/processes/conformance";
 
-impl Document {
-    const fn path(self) -> &'static str {
-        match self {
-            Self::Mission => "docs/mission.md",
-            Self::Protocol => "docs/protocol.md",
+impl Judge {
+    /// Reads a line of the table.
+    fn of(line: &'static str) -> Self {
+        let parts = line.split_once(' ').and_then(|(kind, rest)| match kind {
+            "test" => Some(Self::Test(rest)),
+            "conformance" => rest.split_once(": ").map(|(name, fault)| Self::Conformance(name, fault)),
+            "simulation" => rest.split_once(' ').map(|(letter, patch)| Self::Simulation(letter, patch)),
+            "falsified" => rest.split_once(' ').map(|(letter, test)| Self::Falsified(letter, test)),
+            _ => None,
+        });
+        parts.unwrap_or_else(|| panic!("`{line}` is no judge"))
+    }
+}
+
+fn rows() -> Vec<Row> {
+    let (mut rows, mut document) = (Vec::<Row>::new(), "");
+    for line in TABLE.lines().filter(|line| !line.is_empty()) {
+        match (line.strip_prefix("# "), line.strip_prefix("  ")) {
+            (Some(path), _) => document = path,
+            (_, Some(below)) => {
+                let row = rows.last_mut().unwrap();
+                match below.strip_prefix("none: ") {
+                    Some(reason) => row.reason = Some(reason),
+                    None => row.judges.push(Judge::of(below)),
+                }
+            }
+            _ => rows.push(Row { document, sentence: line, judges: Vec::new(), reason: None }),
         }
     }
-
-    fn sentences(self) -> Vec<String> {
-        sentences(&read(self.path()))
-    }
+    rows
 }
 
 fn read(name: &str) -> String {
@@ -86,21 +106,14 @@ fn promises(sentence: &str) -> bool {
     })
 }
 
-/// All sentences of both tables.
-fn listed() -> impl Iterator<Item = (Document, &'static str)> {
-    let promises = PROMISES.iter().map(|(document, sentence, _)| (*document, *sentence));
-    promises.chain(NO_PROMISES.iter().map(|(document, sentence, _)| (*document, *sentence)))
-}
-
 #[test]
-fn each_sentence_is_in_its_document_and_once_in_the_tables() {
+fn each_sentence_is_in_its_document_and_once_in_the_table() {
     let mut wrong = Vec::new();
     let mut seen = BTreeSet::new();
-    let documents = [Document::Mission, Document::Protocol];
-    let known: BTreeMap<_, _> = documents.map(|document| (document, document.sentences())).into();
-    for (document, sentence) in listed() {
-        if !known[&document].iter().any(|known| known == sentence) {
-            wrong.push(format!("{} lacks: {sentence}", document.path()));
+    let known: BTreeMap<_, _> = DOCUMENTS.map(|document| (document, sentences(&read(document)))).into();
+    for Row { document, sentence, .. } in rows() {
+        if !known[document].iter().any(|known| known == sentence) {
+            wrong.push(format!("{document} lacks: {sentence}"));
         }
         if !seen.insert((document, sentence)) {
             wrong.push(format!("twice: {sentence}"));
@@ -140,7 +153,8 @@ fn faulty_sources() -> Vec<String> {
 #[test]
 fn each_judge_and_each_planted_fault_exists() {
     let (faulty, mut sources) = (faulty_sources(), BTreeMap::new());
-    let is_invariant = |letter: char| Verdict::INVARIANTS.iter().any(|(known, _)| *known == letter);
+    let is_invariant =
+        |letter: &str| Verdict::INVARIANTS.iter().any(|(known, _)| letter == known.to_string());
     let mut test = |path: &str, name: &str| {
         let source = sources
             .entry(path.to_owned())
@@ -148,18 +162,18 @@ fn each_judge_and_each_planted_fault_exists() {
         has_test(source, name)
     };
     let mut wrong = Vec::new();
-    for (_, sentence, judges) in PROMISES {
-        if judges.is_empty() {
-            wrong.push(format!("nothing judges: {sentence}"));
+    for Row { sentence, judges, reason, .. } in rows() {
+        if judges.is_empty() == reason.is_none() {
+            wrong.push(format!("expected judges, or a reason why it promises nothing: {sentence}"));
         }
-        for judge in *judges {
+        for judge in judges {
             let exists = match judge {
                 Judge::Simulation(letter, patch) => {
-                    is_invariant(*letter) && root().join(PLANTED).join(format!("{patch}.patch")).is_file()
+                    is_invariant(letter) && root().join(PLANTED).join(format!("{patch}.patch")).is_file()
                 }
-                Judge::Falsified(letter, name) => is_invariant(*letter) && test(FALSIFIED, name),
+                Judge::Falsified(letter, name) => is_invariant(letter) && test(FALSIFIED, name),
                 Judge::Conformance(name, fault) => {
-                    requirements().any(|known| known.name == *name) && is_failed_by(&faulty, name, fault)
+                    requirements().any(|known| known.name == name) && is_failed_by(&faulty, name, fault)
                 }
                 Judge::Test(place) => place.rsplit_once("::").is_some_and(|(path, name)| test(path, name)),
             };
@@ -172,27 +186,26 @@ fn each_judge_and_each_planted_fault_exists() {
 }
 
 #[test]
-fn each_sentence_that_promises_something_is_in_a_table() {
-    let listed: BTreeSet<_> = listed().collect();
+fn each_sentence_that_promises_something_is_in_the_table() {
+    let listed: BTreeSet<_> = rows().iter().map(|row| (row.document, row.sentence)).collect();
     let mut missing = Vec::new();
-    for document in [Document::Mission, Document::Protocol] {
-        for sentence in document.sentences() {
+    for document in DOCUMENTS {
+        for sentence in sentences(&read(document)) {
             if promises(&sentence) && !listed.contains(&(document, sentence.as_str())) {
-                missing.push(format!("{}: {sentence}", document.path()));
+                missing.push(format!("{document}: {sentence}"));
             }
         }
     }
-    let todo = "give it a judge in tests/documents/promises/table.rs, or say there why it promises nothing";
+    let todo = "give it a judge in tests/documents/promises/table.txt, or say there why it promises nothing";
     assert!(missing.is_empty(), "{todo}:\n{}", missing.join("\n"));
-    let reasons = NO_PROMISES.iter().all(|(.., reason)| reason.ends_with('.'));
-    assert!(reasons, "a sentence that promises nothing needs a reason");
 }
 
 #[test]
 fn the_document_states_the_figures() {
-    let with = |of: fn(&Judge) -> bool| PROMISES.iter().filter(|(.., judges)| judges.iter().any(of)).count();
+    let rows = rows();
+    let with = |of: fn(&Judge) -> bool| rows.iter().filter(|row| row.judges.iter().any(of)).count();
     let figures = [
-        ("promises", PROMISES.len()),
+        ("promises", with(|_| true)),
         (
             "judged by an invariant",
             with(|judge| matches!(judge, Judge::Simulation(..) | Judge::Falsified(..))),
