@@ -2,27 +2,14 @@
 //! bounded memory; findings stand in the text, and there is a choreography exactly when there is no error.
 #![no_main]
 
-use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::LazyLock;
 
 use downbeat_scripts::{
-    Address, Body, Coordinate, Files, Finding, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Shape, Source,
-    Space, compile, render, sarif,
+    Address, Body, Coordinate, Files, Finding, Fleet, FleetRobot, NoFiles, Severity, Shape, Source, compile,
+    read_fleet, render, sarif,
 };
 use libfuzzer_sys::fuzz_target;
-
-const ARM: &str = r#"{"id": "arm", "api_version": "1", "devices": [
-  {"id": "d", "name": "d", "default_value": 0, "interpolation": "linear", "script_queue": 2, "available_control_types": {
-     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
-     "speed": {"min_value": -60, "max_value": 60, "granularity": 1},
-     "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 64, "control_types": ["position"]}}},
-  {"id": "s", "name": "s", "available_control_types": {"sensor": {"min_value": 0, "max_value": 4}}}]}"#;
-const ROVER: &str = r#"{"id": "rover", "api_version": "1", "devices": [
-  {"id": "d", "name": "d", "default_value": 0, "available_control_types": {
-     "speed": {"min_value": -1, "max_value": 1, "granularity": 0.001, "max_error": 0.1},
-     "script": {"min_value": -1, "max_value": 1, "granularity": 0.001, "max_number_of_steps": 64}}},
-  {"id": "c", "name": "c", "available_control_types": {"custom_1": {},
-     "script": {"min_value": -1, "max_value": 1, "granularity": 1, "max_number_of_steps": 64}}}]}"#;
 
 /// Bodies of these go into formations.
 const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
@@ -40,7 +27,8 @@ const DRONE: &str = r#"{"id": "drone", "api_version": "1", "devices": [
 fn drone(name: &str, along: f64) -> FleetRobot {
     let mut init: urrcp::InitializationBlock = serde_json::from_str(DRONE).unwrap();
     init.id = urrcp::RobotId::new(name).unwrap();
-    let device = |id: &str, offset: f64| Coordinate::Device { device: id.parse().unwrap(), scale: 1.0, offset };
+    let device =
+        |id: &str, offset: f64| Coordinate::Device { device: id.parse().unwrap(), scale: 1.0, offset };
     let coordinates = [device("x", along), device("y", 0.0), device("z", 0.0), Coordinate::Fixed(0.0)];
     let body = Body {
         coordinates,
@@ -52,21 +40,15 @@ fn drone(name: &str, along: f64) -> FleetRobot {
     FleetRobot { body: Some(body), ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
 }
 
+/// The robots for which the scenarios of `tests/sessions/findings` are written, which are seeds, and four drones.
 static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
-    let robot = |name: &str, block: &str| {
-        let mut init: urrcp::InitializationBlock = serde_json::from_str(block).unwrap();
-        init.id = urrcp::RobotId::new(name).unwrap();
-        let limits =
-            BTreeMap::from([("d".to_owned(), RateLimits { speed: None, acceleration: Some(500.0) })]);
-        FleetRobot { limits, ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
-    };
-    let mut robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
-    robots.extend([drone("e", 0.0), drone("f", 1.0), drone("g", 2.0), drone("h", 3.0)]);
-    let ids = |robots: &[FleetRobot]| robots.iter().map(|robot| robot.id.clone()).collect();
-    let groups =
-        BTreeMap::from([("ab".to_owned(), ids(&robots[..2])), ("drones".to_owned(), ids(&robots[3..]))]);
-    let space = Space { distance: Some(0.2), ..Space::default() };
-    Fleet { robots, groups, space, ..Fleet::default() }
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/sessions/findings/folder/fleet.yaml");
+    let mut fleet = read_fleet(&path).0.unwrap();
+    let drones = [drone("e", 0.0), drone("f", 1.0), drone("g", 2.0), drone("h", 3.0)];
+    fleet.groups.insert("drones".to_owned(), drones.iter().map(|drone| drone.id.clone()).collect());
+    fleet.robots.extend(drones);
+    fleet.space.distance = Some(0.2);
+    fleet
 });
 
 /// The only file that there is.
