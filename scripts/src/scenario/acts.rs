@@ -252,34 +252,23 @@ pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
 /// One word for all, or a map with `default`, `then` and words for robots or groups.
 pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
     let Node::Map(_) = at.node else {
-        return OnFailureRule { default: failure_word(reader, at), ..OnFailureRule::default() };
+        return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
     };
     let mut rule = OnFailureRule::default();
     for (key, at) in reader.entries(at, "robot, `default` or `then` to what happens") {
         match key {
-            "default" => rule.default = failure_word(reader, &at),
+            "default" => rule.default = reader.word(&at, &ON_FAILURE),
             "then" => {
                 let text = reader.name(&at, "the name of an act");
                 rule.then = text.map(|text| Name { text, place: at.place() });
             }
             robot => {
                 let name = Name { text: robot.to_owned(), place: at.key_place() };
-                rule.robots.extend(failure_word(reader, &at).map(|word| (name, word)));
+                rule.robots.extend(reader.word(&at, &ON_FAILURE).map(|word| (name, word)));
             }
         }
     }
     rule
-}
-
-/// What happens on a failure. The words of earlier versions name their successors.
-fn failure_word(reader: &mut Reader, at: &At<'_>) -> Option<OnFailure> {
-    let successor = |word: &str| {
-        matches!(word, "abort" | "hold").then(|| {
-            "write `stop`, which leaves robots where they come to rest, or `home`, which sends them to their default state"
-                .to_owned()
-        })
-    };
-    reader.word_or(at, &ON_FAILURE, successor)
 }
 
 /// A hint for an unknown condition of an act.
