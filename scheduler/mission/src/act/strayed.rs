@@ -3,7 +3,7 @@
 
 use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
-use super::{Act, ActAction, Stage};
+use super::{Act, ActAction, Member, Stage};
 use crate::ClockMode;
 use crate::clock::DRIFT_BOUND;
 use crate::failure_kind::FailureKind;
@@ -37,10 +37,26 @@ impl Act {
     ) -> Option<FailureKind> {
         let timing = self.timing.as_ref().filter(|_| self.is_committed())?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
-        let state = &robots[robot];
-        if member.clock_steps == Some(state.clock.steps()) {
+        if member.clock_steps == Some(robots[robot].clock.steps()) {
             return None;
         }
+        let (deviation, uncertainty) = self.deviation(member, now, robots)?;
+        let offset = deviation - self.middle_of_deviations(member, now, robots)?;
+        let tolerance = self.written().plan.start_tolerance;
+        let drift = Span::from_millis_f64((now - timing.timestamp).as_millis_f64() * DRIFT_BOUND);
+        let is_certain = offset.abs() > tolerance + uncertainty + drift;
+        is_certain.then_some(FailureKind::Clock { offset, uncertainty, tolerance })
+    }
+
+    /// How far off the plan a robot would start the scripts that it has not begun, positive if it is early, and how uncertain that is.
+    fn deviation(
+        &self,
+        member: &Member,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+    ) -> Option<(Span, Span)> {
+        let timing = self.timing.as_ref()?;
+        let state = &robots[member.robot];
         let reading = state.clock_at(now)?;
         let known = timing.skew.as_ref().and_then(|skew| skew.offset_of(&state.id));
         let (left, uncertainty) = match (known, state.settings.clock) {
@@ -49,17 +65,30 @@ impl Act {
             // The offset that it had is not known.
             (None, ClockMode::Ntp) => return None,
         };
-        let tolerance = self.written().plan.start_tolerance;
-        let drift = Span::from_millis_f64((now - timing.timestamp).as_millis_f64() * DRIFT_BOUND);
-        let allowed = tolerance + reading.uncertainty + uncertainty + drift;
-        let ahead = |script: &Script| timing.start + script.plan.start.span() > now;
-        let deviations = member
-            .under_way()
-            .filter(|(_, script)| ahead(script))
-            .map(|(_, script)| reading.offset - left - member.shift_of(script));
-        let offset = deviations.max_by_key(|deviation| deviation.abs())?;
-        let uncertainty = reading.uncertainty;
-        (offset.abs() > allowed).then_some(FailureKind::Clock { offset, uncertainty, tolerance })
+        let ahead = |script: &&Script| timing.start + script.plan.start.span() > now;
+        let scripts = member.under_way().map(|(_, script)| script);
+        let deviations = scripts
+            .filter(|script| ahead(script) && !script.shift_is_lost())
+            .map(|script| reading.offset - left - member.shift_of(script));
+        let deviation = deviations.max_by_key(|deviation| deviation.abs())?;
+        Some((deviation, reading.uncertainty + uncertainty))
+    }
+
+    /// By how much all members seem to be off because this machine's clock is not the one by which another process translated their
+    /// scripts; zero for an act that this process has sent. `None` if nothing distinguishes a robot from this machine.
+    fn middle_of_deviations(
+        &self,
+        member: &Member,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+    ) -> Option<Span> {
+        if member.clock_steps.is_some() {
+            return Some(Span::ZERO);
+        }
+        let deviations = self.present().filter_map(|member| self.deviation(member, now, robots));
+        let mut deviations: Vec<Span> = deviations.map(|(deviation, _)| deviation).collect();
+        deviations.sort_unstable();
+        (deviations.len() > 2).then(|| deviations[deviations.len() / 2])
     }
 
     fn by_index(

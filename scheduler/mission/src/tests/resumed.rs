@@ -358,3 +358,36 @@ fn an_act_that_plays_keeps_the_doubt_that_was_stated_at_its_decision() {
     assert_eq!(resumed.run_to_the_end(), Outcome::Done);
     assert_eq!(Some(resumed.mission.reports[0].doubt), stated);
 }
+
+/// An act of three robots whose clocks are measured, as another process resumes it: their clocks are ahead of its own by this much.
+fn resumed_with_clocks(ahead: [i64; 3]) -> Vec<(usize, FailureKind)> {
+    let chain = [("a", 0, 300), ("a", 400, 300), ("a", 800, 300), ("a", 1_200, 300)];
+    let scripts: [&[Planned]; 3] = [&chain; 3];
+    let participant =
+        |id: &str| Participant::new(RobotId::new(id).unwrap(), robot(id, Tells::Nothing, 2).block);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let participants = ["r0", "r1", "r2"].map(participant).to_vec();
+    let mut mission = Mission::new(Arc::new(choreography(&scripts)), participants, options, at(0)).unwrap();
+    mission.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
+    let mut played = Played::linked(mission, &[0, 1, 2]);
+    played.run_until(at(50));
+    played.run_to_the_start();
+    let mut resumed = resumed_after(&played, 100);
+    resumed.mission.robots.iter_mut().for_each(|robot| robot.settings.clock = ClockMode::Measured);
+    resumed.ahead = ahead.into_iter().map(ms).enumerate().collect();
+    resumed.run_until(resumed.now + ms(100));
+    let failures = |(index, robot): (usize, &RobotState)| {
+        robot.failures.iter().map(move |failure| (index, failure.kind.clone())).collect::<Vec<_>>()
+    };
+    resumed.mission.robots.iter().enumerate().flat_map(failures).collect()
+}
+
+#[test]
+fn a_robot_whose_clock_was_set_before_an_act_was_resumed_fails_and_not_all_after_this_machines_was() {
+    assert_eq!(resumed_with_clocks([0, 0, 0]), []);
+    assert_eq!(resumed_with_clocks([-2_000; 3]), [], "the clock of this machine was set");
+    for ahead in [[0, 2_000, 0], [-2_000, 0, -2_000]] {
+        let failures = resumed_with_clocks(ahead);
+        assert!(matches!(failures.as_slice(), [(1, FailureKind::Clock { .. })]), "{ahead:?}: {failures:?}");
+    }
+}
