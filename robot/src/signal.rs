@@ -216,14 +216,18 @@ pub(crate) fn with_values(first: Setpoint, driven: Option<&Setpoint>) -> Setpoin
     Setpoint { more: vec![0.0; more].into(), ..first }
 }
 
-/// The assumed value of a signal before any command: its default value, or else its value at rest, or else the value within its
-/// limits that is nearest to zero.
+/// The assumed value of a signal before any command. A speed or an acceleration rests, whatever the default state of the device is: a
+/// stop that slowed it down from another value would start a movement. Any other signal has its default value, or else its value at
+/// rest, or else the value within its limits that is nearest to zero.
 pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
     let limits = spec.available_control_types.limits(control_type);
     let rest = || rest_of(spec, control_type, None).map(|rest| rest.value);
-    default_of(spec, control_type)
-        .or_else(rest)
-        .unwrap_or_else(|| limits.map_or(0.0, |limits| 0.0_f64.max(limits.min_value).min(limits.max_value)))
+    let home = || default_of(spec, control_type);
+    let first = match control_type {
+        ControlType::Speed | ControlType::Acceleration => rest(),
+        _ => home().or_else(rest),
+    };
+    first.unwrap_or_else(|| limits.map_or(0.0, |limits| 0.0_f64.max(limits.min_value).min(limits.max_value)))
 }
 
 #[cfg(test)]

@@ -518,6 +518,24 @@ fn an_acceleration_of_nothing_slows_nothing_down() {
     }
 }
 
+#[test]
+fn a_stop_turns_no_wheel_that_no_command_has_driven_whatever_its_default_state() {
+    let wheel = r#"{"id": "wheel", "default_value": 8, "available_control_types": {
+        "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+        "acceleration": {"min_value": -4, "max_value": 4, "granularity": 1}}}"#;
+    let stop = |home| {
+        let mut bench = bench_of(wheel, true);
+        let id = DeviceId::new("wheel").unwrap();
+        let stop = ControlRequest::immediate(id, Command::Script(Script::cancel()));
+        bench.request(ControlRequest { home, ..stop });
+        let speed = |millis| bench.robot.value("wheel", ControlType::Speed, at(millis)).unwrap();
+        (bench.sets().iter().map(|set| set.motion.clone()).collect::<Vec<_>>(), [0, 1_000, 9_000].map(speed))
+    };
+    let rest = Motion::Rest(Setpoint::new(ControlType::Speed, 0.0));
+    assert_eq!(stop(false), (vec![rest], [0.0; 3]));
+    assert_eq!(stop(true).1, [0.0, 4.0, 8.0], "home within its acceleration");
+}
+
 /// What becomes of a script of the arm for which the robot wakes up so many nanoseconds late.
 fn woken_late(nanos: i64) -> (Vec<String>, Option<u32>) {
     let mut bench = Bench::new();
