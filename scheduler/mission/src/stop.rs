@@ -203,9 +203,10 @@ impl Mission {
                 self.repeat_stop(now, robot);
             }
         }
+        // Two answers from one instant would not show that a device moves.
+        self.ask_poses_again(now);
         // Robots that rest do not wait for the confirmations of others, which may never come.
         let _all = self.poses_are_known(now);
-        self.ask_poses_again(now);
         self.stop_progress(now);
     }
 

@@ -29,6 +29,8 @@ pub(super) struct Played {
     pub(super) mute: Vec<usize>,
     /// The positions that the robots state for their devices.
     pub(super) positions: HashMap<DeviceId, f64>,
+    /// Until when devices slow down, and by how much they are away from their positions for each millisecond before that.
+    pub(super) slows: Option<(Timestamp<Server>, f64)>,
     /// Whether robots state the positions of all devices in each answer to an inquiry.
     pub(super) states_all: bool,
     /// The times by which the clocks of robots are ahead of the server's.
@@ -67,6 +69,7 @@ impl Played {
             arrivals,
             mute: Vec::new(),
             positions: HashMap::new(),
+            slows: None,
             states_all: false,
             ahead: HashMap::new(),
             told: Vec::new(),
@@ -194,7 +197,8 @@ impl Played {
         });
         let requests = requests.collect();
         let stated = |device: &DeviceId| {
-            let position = self.positions.get(device).copied();
+            let away = self.slows.map_or(0.0, |(until, by)| (until - when).as_millis_f64().max(0.0) * by);
+            let position = self.positions.get(device).map(|position| position + away);
             DeviceReport { device_id: device.clone(), room: 2, position }
         };
         let devices = match self.states_all {

@@ -164,12 +164,17 @@ fn if_no_robot_can_take_part_nobody_goes_home() {
     assert_eq!(played.mission.home(), Some(&TransferReport::NotPlanned { reason }));
 }
 
+/// The process of the second robot has ended.
+fn gone() -> Event {
+    Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() }
+}
+
 #[test]
 fn a_robot_that_is_gone_does_not_keep_the_others_from_home() {
     let (mut played, _) = plays(Ok(true), OnFailure::Stop);
     played.mute = vec![1];
     says(&mut played, Rest::Home);
-    played.happens(Event::LinkDown { robot: 1, loss: Loss::Refused, reason: "refused".to_owned() });
+    played.happens(gone());
     assert_eq!(played.run_to_the_end(), Outcome::Stopped);
     let without = vec![RobotId::new("r1").unwrap()];
     assert_eq!(played.mission.home(), Some(&TransferReport::Planned { act: "home".to_owned(), without }));
@@ -256,6 +261,12 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
 
 /// Fails the mission while it plays. The robots come to rest as given, and another act follows.
 fn fails_towards_another_act(played: &mut Played, rest: Rest) {
+    stops_before_another_act(played, rest);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+}
+
+/// The same up to the stop.
+fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
     after.name = "after".to_owned();
@@ -265,7 +276,6 @@ fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     played.mission.abort_because(played.now, failed, rest, Some(1));
     let actions = std::mem::take(&mut played.mission.actions);
     played.carry_out(actions);
-    assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
 #[test]
@@ -305,6 +315,19 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
         let jumped = played.told.iter().any(jumps);
         assert_eq!(jumped, !plays_it, "from {rests_at}");
     }
+}
+
+#[test]
+fn a_device_that_slows_down_while_another_robot_is_silent_goes_home_from_where_it_rests() {
+    let (mut played, planner) = plays(Ok(true), OnFailure::Stop);
+    played.mute = vec![1];
+    played.slows = Some((played.now + ms(700), 0.01));
+    says(&mut played, Rest::Home);
+    played.happens(gone());
+    let _outcome = played.run_to_the_end();
+    let from = planner.from.lock().unwrap();
+    let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
+    assert_eq!(stated, [&45.0]);
 }
 
 #[test]
