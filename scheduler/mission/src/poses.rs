@@ -12,7 +12,7 @@ use urrcp::{
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::prepare::answers_within;
-use super::robot_state::{Reading, RobotState, Standing};
+use super::robot_state::{PositionsAsked, Reading, RobotState, Standing};
 use super::{Greeting, Join, Mission, Phase};
 
 /// The position that the first step of a device expects.
@@ -22,6 +22,12 @@ pub(super) struct Expected {
     /// Largest permitted distance from `position`.
     pub(super) within: f64,
 }
+
+/// A device that a stop has left adrift may slow down for some time. Its position is asked for again until it no longer changes, for
+/// this long at most.
+const SLOWS_MAX: Span = Span::from_millis(4_000);
+/// From the second question on, the least time between two of them.
+const ASK_AGAIN: Span = Span::from_millis(100);
 
 /// Maximum number of sensors per robot that are read only for display.
 const SHOWN_MAX: usize = 64;
@@ -51,6 +57,13 @@ impl RobotState {
     fn can_tell_position(&self, device: &DeviceId) -> bool {
         let described = || self.block.as_ref()?.device(device.as_str())?.available_control_types.sensor();
         self.takes_inquiries() || described().is_some()
+    }
+
+    /// Whether two statements of a device's position may be of the same position.
+    fn is_same_position(&self, device: &DeviceId, one: f64, other: f64) -> bool {
+        let is_read = self.positions.iter().any(|(read, _)| read == device);
+        let error = self.error_of(device).filter(|_| is_read).unwrap_or_default();
+        (one - other).abs() <= error
     }
 
     fn known_position(&self, device: &DeviceId) -> Option<f64> {
@@ -138,8 +151,9 @@ impl Mission {
         }
     }
 
-    /// Asks members of an act for the positions of their devices if the greeting has not checked them. Returns the time by which
-    /// answers are due, if answers are still expected. A robot that joined late and does not answer by then is absent again.
+    /// Asks members of an act for the positions of their devices if the greeting has not checked them, and again as long as a device
+    /// slows down. Returns the time by which answers are due, if answers are still expected. A robot that joined late and does not
+    /// answer by then is absent again.
     pub(super) fn await_positions(
         &mut self,
         now: Timestamp<Server>,
@@ -148,13 +162,21 @@ impl Mission {
         let number = self.acts[index].number();
         let (mut due, mut silent) = (None, Vec::new());
         for robot in self.unplaced(&self.acts[index]) {
-            let asked = self.robots[robot].positions_asked.filter(|(act, _)| *act == number);
-            let at = asked.map_or(now, |(_, at)| at);
-            if asked.is_none() {
+            let asked = self.robots[robot].positions_asked.clone().filter(|asked| asked.act == number);
+            let (mut at, next) = match asked {
+                None => (
+                    now,
+                    Some((now, PositionsAsked { act: number, at: now, since: now, before: BTreeMap::new() })),
+                ),
+                Some(asked) => (asked.at, self.asked_again(now, index, robot, asked)),
+            };
+            due = due.max(next.as_ref().map(|(when, _)| *when).filter(|when| now < *when));
+            if let Some((_, question)) = next.filter(|(when, _)| *when <= now) {
                 let scripts = self.unplaced_of(&self.acts[index], robot);
                 let devices: Vec<_> = scripts.map(|script| script.device.clone()).collect();
                 self.robots[robot].forget_positions();
-                self.robots[robot].positions_asked = Some((number, now));
+                at = question.at;
+                self.robots[robot].positions_asked = Some(question);
                 if self.robots[robot].takes_inquiries() {
                     self.ask_positions_of(now, robot, &devices);
                 } else {
@@ -183,6 +205,33 @@ impl Mission {
             self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
         }
         due
+    }
+
+    /// The next question to a robot that has answered, and when it is asked: as long as a device that a stop has left adrift is not
+    /// where the answer before had it.
+    fn asked_again(
+        &self,
+        now: Timestamp<Server>,
+        index: usize,
+        robot: usize,
+        asked: PositionsAsked,
+    ) -> Option<(Timestamp<Server>, PositionsAsked)> {
+        let state = &self.robots[robot];
+        if state.owes_positions() || now >= asked.since + SLOWS_MAX {
+            return None;
+        }
+        let scripts = self.unplaced_of(&self.acts[index], robot);
+        let adrift = scripts.map(|script| &script.device).filter(|device| state.adrift.contains(*device));
+        let stated = adrift.filter_map(|device| Some((device.clone(), state.known_position(device)?)));
+        let stated: BTreeMap<DeviceId, f64> = stated.collect();
+        let rests = |(device, position): (&DeviceId, &f64)| {
+            asked.before.get(device).is_some_and(|before| state.is_same_position(device, *before, *position))
+        };
+        if stated.iter().all(rests) {
+            return None;
+        }
+        let at = if asked.before.is_empty() { now } else { now.max(asked.at + ASK_AGAIN) };
+        Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 
     /// Members that were asked and would have to jump at their first step. A robot that does not answer is included only if no

@@ -248,8 +248,8 @@ pub(crate) struct RobotState {
     pub(crate) unplaced: bool,
     /// Devices that a stop has left at positions that the next act that moves them may not expect.
     pub(crate) adrift: BTreeSet<DeviceId>,
-    /// The last act that asked it for positions on this link, and when.
-    pub(crate) positions_asked: Option<(u32, Timestamp<Server>)>,
+    /// The last question for positions of an act on this link.
+    pub(crate) positions_asked: Option<PositionsAsked>,
     /// It was not there when an act was sent in which it has a part.
     pub(crate) has_missed_an_act: bool,
     pub(crate) block: Option<InitializationBlock>,
@@ -312,6 +312,17 @@ const RETRY_AFTER: Span = Span::from_millis(10);
 const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
 /// What is overtaken by a question may come so long after it was sent.
 const UNDER_WAY: Span = Span::from_millis(1_000);
+
+/// A question for the positions of a robot's devices before an act.
+#[derive(Clone, Debug)]
+pub(crate) struct PositionsAsked {
+    pub(crate) act: u32,
+    pub(crate) at: Timestamp<Server>,
+    /// When the act asked first.
+    pub(crate) since: Timestamp<Server>,
+    /// The positions of devices adrift that answered the question before.
+    pub(crate) before: BTreeMap<DeviceId, f64>,
+}
 
 impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {

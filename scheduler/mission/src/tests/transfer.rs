@@ -261,12 +261,6 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
 
 /// Fails the mission while it plays. The robots come to rest as given, and another act follows.
 fn fails_towards_another_act(played: &mut Played, rest: Rest) {
-    stops_before_another_act(played, rest);
-    assert_eq!(played.run_to_the_end(), Outcome::Failed);
-}
-
-/// The same up to the stop.
-fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
     after.name = "after".to_owned();
@@ -276,6 +270,7 @@ fn stops_before_another_act(played: &mut Played, rest: Rest) {
     played.mission.abort_because(played.now, failed, rest, Some(1));
     let actions = std::mem::take(&mut played.mission.actions);
     played.carry_out(actions);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
 #[test]
@@ -314,6 +309,23 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
         let jumps = |told: &Progress| matches!(told, Progress::Failed(failure) if matches!(failure.kind, FailureKind::Position { .. }));
         let jumped = played.told.iter().any(jumps);
         assert_eq!(jumped, !plays_it, "from {rests_at}");
+    }
+}
+
+#[test]
+fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_act_after_a_failure() {
+    // The first step of the act is at 45. At first, the device is close to it.
+    for (rests_at, plays_it) in [(60.0, false), (45.0, true)] {
+        let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+        played.mission.options.transfer = None;
+        for robot in &mut played.mission.robots {
+            let devices = robot.block.iter_mut().flat_map(|block| block.devices.iter_mut());
+            devices.for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+        }
+        played.positions = [("a".parse().unwrap(), rests_at)].into();
+        played.slows = Some((played.now + ms(1_000), (44.9 - rests_at) / 1_000.0));
+        fails_towards_another_act(&mut played, Rest::InPlace);
+        assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "to {rests_at}");
     }
 }
 
