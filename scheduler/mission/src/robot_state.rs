@@ -579,6 +579,14 @@ impl RobotState {
         device.map_or(1, |device| device.script_queue as usize)
     }
 
+    /// Its stop is over. A robot that was left out stays stopped.
+    pub(crate) fn plays_again(&mut self) {
+        if self.standing != Standing::Out {
+            (self.stop, self.at_rest) = (Stop::None, true);
+            self.left.clear();
+        }
+    }
+
     pub(crate) const fn stop_was_sent(&self) -> bool {
         !matches!(self.stop, Stop::None)
     }

@@ -314,11 +314,8 @@ impl Mission {
     }
 
     pub(super) fn perform_again(&mut self) {
-        let plays = |robot: &&mut RobotState| robot.standing != Standing::Out && robot.is_settled();
-        for robot in self.robots.iter_mut().filter(plays) {
-            robot.stop = Stop::None;
-            robot.at_rest = true;
-            robot.left.clear();
+        for robot in self.robots.iter_mut().filter(|robot| robot.is_settled()) {
+            robot.plays_again();
         }
         self.phase = Phase::Performing;
         // While the mission stops, it does not reconnect to a robot that has confirmed its stop.
@@ -402,11 +399,15 @@ impl Mission {
         }
     }
 
-    fn tell_at_rest(&mut self, robot: usize) {
-        self.robots[robot].rest_reported = true;
-        self.tell_steps(robot);
-        let robot = self.robots[robot].id.clone();
+    fn tell_at_rest(&mut self, index: usize) {
+        self.robots[index].rest_reported = true;
+        self.tell_steps(index);
+        let robot = self.robots[index].id.clone();
         self.tell(Progress::AtRest { robot: robot.clone() });
         self.record(Record::StopConfirmed { robot });
+        // The mission has gone on without this confirmation, and the next act may need the robot.
+        if matches!(self.phase, Phase::Performing) {
+            self.robots[index].plays_again();
+        }
     }
 }

@@ -261,6 +261,12 @@ fn as_long_as_a_robot_may_still_move_nobody_goes_home() {
 
 /// Fails the mission while it plays. The robots come to rest as given, and another act follows.
 fn fails_towards_another_act(played: &mut Played, rest: Rest) {
+    stops_before_another_act(played, rest);
+    assert_eq!(played.run_to_the_end(), Outcome::Failed);
+}
+
+/// The same up to the stop.
+fn stops_before_another_act(played: &mut Played, rest: Rest) {
     let then = Arc::make_mut(&mut played.mission.choreography);
     let mut after = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]).acts.remove(0);
     after.name = "after".to_owned();
@@ -270,7 +276,6 @@ fn fails_towards_another_act(played: &mut Played, rest: Rest) {
     played.mission.abort_because(played.now, failed, rest, Some(1));
     let actions = std::mem::take(&mut played.mission.actions);
     played.carry_out(actions);
-    assert_eq!(played.run_to_the_end(), Outcome::Failed);
 }
 
 #[test]
@@ -340,6 +345,30 @@ fn a_device_that_slows_down_while_another_robot_is_silent_goes_home_from_where_i
     let from = planner.from.lock().unwrap();
     let stated: Vec<_> = from.iter().flatten().flat_map(|(_, devices)| devices.values()).collect();
     assert_eq!(stated, [&45.0]);
+}
+
+#[test]
+fn a_robot_that_confirms_its_stop_only_after_the_mission_has_gone_on_plays_the_next_act() {
+    let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+    played.mission.options.transfer = None;
+    played.mute = vec![1];
+    stops_before_another_act(&mut played, Rest::InPlace);
+    played.happens(gone());
+    let goes_on = played.now + played.mission.options.patience + ms(1);
+    played.run_until(goes_on);
+    assert!(matches!(played.mission.phase, Phase::Performing));
+    played.mute.clear();
+    played.happens(Event::LinkUp { robot: 1 });
+    let _outcome = played.run_to_the_end();
+    let script = |(at, robot, message): &(Timestamp<Server>, usize, Message)| {
+        let Message::ControlRequest(request) = message else { return false };
+        let moves = matches!(&request.command, urrcp::Command::Script(script) if !script.is_empty());
+        *at > goes_on && *robot == 1 && moves
+    };
+    let sent = played.sent.iter().any(script);
+    let stop = &played.mission.robots()[1].stop;
+    assert!(sent && matches!(stop, Stop::None), "{sent}, {stop:?}");
+    assert_eq!(fates(&played)[1], ActFate::Played);
 }
 
 #[test]
