@@ -23,8 +23,8 @@ pub(super) struct Expected {
     pub(super) within: f64,
 }
 
-/// A device that a stop has left adrift may slow down for some time. Its position is asked for again until it no longer changes, for
-/// this long at most.
+/// A device that a stop has left adrift may slow down for some time. The mission asks for its position again until it no longer
+/// changes, for this long at most.
 const SLOWS_MAX: Span = Span::from_millis(4_000);
 /// From the second question on, the least time between two of them.
 const ASK_AGAIN: Span = Span::from_millis(100);
@@ -207,7 +207,7 @@ impl Mission {
         due
     }
 
-    /// The next question to a robot that has answered, and when it is asked: as long as a device that a stop has left adrift is not
+    /// The next question to a robot that has answered, and the time at which the mission asks it: as long as a device that a stop has left adrift is not
     /// where the answer before had it.
     fn asked_again(
         &self,

@@ -3,6 +3,7 @@
 //! are set, and robots lie. Everything follows from a seed, so each violation can be reproduced and read as a trace.
 
 pub mod baseline;
+pub mod braking;
 mod check;
 mod draw;
 mod shrink;
@@ -14,7 +15,9 @@ mod world;
 use downbeat_robot::set_log::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
-pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
+use braking::Braking;
+
+pub use check::{ActStarts, Cause, Excuse, Situation, Starts, Verdict, Violation};
 use downbeat_mission::report::Report;
 use downbeat_mission::{Progress, Record};
 pub use draw::{
@@ -35,6 +38,8 @@ pub struct Ran {
     pub records: Vec<(Timestamp<Server>, Record)>,
     /// What each robot really set.
     pub logs: Vec<Vec<LogEntry>>,
+    /// How its devices came to rest, as far as that takes time.
+    pub brakings: Vec<Vec<Braking>>,
     /// What other robots did that answered at the addresses of these.
     pub logs_of_strangers: Vec<Vec<LogEntry>>,
     /// For each robot the scripts that it began although its hardware had been dead for so long that it had to know.
@@ -43,6 +48,8 @@ pub struct Ran {
     pub server_ahead: Span,
     /// Everything that happened, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
+    /// Until when the robots were watched.
+    pub watched_until: Timestamp<Server>,
     /// The mission never came to an end.
     pub hung: bool,
 }
@@ -68,6 +75,8 @@ pub enum Happened {
     Fault(Fault),
     /// A robot is back.
     Back(usize),
+    /// A robot belongs to an operator who has seized it.
+    Seized(usize),
     /// A link stands.
     LinkUp(usize),
     /// A link is down, as the scheduler sees it.

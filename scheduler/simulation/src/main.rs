@@ -13,7 +13,9 @@ use std::time::Duration;
 
 use clap::Parser;
 use downbeat_simulation::baseline::{self, Go};
-use downbeat_simulation::{self as simulation, Cause, Excuse, FaultKind, Stage, Starts, Verdict, Violation};
+use downbeat_simulation::{
+    self as simulation, Cause, Excuse, FaultKind, Situation, Stage, Starts, Verdict, Violation,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[global_allocator]
@@ -32,7 +34,7 @@ const STORIES_MAX: usize = 1;
 /// The number of seeds after which each fault has to have met each stage that it can meet.
 const SEEDS_FOR_EACH_STAGE: u64 = 20_000;
 
-/// The exit code if no invariant is violated, but a fault has not met a stage that it can meet.
+/// The exit code if no invariant is violated, but a fault has not met a stage that it can meet, or no mission has reached a situation.
 const NOT_MET: u8 = 3;
 
 /// Plays seeds of faults and holds the invariants against what the robots really did.
@@ -44,6 +46,9 @@ struct Args {
     /// The first one.
     #[arg(long, default_value_t = 0)]
     from: u64,
+    /// The distance from each seed to the next. `--from 40 --step 50` plays one family of missions alone.
+    #[arg(long, default_value_t = 1)]
+    step: u64,
     /// Play this seed alone, and print the shortest story that shows what it violates, or that it violates nothing.
     #[arg(long, value_name = "SEED")]
     seed: Option<u64>,
@@ -111,6 +116,14 @@ struct Found {
     excuses: BTreeMap<(char, Cause), Excused>,
     violations: Vec<(u64, Violation)>,
     met: BTreeMap<(FaultKind, Stage), u64>,
+    situations: BTreeMap<Situation, Reached>,
+}
+
+/// How often missions reached a situation, and the first seed of one.
+#[derive(Clone, Copy)]
+struct Reached {
+    count: u64,
+    first: u64,
 }
 
 impl Found {
@@ -126,6 +139,10 @@ impl Found {
         for (cell, count) in other.met {
             *self.met.entry(cell).or_default() += count;
         }
+        for (situation, Reached { count, first }) in other.situations {
+            let sum = self.situations.entry(situation).or_insert(Reached { count: 0, first });
+            *sum = Reached { count: sum.count + count, first: sum.first.min(first) };
+        }
     }
 
     fn look_at(&mut self, seed: u64) {
@@ -133,6 +150,10 @@ impl Found {
         let verdict = simulation::judge(&ran);
         for cell in simulation::faults_met(&ran) {
             *self.met.entry(cell).or_default() += 1;
+        }
+        for situation in verdict.situations {
+            let sum = self.situations.entry(situation).or_insert(Reached { count: 0, first: seed });
+            *sum = Reached { count: sum.count + 1, first: sum.first.min(seed) };
         }
         for act in &verdict.acts {
             self.counts[0].take(act.starts);
@@ -156,6 +177,7 @@ impl Found {
         self.print_excuses('a', causes, self.counts[0].acts);
         self.print_excuses('f', "why robots started beyond the skew budget", self.counts[0].acts);
         self.print_met();
+        self.print_situations();
         say!("");
         for (invariant, name) in Verdict::INVARIANTS {
             let of = self.violations.iter().filter(|(_, violation)| violation.invariant == invariant);
@@ -183,12 +205,29 @@ impl Found {
         }
     }
 
-    /// The faults that have not met a stage that they can meet, if enough missions were played.
+    /// The number of times that each situation was reached.
+    fn print_situations(&self) {
+        say!("\n{:<58} {:>8} {:>10}", "situations", "reached", "first seed");
+        for situation in Situation::ALL {
+            let (count, first) = match self.situations.get(&situation) {
+                Some(Reached { count, first }) => (*count, first.to_string()),
+                None => (0, "-".to_owned()),
+            };
+            say!("  {situation:<56} {count:>8} {first:>10}");
+        }
+    }
+
+    /// The faults that have not met a stage that they can meet, and the situations that no mission reached, if enough missions were
+    /// played.
     fn not_met(&self, seeds: u64) -> Vec<String> {
         let cells = FaultKind::ALL.iter().flat_map(|kind| Stage::ALL.map(|stage| (*kind, stage)));
         let missing = cells.filter(|cell| cell.1.meets(cell.0) && !self.met.contains_key(cell));
         let missing = missing.filter(|_| seeds >= SEEDS_FOR_EACH_STAGE);
-        missing.map(|(kind, stage)| format!("no mission met `{kind}` at the stage `{stage}`")).collect()
+        let missing = missing.map(|(kind, stage)| format!("no mission met `{kind}` at the stage `{stage}`"));
+        let reached = |situation: &Situation| self.situations.contains_key(situation);
+        let never = Situation::ALL.into_iter().filter(|_| seeds >= SEEDS_FOR_EACH_STAGE);
+        let never = never.filter(|situation| !reached(situation));
+        missing.chain(never.map(|situation| format!("no mission reached: {situation}"))).collect()
     }
 
     /// The causes that excuse more acts than they may.
@@ -256,7 +295,8 @@ fn play_all(args: &Args) -> Found {
     let threads =
         args.threads.or_else(|| std::thread::available_parallelism().ok().map(Into::into)).unwrap_or(1);
     let next = AtomicU64::new(args.from);
-    let end = args.from + args.seeds;
+    let step = args.step.max(1);
+    let end = args.from.saturating_add(args.seeds.saturating_mul(step));
     let all = Mutex::new(Found::default());
     let progress = progress(args.seeds);
     std::thread::scope(|scope| {
@@ -264,7 +304,7 @@ fn play_all(args: &Args) -> Found {
             scope.spawn(|| {
                 let mut mine = Found::default();
                 loop {
-                    let seed = next.fetch_add(1, Ordering::Relaxed);
+                    let seed = next.fetch_add(step, Ordering::Relaxed);
                     if seed >= end {
                         break;
                     }

@@ -105,6 +105,7 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
         Happened::Fault(fault) => format!("FAULT    {fault:?}"),
         Happened::Back(robot) => format!("back     r{robot}"),
+        Happened::Seized(robot) => format!("seized   r{robot}"),
         Happened::LinkUp(robot) => format!("link up  r{robot}"),
         Happened::LinkDown(robot) => format!("link down r{robot}"),
         Happened::Forgotten(bytes) => format!("FORGOTTEN {bytes} bytes of the journal"),

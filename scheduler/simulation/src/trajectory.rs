@@ -3,16 +3,15 @@
 use std::collections::HashMap;
 
 use downbeat_robot::set_log::{LogEntry, MotionKind};
-use urrcp::{ControlType, DeviceId, Robot, Script, Span, Timestamp};
+use urrcp::{ControlType, Device, DeviceId, Robot, Script, Span, Timestamp};
+
+use crate::braking::{self, Braking, is_of};
 
 /// The largest relative difference, by rounding, between two computations of the same value.
 const ROUNDING: f64 = 1e-6;
 
 /// Distance from a value above which a device jumps to it: twice its granularity.
 pub const JUMP: f64 = 2.0;
-
-/// The longest time in which a device slows down, or goes home at its own speed.
-const SLOWS_DOWN_MAX: Span = Span::from_millis(600_000);
 
 /// A script that was promised to a device of the robot.
 #[derive(Clone, Copy, Debug)]
@@ -23,23 +22,50 @@ pub struct Promised<'a> {
     pub written: Option<&'a Script>,
 }
 
-/// The last movement of a device. Times are those of its robot's clock.
+/// The limits and the braking of a device that comes to rest.
+#[derive(Clone, Copy, Debug)]
+pub struct Resting<'a> {
+    /// The device, with the limits that it declares.
+    pub device: &'a Device,
+    /// Its way to rest. `None` if it is unknown, or if it takes no time.
+    pub braking: Option<&'a Braking>,
+}
+
+/// The last movement of a signal of a device. Times are those of its robot's clock.
 #[derive(Clone, Copy)]
-struct Movement {
+struct Movement<'a> {
     /// `None` if the start of the movement is unknown, as for the first movement of a process.
     from: Option<f64>,
     since: Timestamp<Robot>,
     to: f64,
     until: Timestamp<Robot>,
+    braking: Option<&'a Braking>,
 }
 
-impl Movement {
+impl Movement<'_> {
     const fn at(value: f64, since: Timestamp<Robot>) -> Self {
-        Self { from: Some(value), since, to: value, until: since }
+        Self { from: Some(value), since, to: value, until: since, braking: None }
+    }
+
+    /// A movement that takes no time rests, even by a clock that was set back since.
+    fn rests(&self, at: Timestamp<Robot>) -> bool {
+        at >= self.until || self.until <= self.since
+    }
+
+    /// Its change a second, and by how much that may be wrong. `None` if it is unknown.
+    fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
+        if self.rests(at) {
+            return Some((0.0, 0.0));
+        }
+        if let Some(braking) = self.braking {
+            return braking.rate(at);
+        }
+        let seconds = (self.until - self.since).as_millis_f64() / 1_000.0;
+        self.from.map(|from| ((self.to - from) / seconds, 0.0))
     }
 
     fn value(&self, at: Timestamp<Robot>) -> Option<f64> {
-        if at >= self.until {
+        if self.rests(at) {
             return Some(self.to);
         }
         let from = self.from?;
@@ -62,7 +88,7 @@ pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec
     let mut stopped: HashMap<&DeviceId, &LogEntry> = HashMap::new();
     let mut jumps = Vec::new();
     for entry in log {
-        if entry.control_type != ControlType::Position.to_string() {
+        if !is_of(entry, ControlType::Position) {
             continue;
         }
         let stop = stopped.remove(&entry.device);
@@ -79,66 +105,112 @@ pub fn jumps_after_stops<'a>(log: impl IntoIterator<Item = &'a LogEntry>) -> Vec
 }
 
 /// Describes the movements without a reason in the log of one process of a robot. `promised` returns the script that a request id
-/// names. `goes_home` returns whether an entry follows from a request for the default state.
+/// names. `goes_home` returns whether an entry follows from a request for the default state. `resting` returns the limits and the braking of the
+/// device if an entry brings it to rest.
 pub fn unexplained<'a>(
     log: impl IntoIterator<Item = &'a LogEntry>,
     promised: impl Fn(&str) -> Option<Promised<'a>>,
     goes_home: impl Fn(&LogEntry) -> bool,
+    resting: impl Fn(&LogEntry) -> Option<Resting<'a>>,
 ) -> Vec<String> {
-    let mut last: HashMap<&DeviceId, Movement> = HashMap::new();
+    let mut last: HashMap<(&DeviceId, &str), Movement<'_>> = HashMap::new();
     let mut unexplained = Vec::new();
     for entry in log {
+        let signal = (&entry.device, entry.control_type.as_str());
         let script = entry.request_id.as_deref().and_then(&promised);
-        match movement(entry, script, last.get(&entry.device).copied(), goes_home(entry)) {
-            Ok(movement) => drop(last.insert(&entry.device, movement)),
+        let before = last.get(&signal).copied();
+        let movement = match entry.motion {
+            MotionKind::Set | MotionKind::Ramp => of_a_step(entry, script, before),
+            _ => to_rest(entry, before, goes_home(entry), resting(entry)),
+        };
+        match movement {
+            Ok(movement) => drop(last.insert(signal, movement)),
             Err(why) => unexplained.push(format!("{why}: {entry:?}")),
         }
     }
     unexplained
 }
 
-/// Returns the new movement of the device if it has a reason, or else a description of the violation.
-fn movement(
+/// Returns the movement of a device to rest or home if it has a reason, or else a description of the violation.
+fn to_rest<'a>(
     entry: &LogEntry,
-    script: Option<Promised<'_>>,
-    before: Option<Movement>,
+    before: Option<Movement<'a>>,
     goes_home: bool,
-) -> Result<Movement, String> {
-    let resting = match entry.motion {
+    resting: Option<Resting<'a>>,
+) -> Result<Movement<'a>, String> {
+    let is_position = is_of(entry, ControlType::Position);
+    // What a process has not driven rests.
+    let before = before.or_else(|| (!is_position).then(|| Movement::at(0.0, entry.due)));
+    let braking = resting.and_then(|resting| resting.braking);
+    if let Some(flaw) = resting.and_then(|resting| flaw(entry, before, resting, goes_home)) {
+        return Err(flaw);
+    }
+    let rests = match entry.motion {
         // The log does not contain the time of arrival.
         MotionKind::Slow => {
-            Movement { from: None, until: entry.due + SLOWS_DOWN_MAX, ..Movement::at(entry.value, entry.due) }
+            let lasts = braking.map_or(braking::LASTS_MAX, |braking| braking.lasts);
+            let rests = Movement::at(entry.value, entry.due);
+            Movement { from: None, until: entry.due + lasts, braking, ..rests }
         }
         _ => Movement::at(entry.value, entry.due),
     };
     match entry.motion {
-        MotionKind::Set | MotionKind::Ramp => of_a_step(entry, script, before),
         // A device that goes home may be sent home again, and a device that slows down may be stopped again.
-        _ if goes_home => Ok(resting),
+        _ if goes_home => Ok(rests),
         MotionKind::Default => Err("went to its default state, and no stop said home".to_owned()),
-        MotionKind::Rest | MotionKind::Slow if entry.control_type != ControlType::Position.to_string() => {
-            match entry.value {
-                0.0 => Ok(resting),
-                _ => Err("came to rest at a speed".to_owned()),
-            }
-        }
-        MotionKind::Rest | MotionKind::Slow => {
+        _ if !is_position => match entry.value {
+            0.0 => Ok(rests),
+            _ => Err("came to rest at a speed".to_owned()),
+        },
+        _ => {
             let before = before.filter(|movement| entry.due < movement.until);
             let movement = before.ok_or("was moved by a stop although it rested")?;
-            let Some(value) = movement.value(entry.due) else { return Ok(resting) };
+            let Some(value) = movement.value(entry.due) else { return Ok(rests) };
             let off = entry.value - value;
-            let rounded = off.abs() <= ROUNDING * (1.0 + value.abs());
             let goes_on = entry.motion == MotionKind::Slow && off * (movement.to - value) >= 0.0;
-            if rounded || goes_on { Ok(resting) } else { Err(format!("was at {value} when a stop moved it")) }
+            if is_rounded(off, value) || goes_on {
+                Ok(rests)
+            } else {
+                Err(format!("was at {value} when a stop moved it"))
+            }
         }
     }
 }
 
-fn of_a_step(
+fn is_rounded(off: f64, value: f64) -> bool {
+    off.abs() <= ROUNDING * (1.0 + value.abs())
+}
+
+/// The fault of the way to rest: it begins elsewhere than the device is, or leaves the declared acceleration out of account.
+fn flaw(
+    entry: &LogEntry,
+    before: Option<Movement<'_>>,
+    resting: Resting<'_>,
+    goes_home: bool,
+) -> Option<String> {
+    let Resting { device, braking } = resting;
+    let is_position = is_of(entry, ControlType::Position);
+    let value = before.and_then(|before| before.value(entry.due));
+    let rate = before.and_then(|before| before.rate(entry.due));
+    let Some(braking) = braking else {
+        let limited = braking::acceleration(device)?;
+        let moves = if is_position { rate.map(|(rate, _)| rate)? } else { value? };
+        let at_once = entry.motion == MotionKind::Rest && moves.abs() > ROUNDING;
+        return at_once
+            .then(|| format!("stopped at once from {moves}, and declares an acceleration of {limited}"));
+    };
+    let begins = braking.values.first().copied().unwrap_or_default();
+    if let Some(value) = value.filter(|value| !is_rounded(begins - value, *value)) {
+        return Some(format!("was at {value}, and slows down from {begins}"));
+    }
+    braking.flaw(device, rate, !goes_home)
+}
+
+fn of_a_step<'a>(
     entry: &LogEntry,
     script: Option<Promised<'_>>,
-    before: Option<Movement>,
-) -> Result<Movement, String> {
+    before: Option<Movement<'_>>,
+) -> Result<Movement<'a>, String> {
     let script = script.ok_or("moved without a script of this mission")?;
     if *script.device != entry.device {
         return Err("moved by a script of another device".to_owned());
@@ -146,8 +218,9 @@ fn of_a_step(
     let index = entry.step.unwrap_or_default() as usize;
     let Some(written) = script.written else { return Ok(Movement::at(entry.value, entry.due)) };
     let step = written.steps().get(index).ok_or("did a step that was not written")?;
-    if (step.setpoint.value - entry.value).abs() > 0.0 {
-        return Err(format!("did step {index}, written as {}", step.setpoint.value));
+    let same_type = is_of(entry, step.setpoint.control_type);
+    if !same_type || (step.setpoint.value - entry.value).abs() > 0.0 {
+        return Err(format!("did step {index}, written as {:?}", step.setpoint));
     }
     if entry.is_set() {
         return Ok(Movement::at(entry.value, entry.due));
@@ -155,5 +228,5 @@ fn of_a_step(
     let previous = index.checked_sub(1).and_then(|previous| written.steps().get(previous));
     let offset = step.offset.span() - previous.map_or(Span::ZERO, |previous| previous.offset.span());
     let from = before.and_then(|movement| movement.value(entry.due));
-    Ok(Movement { from, since: entry.due, to: entry.value, until: entry.due + offset })
+    Ok(Movement { from, since: entry.due, to: entry.value, until: entry.due + offset, braking: None })
 }

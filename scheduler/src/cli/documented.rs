@@ -62,7 +62,7 @@ fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<Strin
 }
 
 /// Options of cargo, cargo-mutants, systemctl, zenohd, Blender, `soak` and the experiments in `lab/`, which documents call too.
-const FOREIGN: [&str; 23] = [
+const FOREIGN: [&str; 24] = [
     "version",
     "locked",
     "now",
@@ -78,6 +78,7 @@ const FOREIGN: [&str; 23] = [
     "python",
     "objects",
     "seeds",
+    "step",
     "trace",
     "links",
     "minutes",

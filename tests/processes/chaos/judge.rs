@@ -356,7 +356,7 @@ impl Judge<'_> {
         let home_from = if may_go_home { Some(0) } else { self.played.home_from };
         let goes_home = |entry: &LogEntry| home_from.is_some_and(|from| entry.true_ns >= from);
         for process in &self.played.logs[robot] {
-            for what in unexplained(process, promised, goes_home) {
+            for what in unexplained(process, promised, goes_home, |_| None) {
                 self.verdict.wrong.push(format!("(movement) r{robot} {what}"));
             }
         }

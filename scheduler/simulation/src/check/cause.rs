@@ -227,7 +227,9 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
         Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),
         Fault::AnotherRobot { robot, .. } => (Cause::Stranger, Some(robot), Lasts::Until(End::Back)),
         Fault::RobotPause { robot, lasts } => (Cause::RobotPause, Some(robot), Lasts::For(lasts)),
-        Fault::ForeignSession { robot, lasts } => (Cause::Stranger, Some(robot), Lasts::For(lasts)),
+        Fault::ForeignSession { robot, lasts } | Fault::Seize { robot, lasts } => {
+            (Cause::Stranger, Some(robot), Lasts::For(lasts))
+        }
         Fault::HardwareDies { robot, .. } => (Cause::Hardware, Some(robot), Lasts::Until(End::Back)),
         Fault::Partition { robot, lasts, .. }
         | Fault::OneWay { robot, lasts, .. }

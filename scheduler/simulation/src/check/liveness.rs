@@ -261,7 +261,7 @@ fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
 
 /// Leads and gaps of acts that the same robots play in both missions.
 pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut Verdict) {
-    for act in &facts.acts {
+    for act in facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act)) {
         let same = |other: &&SentAct<'_>| {
             other.promise.number == act.promise.number
                 && other.promise.act == act.promise.act
@@ -306,7 +306,8 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
 /// The number of the last act whose lead, or the gap before it, is longer than what is allowed whatever the mission without faults
 /// does: of later ones [`compare`] cannot find anything.
 pub(super) fn last_to_compare(facts: &Facts<'_>) -> Option<u32> {
-    let long = facts.acts.iter().filter(|act| {
+    let compared = facts.acts.iter().filter(|act| !waits_for_a_time_of_day(act));
+    let long = compared.filter(|act| {
         let late = |before: &SentAct<'_>| {
             let waited = was_stopped(facts, before, act) || waited_for_room(facts, before, act);
             let longer = if waited { lead(act) } else { Span::ZERO };
@@ -334,6 +335,11 @@ fn held_up(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let delay = facts.hits.iter().filter(of_this_machine).map(|hit| hit.until - hit.from).max();
     let first = (delay.unwrap_or_default() * 2).max(HELD_UP_LEAST);
     (0..withdrawn).fold(Span::ZERO, |addition, _| first.max(addition * 2))
+}
+
+/// Its start is judged by that time alone: after a delay, it may be that of the next day.
+const fn waits_for_a_time_of_day(act: &SentAct<'_>) -> bool {
+    matches!(act.written.wait, Wait::TimeOfDay(_))
 }
 
 /// It waits for an instant, and is not late for it.

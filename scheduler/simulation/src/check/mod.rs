@@ -9,9 +9,12 @@ mod movements;
 mod once;
 mod promises;
 mod rest;
+mod seized;
+mod situation;
 mod synchrony;
 #[cfg(test)]
 mod tests;
+mod times;
 mod truth;
 
 use std::fmt;
@@ -22,6 +25,7 @@ pub use self::cause::Cause;
 use self::facts::Facts;
 #[cfg(test)]
 pub(super) use self::liveness::LEAD_LEAST;
+pub use self::situation::Situation;
 use super::Ran;
 
 /// What a drifting clock may add to a lease or a start within a mission.
@@ -84,6 +88,8 @@ pub struct Verdict {
     pub excuses: Vec<Excuse>,
     /// Each act that was sent, or the first one if none was.
     pub acts: Vec<ActStarts>,
+    /// The situations that the mission reached, each as often as it occurred.
+    pub situations: Vec<Situation>,
 }
 
 impl Verdict {
@@ -119,11 +125,14 @@ impl Ran {
         once::check(&facts, &mut verdict);
         rest::check(&facts, &mut verdict);
         movements::check(&facts, &mut verdict);
+        seized::check(&facts, &mut verdict);
         limits::check(&facts, &mut verdict);
         synchrony::check(&facts, &mut verdict);
+        times::check(&facts, &mut verdict);
         truth::check(&facts, &mut verdict);
         liveness::check(&facts, &mut verdict);
         promises::check(&facts, &mut verdict);
+        verdict.situations = situation::reached(&facts);
         verdict
     }
 

@@ -8,13 +8,28 @@ use urrcp::{ControlType, Device, DeviceId, Interpolation, Message, Server, Span,
 
 use super::Verdict;
 use super::facts::{Facts, SentScript};
-use crate::draw::{BEGINS_AT, Hands};
-use crate::trajectory::{JUMP, JumpAfterStop, Promised, jumps_after_stops, unexplained};
+use crate::braking::is_of;
+use crate::draw::{BEGINS_AT, Hands, shows_within};
+use crate::trajectory::{JUMP, JumpAfterStop, Promised, Resting, jumps_after_stops, unexplained};
 use crate::{DrawnRobot, Fault, Happened};
 use downbeat_mission::Progress;
+use downbeat_rehearsal::dry_run::BEGIN;
 
 const fn states_positions(drawn: &DrawnRobot) -> bool {
     drawn.block.inquiry && matches!(drawn.hands, Hands::Own)
+}
+
+/// Whether the mission has to know that this is a jump: the robot states its positions, or a sensor shows this one closely enough.
+fn has_to_be_seen(drawn: &DrawnRobot, jump: &JumpAfterStop<'_>) -> bool {
+    if states_positions(drawn) {
+        return true;
+    }
+    let Some(device) = drawn.block.device(jump.entry.device.as_str()) else { return false };
+    let limits = device.available_control_types.limits(ControlType::Position);
+    let error = limits.and_then(|limits| Some(2.0 * limits.granularity.max(limits.max_error?)));
+    let linear = device.interpolation == Interpolation::Linear && drawn.hands == Hands::Own;
+    let within = shows_within(device).zip(error).filter(|_| linear).map(|(shows, error)| shows + error);
+    within.is_some_and(|within| (jump.entry.value - jump.stop.value).abs() > within)
 }
 
 /// Whether a device that has not moved yet jumps if `first` is its first value. `false` for devices that do not move
@@ -34,7 +49,8 @@ fn no_jumps(facts: &Facts<'_>, verdict: &mut Verdict) {
         let comes_later = drawn.there_from > Span::ZERO;
         let began_anew = begins(facts, robot).nth(usize::from(comes_later)).map(Timestamp::as_nanos);
         let mut moved = HashSet::new();
-        for entry in &facts.ran.logs[robot] {
+        let position = |entry: &&LogEntry| is_of(entry, ControlType::Position);
+        for entry in facts.ran.logs[robot].iter().filter(position) {
             if began_anew.is_some_and(|at| at <= entry.true_ns) {
                 break;
             }
@@ -67,16 +83,32 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
                 process,
                 |id| scripts.get(facts.promised_name(robot, id)).copied(),
                 |entry| homes.contains(&(&entry.device, entry.true_ns)),
+                |entry| resting(facts, robot, entry),
             );
-            let states = states_positions(&facts.drawn().robots[robot]);
             let jumps = jumps_after_stops(process).into_iter();
-            let jumps = jumps.filter(|jump| states && !begins_at_home(facts, robot, jump));
+            let jumps = jumps.filter(|jump| has_to_be_seen(&facts.drawn().robots[robot], jump));
+            let jumps = jumps.filter(|jump| !begins_at_home(facts, robot, jump));
             let jumps = jumps.map(|jump| format!("jumped from where a stop had left it: {:?}", jump.entry));
             for what in unexplained.into_iter().chain(jumps) {
                 verdict.violated('m', format!("r{robot} {what}"));
             }
         }
     }
+}
+
+/// The limits and the braking of a device that comes to rest. `None` for one whose hardware is back: it may not have received the last values, so that
+/// its speeds are set to zero once more.
+fn resting<'a>(facts: &Facts<'a>, robot: usize, entry: &LogEntry) -> Option<Resting<'a>> {
+    let is_back = |(at, fault): &(Span, Fault)| match fault {
+        Fault::HardwareDies { robot: of, back_after: Some(after), .. } => {
+            *of == robot && (BEGIN + *at + *after).as_nanos() == entry.true_ns
+        }
+        _ => false,
+    };
+    let drawn = facts.drawn();
+    let device = drawn.robots[robot].block.device(entry.device.as_str())?;
+    let braking = facts.ran.brakings[robot].iter().find(|braking| braking.is_of(entry));
+    (!drawn.faults.iter().any(is_back)).then_some(Resting { device, braking })
 }
 
 /// Whether the way home had nothing to move here: a stop left the device at its default position, and the mission sent all robots

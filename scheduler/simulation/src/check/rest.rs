@@ -2,18 +2,21 @@
 
 use std::collections::HashMap;
 
-use downbeat_robot::set_log::MotionKind;
-use urrcp::{Server, Span, Timestamp};
+use downbeat_robot::set_log::{LogEntry, MotionKind};
+use urrcp::{ControlType, Server, Span, Timestamp};
 
+use super::cause::Hit;
 use super::facts::Facts;
 use super::{DRIFT, Verdict};
+use crate::braking::is_of;
 use downbeat_mission::Record;
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     moved_after_a_stop(facts, verdict);
     for robot in (0..facts.drawn().robots.len()).filter(|robot| facts.honest(*robot)) {
         let beyond = beyond_lease(facts, robot);
-        beyond.into_iter().for_each(|what| verdict.violated('c', what));
+        let beyond = beyond.into_iter().chain(turns_beyond_lease(facts, robot));
+        beyond.for_each(|what| verdict.violated('c', what));
     }
 }
 
@@ -30,7 +33,60 @@ fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
         if let Some(entry) = moved {
             verdict.violated('c', format!("r{robot} moved after its stop was confirmed: {entry:?}"));
         }
+        let turns = turning(facts, robot)
+            .into_iter()
+            .find(|(entry, until)| Timestamp::<Server>::from_nanos(entry.true_ns) < *at && *until > *at);
+        if let Some((entry, _)) = turns {
+            verdict.violated('c', format!("r{robot} has confirmed its stop, and turns: {entry:?}"));
+        }
     }
+}
+
+/// The intervals in which a speed or an acceleration was not zero, each with the entry that began it. A stop ends one as soon as it
+/// slows the device down.
+fn turning<'a>(facts: &Facts<'a>, robot: usize) -> Vec<(&'a LogEntry, Timestamp<Server>)> {
+    let log = &facts.ran.logs[robot];
+    let rate = |entry: &&LogEntry| !is_of(entry, ControlType::Position);
+    let turns = |entry: &LogEntry| entry.motion == MotionKind::Ramp || entry.is_set() && entry.value != 0.0;
+    let mut intervals = Vec::new();
+    for (index, entry) in log.iter().enumerate().filter(|(_, entry)| rate(entry) && turns(entry)) {
+        let same = |next: &&LogEntry| next.device == entry.device && next.control_type == entry.control_type;
+        let next = log[index + 1..].iter().find(same).map(|next| Timestamp::from_nanos(next.true_ns));
+        intervals.push((entry, next.unwrap_or(facts.ran.watched_until)));
+    }
+    intervals
+}
+
+/// A device that continues to turn although the robot has heard nothing for longer than the lease under which it does.
+fn turns_beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
+    let scripts = || facts.acts.iter().flat_map(|act| act.of(robot));
+    let heard: Vec<Timestamp<Server>> = facts.heard(robot).collect();
+    for (entry, until) in turning(facts, robot) {
+        let from = Timestamp::<Server>::from_nanos(entry.true_ns);
+        // Nobody knows what a process does that is gone or stalls, or what its hardware does.
+        let known = |hit: &Hit| !hit.is_of(robot) || hit.cause.is_of_link() || !hit.overlaps(from, until);
+        if !facts.hits.iter().all(known) {
+            continue;
+        }
+        let Some(name) = entry.request_id.as_deref().map(|id| facts.promised_name(robot, id)) else {
+            continue;
+        };
+        let script = scripts().find(|script| script.promised.request_id.as_str() == name);
+        let Some(lease) = script.and_then(|script| script.promised.running) else { continue };
+        let renewed = heard.iter().copied().filter(|at| *at > from && *at < until);
+        let before = heard.iter().copied().rfind(|at| *at <= from);
+        let heard: Vec<_> = before.into_iter().chain(renewed).chain([until]).collect();
+        let silent = heard.windows(2).map(|two| two[1] - two[0]).max().unwrap_or(Span::ZERO);
+        if silent > lease.span() + DRIFT {
+            let what = format!(
+                "`{}` turned after a silence of {silent}, its lease was {}",
+                entry.device,
+                lease.span()
+            );
+            return Some(format!("r{robot}: {what}"));
+        }
+    }
+    None
 }
 
 /// A movement at which the robot had heard nothing for longer than the lease that held then. A script starts only if neither of

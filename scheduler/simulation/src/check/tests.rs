@@ -1,13 +1,15 @@
 //! Each invariant can fail: histories and reports of sound missions are made wrong by hand.
 
 use downbeat_robot::set_log::MotionKind;
-use urrcp::{Message, Span};
+use urrcp::{ControlType, Message, Span};
 
 use super::*;
-use crate::draw::Hands;
+use crate::braking::Braking;
+use crate::draw::{FAMILIES, Hands, RATES, TIMES};
 use crate::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
 use downbeat_mission::report::StopState;
 use downbeat_mission::{Outcome, Progress, Record};
+use downbeat_rehearsal::dry_run::BEGIN;
 
 /// The first seed of missions like this.
 #[track_caller]
@@ -696,4 +698,118 @@ fn a_robot_that_lies_is_held_to_its_limits_and_believed_nothing_else() {
     ran.drawn.robots[robot].lie = Some(Lie::NeverMoves);
     ran.logs[robot].clear();
     assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
+}
+
+/// The first mission with devices that are driven by their speed, or have a limited acceleration, in which such a thing occurs.
+#[track_caller]
+fn with_rates(occurs: impl Fn(&Ran, &Verdict) -> bool) -> Ran {
+    let such = (RATES..20_000).step_by(FAMILIES as usize).map(run).find(|ran| {
+        let verdict = ran.verdict();
+        verdict.violations.is_empty() && occurs(ran, &verdict)
+    });
+    such.expect("there are such missions")
+}
+
+#[test]
+fn a_way_to_rest_that_is_too_hard_or_turns_back_or_begins_elsewhere_is_found() {
+    let lasts = |braking: &&mut Braking| braking.lasts > Span::from_millis(20);
+    for control_type in [ControlType::Position, ControlType::Speed] {
+        let of_type = move |braking: &&mut Braking| braking.control_type == control_type && lasts(braking);
+        let found = |wrong: &dyn Fn(&mut Braking)| {
+            let such = |ran: &Ran| {
+                let brakes =
+                    |brakings: &Vec<Braking>| brakings.clone().iter_mut().any(|braking| of_type(&braking));
+                (0..ran.brakings.len()).find(|robot| {
+                    let drawn = &ran.drawn.robots[*robot];
+                    drawn.lie.is_none() && drawn.hands == Hands::Own && brakes(&ran.brakings[*robot])
+                })
+            };
+            let mut ran = with_rates(|ran, _| such(ran).is_some());
+            let robot = such(&ran).unwrap();
+            wrong(ran.brakings[robot].iter_mut().find(of_type).unwrap());
+            violated(&ran)
+        };
+        assert!(
+            found(&|braking| braking.lasts = braking.lasts / 3).contains('m'),
+            "{control_type}: too hard"
+        );
+        assert!(found(&|braking| braking.values.reverse()).contains('m'), "{control_type}: turns back");
+        let elsewhere = |braking: &mut Braking| braking.values.iter_mut().for_each(|value| *value += 1.0);
+        assert!(found(&elsewhere).contains('m'), "{control_type}: begins elsewhere");
+    }
+}
+
+#[test]
+fn a_stop_at_once_of_a_device_that_declares_an_acceleration_is_found() {
+    let slows = |ran: &Ran| {
+        let of_speed = |braking: &&Braking| braking.control_type == ControlType::Speed;
+        let first = |brakings: &Vec<Braking>| brakings.iter().position(|braking| of_speed(&braking));
+        let honest = |robot: usize| ran.drawn.robots[robot].lie.is_none();
+        let brakings = ran.brakings.iter().enumerate().filter(|(robot, _)| honest(*robot));
+        brakings.into_iter().find_map(|(robot, brakings)| Some((robot, first(brakings)?)))
+    };
+    let mut ran = with_rates(|ran, _| slows(ran).is_some());
+    let (robot, index) = slows(&ran).unwrap();
+    let braking = ran.brakings[robot].remove(index);
+    ran.logs[robot].iter_mut().find(|entry| braking.is_of(entry)).unwrap().motion = MotionKind::Rest;
+    assert!(violated(&ran).contains('m'));
+}
+
+#[test]
+fn a_device_that_turns_beyond_its_lease_is_found() {
+    let mut ran = with_rates(|_, verdict| verdict.situations.contains(&Situation::LeaseEndsTurning));
+    let rests = |entry: &downbeat_robot::set_log::LogEntry| {
+        entry.control_type == "speed" && entry.request_id.is_none()
+    };
+    ran.logs.iter_mut().for_each(|log| log.retain(|entry| !rests(entry)));
+    assert!(violated(&ran).contains('c'));
+}
+
+#[test]
+fn a_robot_that_was_seized_and_plays_on_is_found() {
+    finds('c', |ran| {
+        let robot = member(ran);
+        let first = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().true_ns;
+        let at = Timestamp::from_nanos(first - 1);
+        let place = ran.history.partition_point(|(when, _)| *when <= at);
+        ran.history.insert(place, (at, Happened::Seized(robot)));
+    });
+}
+
+#[test]
+fn a_report_that_does_not_say_by_whom_a_robot_was_taken_is_found() {
+    let long = |drawn: &Drawn| {
+        let plan = &drawn.choreography.acts[0].plan;
+        calm(drawn) && plan.robots.iter().all(|robot| robot.scripts[0].script.steps().len() > 1)
+    };
+    let ran = first(long, done);
+    let robot = member(&ran);
+    let begins = ran.logs[robot].iter().find(|entry| entry.is_set()).unwrap().true_ns;
+    let at = Timestamp::from_nanos(begins) - BEGIN + Span::from_millis(1);
+    let fault = Fault::Seize { robot, lasts: Span::from_millis(2_000) };
+    let mut ran = crate::play(Drawn { faults: vec![(at, fault)], ..ran.drawn });
+    assert_eq!(ran.verdict().violations, []);
+    ran.report.as_mut().unwrap().failures.clear();
+    let found = |violation: &Violation| violation.what.contains("was taken by");
+    assert!(ran.verdict().violations.iter().any(found));
+}
+
+#[test]
+fn an_act_that_waits_for_another_time_of_day_than_the_clocks_next_show_is_found() {
+    let moved = |seed, by: i64| {
+        let mut ran = run(seed);
+        let mut waits = false;
+        for (_, happened) in &mut ran.history {
+            if let Happened::Told(told) = happened
+                && let Progress::Waiting { at: Some(at), .. } = &mut **told
+            {
+                (*at, waits) = (*at + Span::from_millis(by), true);
+            }
+        }
+        let found = |violation: &Violation| violation.what.contains("the clocks next show");
+        waits.then(|| ran.verdict().violations.iter().any(found))
+    };
+    let mut seeds = (TIMES..5_000).step_by(FAMILIES as usize);
+    let seed = seeds.find(|seed| moved(*seed, 0).is_some()).unwrap();
+    assert_eq!([0, 1, 3_600_000].map(|by| moved(seed, by)), [Some(false), Some(true), Some(true)]);
 }

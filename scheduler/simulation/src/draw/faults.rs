@@ -49,6 +49,13 @@ pub enum Fault {
         /// Until its connection ends.
         lasts: Span,
     },
+    /// An operator with the role takes a robot from the session to which it belongs, and sends it a script.
+    Seize {
+        /// Index of the robot in the fleet.
+        robot: usize,
+        /// Until the connection of that operator ends.
+        lasts: Span,
+    },
     /// Nothing passes between the scheduler and a robot for a while.
     Partition {
         /// Index of the robot in the fleet.

@@ -17,6 +17,7 @@ pub enum FaultKind {
     AnotherRobot,
     HardwareDies,
     ForeignSession,
+    Seize,
     Partition,
     OneWay,
     DeadLink,
@@ -37,12 +38,13 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All kinds.
-    pub const ALL: [Self; 21] = [
+    pub const ALL: [Self; 22] = [
         Self::RobotCrash,
         Self::RobotPause,
         Self::AnotherRobot,
         Self::HardwareDies,
         Self::ForeignSession,
+        Self::Seize,
         Self::Partition,
         Self::OneWay,
         Self::DeadLink,
@@ -79,6 +81,7 @@ impl FaultKind {
                 Fault::HardwareDies { robot, back_after, told: rng.bool() }
             }
             Self::ForeignSession => Fault::ForeignSession { robot, lasts: millis(rng, 50, 3_000) },
+            Self::Seize => Fault::Seize { robot, lasts: millis(rng, 50, 3_000) },
             Self::Partition | Self::OneWay | Self::DeadLink | Self::HalfOpen | Self::SlowLink | Self::Lag => {
                 self.draw_of_link(rng, robot)
             }
@@ -133,6 +136,7 @@ impl From<&Fault> for FaultKind {
             Fault::AnotherRobot { .. } => Self::AnotherRobot,
             Fault::HardwareDies { .. } => Self::HardwareDies,
             Fault::ForeignSession { .. } => Self::ForeignSession,
+            Fault::Seize { .. } => Self::Seize,
             Fault::Partition { .. } => Self::Partition,
             Fault::OneWay { .. } => Self::OneWay,
             Fault::DeadLink { .. } => Self::DeadLink,
@@ -161,6 +165,7 @@ impl fmt::Display for FaultKind {
             Self::AnotherRobot => "another robot answers",
             Self::HardwareDies => "hardware dies",
             Self::ForeignSession => "another session",
+            Self::Seize => "a robot is seized",
             Self::Partition => "partition",
             Self::OneWay => "partition, one way",
             Self::DeadLink => "dead connection",

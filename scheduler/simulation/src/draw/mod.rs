@@ -3,13 +3,18 @@
 mod choreography;
 mod faults;
 mod fleet;
+mod hours;
 mod kind;
 mod network;
+mod rates;
+mod sensors;
 mod staged;
+mod times;
 mod together;
 mod unusual;
 
-use downbeat_plan::{Choreography, Wait};
+use downbeat_plan::{Act, Choreography, Wait};
+use downbeat_rehearsal::dry_run::BEGIN;
 use fastrand::Rng;
 use urrcp::Span;
 
@@ -21,6 +26,9 @@ pub(crate) use fleet::stranger;
 pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
 pub use kind::FaultKind;
 pub use network::{Direction, DrawnDisk, Network};
+pub(crate) use sensors::shows_within;
+pub use times::ClockChange;
+pub(crate) use times::zone;
 
 /// Everything that a seed stands for.
 #[derive(Clone, Debug)]
@@ -50,9 +58,24 @@ pub struct Drawn {
     pub faults: Vec<(Span, Fault)>,
     /// Where the scheduler keeps its journal.
     pub disk: DrawnDisk,
+    /// When clocks change where the scheduler is, as an index of the table of changes. `None`: they show UTC.
+    pub clock_change: Option<usize>,
+    /// When the operator stops a mission that has not ended by then.
+    pub ends_at: Option<Span>,
 }
 
 impl Drawn {
+    /// The longest that the mission takes if each act begins and ends once: all that acts play and wait for.
+    #[must_use]
+    pub fn lasts(&self) -> Span {
+        let acts = self.choreography.acts.iter();
+        let waits = |act: &Act| match act.wait {
+            Wait::Instant(at) => act.plan.duration() + (at - BEGIN),
+            _ => act.plan.duration() + act.timeout.unwrap_or_default(),
+        };
+        acts.map(waits).fold(Span::ZERO, |sum, act| sum + act)
+    }
+
     /// The same mission if nothing goes wrong at an instant of its own; its network and its liars stay.
     #[must_use]
     pub fn without_faults(mut self) -> Self {
@@ -63,7 +86,7 @@ impl Drawn {
 }
 
 /// If the remainder of a seed divided by this is one of the following constants, its mission belongs to that family.
-const FAMILIES: u64 = 50;
+pub(crate) const FAMILIES: u64 = 50;
 /// Several events coincide that would rarely coincide by chance.
 const TOGETHER: u64 = 12;
 /// The operator sends the robots home.
@@ -72,6 +95,18 @@ const SENT_HOME: u64 = 37;
 const UNUSUAL: u64 = 32;
 /// A fault of a certain kind meets a certain stage.
 const STAGED: u64 = 38;
+/// Devices are driven by their speed, or have a limited acceleration.
+pub(crate) const RATES: u64 = 40;
+
+/// Acts wait for a time of day at which clocks change.
+pub(crate) const TIMES: u64 = 30;
+
+/// Missions last for hours. In one of ten of these: each takes the time of hundreds of others.
+const HOURS: u64 = 29;
+const HOURS_ONE_IN: u64 = 10;
+
+/// Sensors show where devices are that follow their commands with a lag.
+pub(crate) const SENSORS: u64 = 21;
 
 /// In one of this many missions, devices may begin at a position other than that of the first act.
 const MISPLACED_ONE_IN: u64 = 40;
@@ -94,6 +129,10 @@ pub fn draw(seed: u64) -> Drawn {
         SENT_HOME => send_home(rng, drawn),
         UNUSUAL => unusual::reshape(rng, drawn),
         STAGED => staged::stage_faults(rng, drawn, seed / FAMILIES),
+        RATES => rates::drive_by_rates(rng, drawn),
+        TIMES => times::wait_for_times(rng, drawn),
+        HOURS if (seed / FAMILIES).is_multiple_of(HOURS_ONE_IN) => hours::last_for_hours(rng, drawn),
+        SENSORS => sensors::show_positions(rng, drawn),
         _ => drawn,
     }
 }
@@ -133,6 +172,8 @@ fn draw_mission(rng: &mut Rng, seed: u64) -> Drawn {
         plans_transfers: !seed.is_multiple_of(4),
         faults: Vec::new(),
         disk,
+        clock_change: None,
+        ends_at: None,
     };
     let faults = faults::draw_faults(rng, &drawn);
     Drawn { faults, ..drawn }

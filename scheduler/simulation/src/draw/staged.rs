@@ -119,7 +119,7 @@ fn state_positions(drawn: &mut Drawn) {
 }
 
 /// An instant within a stage, counted from the beginning.
-fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
+pub(super) fn instant(rng: &mut Rng, ran: &Ran, stage: Stage) -> Option<Span> {
     let intervals: Vec<(Timestamp<Server>, Timestamp<Server>)> = intervals(ran, stage);
     let (from, until) = rng.choice(intervals)?;
     let within = (until - from).as_nanos();

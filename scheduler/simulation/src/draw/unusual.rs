@@ -72,7 +72,11 @@ fn last_long(rng: &mut Rng, drawn: &mut Drawn) {
 }
 
 /// Changes the start of a script and the times of its steps, in whole milliseconds.
-fn move_script(script: &mut DeviceScript, start: impl Fn(f64) -> f64, offset: impl Fn(f64) -> f64) {
+pub(super) fn move_script(
+    script: &mut DeviceScript,
+    start: impl Fn(f64) -> f64,
+    offset: impl Fn(f64) -> f64,
+) {
     let steps = script.script.steps().iter().map(|step| {
         let offset = Millis::new(offset(step.offset.get()).round()).ok()?;
         Some(Step { offset, ..step.clone() })

@@ -30,6 +30,7 @@ impl World {
             }
             Fault::HardwareDies { robot, back_after, told } => self.hardware_dies(robot, back_after, told),
             Fault::ForeignSession { robot, lasts } => self.foreign_session(robot, lasts),
+            Fault::Seize { robot, lasts } => self.seize(robot, lasts),
             Fault::ClockStep { robot, by } => {
                 let side = &mut self.robots[robot];
                 side.clock_steps += by;

@@ -19,19 +19,23 @@ use fastrand::Rng;
 use urrcp::{Message, Server, SessionId, Span, Timestamp};
 
 use self::robots::RobotSide;
+pub(super) use self::robots::SEIZED_BY;
 use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
+use crate::draw::zone;
 use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::session::Session;
 use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
 
-/// A mission that lasts longer hangs.
+/// A mission that lasts longer than this and twice what it plays and waits for hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);
 /// Rounds at one instant, at most: far more than there can be events.
 const ROUNDS_MAX: u32 = 20_000;
-/// Things that happen in a mission, at most: one in which more and more happens does not end before the memory does.
+/// Things that happen in a mission, at most, and for each robot and second of what it plays and waits for: one in which more and more
+/// happens does not end before the memory does.
 const HAPPENS_MAX: usize = 200_000;
+const HAPPENS_A_SECOND: usize = 12;
 /// After this long an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for this long: whatever they still do is seen.
@@ -140,6 +144,9 @@ struct World {
     is_promised: bool,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
+    /// After this, the mission hangs.
+    lasts_until: Timestamp<Server>,
+    happens_max: usize,
     /// Keep every message: only for a trace.
     verbose: bool,
 }
@@ -154,6 +161,7 @@ fn options(drawn: &Drawn) -> MissionOptions {
         session: session().map(Session::named),
         join: drawn.join,
         acts_max: drawn.acts_max,
+        zone: zone(drawn.clock_change),
         transfer: drawn
             .plans_transfers
             .then(|| Arc::new(transfer::Planner::of(drawn)) as Arc<dyn PlanTransfer>),
@@ -206,16 +214,19 @@ fn play_world(mut world: World) -> Ran {
     }
     let starts_of_dead = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.starts_of_dead));
     let starts_of_dead = starts_of_dead.collect();
+    let brakings = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.brakings)).collect();
     let (logs, logs_of_strangers) =
         world.robots.into_iter().map(|robot| (robot.log, robot.log_of_stranger)).unzip();
     Ran {
         report,
         records: world.records,
         logs,
+        brakings,
         logs_of_strangers,
         starts_of_dead,
         server_ahead: world.scheduler.ahead,
         history: world.history,
+        watched_until: world.now,
         hung: world.hung,
         drawn: world.drawn,
     }
@@ -223,6 +234,8 @@ fn play_world(mut world: World) -> Ran {
 
 impl World {
     fn new(drawn: Drawn, verbose: bool) -> Self {
+        let lasts = drawn.lasts();
+        let seconds = usize::try_from(lasts.as_nanos() / 1_000_000_000).unwrap_or(0);
         let mut world = Self {
             rng: Rng::with_seed(drawn.seed ^ 0x5eed),
             now: BEGIN,
@@ -237,11 +250,16 @@ impl World {
             is_promised: false,
             records: Vec::new(),
             history: Vec::new(),
+            lasts_until: BEGIN + LASTS_MAX + lasts * 2,
+            happens_max: HAPPENS_MAX + seconds * drawn.robots.len() * HAPPENS_A_SECOND,
             verbose,
             drawn,
         };
         for (at, fault) in world.drawn.faults.clone() {
             world.put(BEGIN + at, Item::Fault(fault));
+        }
+        if let Some(ends_at) = world.drawn.ends_at {
+            world.put(BEGIN + ends_at, Item::Fault(Fault::Stop));
         }
         for robot in 0..world.robots.len() {
             let there_from = world.drawn.robots[robot].there_from;
@@ -259,7 +277,7 @@ impl World {
 
     fn note(&mut self, happened: Happened) {
         self.history.push((self.now, happened));
-        self.hung |= self.history.len() > HAPPENS_MAX;
+        self.hung |= self.history.len() > self.happens_max;
     }
 
     /// When something next happens by itself, outside the mission.
@@ -298,6 +316,7 @@ impl World {
         while let Some(next) = self.next_instant().filter(|next| *next <= until && !self.hung) {
             self.step(next);
         }
+        self.now = until;
     }
 
     fn happen(&mut self, item: Item) {

@@ -2,16 +2,17 @@
 
 use std::collections::BTreeSet;
 
-use downbeat_robot::set_log::LogEntry;
+use downbeat_robot::set_log::{LogEntry, MotionKind};
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId};
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ControlResponse,
-    ControlType, InitializationBlock, Message, Millis, Script, Server, SessionId, Setpoint, Span, Status,
-    Step, Timestamp,
+    ControlType, InitializationBlock, Message, Millis, Proof, Role, Script, Server, SessionId, Setpoint,
+    Span, Status, Step, Timestamp,
 };
 
 use super::{BEGIN, Item, Machine, World};
+use crate::braking::Braking;
 use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 use downbeat_mission::Loss;
 
@@ -21,6 +22,10 @@ const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
 const DEATH_KNOWN: Span = Span::from_millis(200);
 /// Links of other sessions, far from the scheduler's.
 const FOREIGN: u64 = 1 << 63;
+/// Links of operators who seize a robot.
+const SEIZES: u64 = 1 << 62;
+/// The name of such an operator.
+pub(crate) const SEIZED_BY: &str = "eva";
 /// Another session's script starts this long after it was sent.
 const FOREIGN_AHEAD: f64 = 80.0;
 
@@ -51,6 +56,8 @@ pub(super) struct RobotSide {
     /// Each message takes this much longer until then.
     pub(super) lags: Option<(Span, Timestamp<Server>)>,
     pub(super) log: Vec<LogEntry>,
+    /// How its devices came to rest.
+    pub(super) brakings: Vec<Braking>,
     /// What another robot at its address did.
     pub(super) log_of_stranger: Vec<LogEntry>,
     /// Last arrivals, so that a stream keeps its order: there and back.
@@ -81,6 +88,7 @@ impl RobotSide {
             slow: None,
             lags: None,
             log: Vec::new(),
+            brakings: Vec::new(),
             log_of_stranger: Vec::new(),
             last: [BEGIN; 2],
             busy: [BEGIN; 2],
@@ -96,6 +104,9 @@ impl RobotSide {
         let log = machine.take_log();
         if log.is_empty() {
             return;
+        }
+        if self.who == Who::Itself {
+            self.brakings.extend(brakings(machine, &log));
         }
         let foreign = |entry: &LogEntry| entry.request_id.as_deref() == Some("foreign");
         let entries = log.into_iter().filter(|entry| !foreign(entry));
@@ -121,10 +132,27 @@ impl RobotSide {
     }
 }
 
+/// How devices come to rest by the last of these entries.
+fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
+    let slow = |(_, entry): &(usize, &LogEntry)| entry.motion == MotionKind::Slow;
+    let is_last = |(index, entry): &(usize, &LogEntry)| {
+        let mut later = log[index + 1..].iter();
+        !later.any(|later| later.device == entry.device && later.control_type == entry.control_type)
+    };
+    let value =
+        |entry: &LogEntry, control_type, at| machine.robot().value(entry.device.as_str(), control_type, at);
+    let last = log.iter().enumerate().filter(slow).filter(is_last);
+    last.filter_map(|(_, entry)| Braking::of(entry, |of, at| value(entry, of, at))).collect()
+}
+
+/// A process of a robot. Its clock has drifted since the beginning, whether or not a process ran.
 fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server>) -> SimulatedRobot {
+    let mut settings = drawn.settings.clone();
+    let drifted = (now - BEGIN).as_millis_f64() * settings.drift_ppm * 1e-6;
+    settings.clock_offset += Span::from_millis_f64(drifted);
     match drawn.hands {
-        Hands::Own => SimulatedRobot::new(block, drawn.settings.clone()),
-        Hands::Hardware => SimulatedRobot::with_hardware(block, drawn.settings.clone(), now.assume_clock()),
+        Hands::Own => SimulatedRobot::new(block, settings),
+        Hands::Hardware => SimulatedRobot::with_hardware(block, settings, now.assume_clock()),
     }
 }
 
@@ -184,8 +212,12 @@ impl World {
             let mut said = std::mem::take(&mut self.said);
             machine.advance(at, &mut said);
             side.collect();
+            let is_itself = side.who == Who::Itself;
             for outgoing in said.drain(..) {
                 if let Outgoing::Message { link, message } = outgoing {
+                    if link.0 & (FOREIGN | SEIZES) == FOREIGN | SEIZES && is_itself && is_taken(&message) {
+                        self.note(Happened::Seized(robot));
+                    }
                     let slow = self.drawn.robots[robot].slow;
                     let message = self.as_said(robot, message);
                     self.put(self.now + slow, Item::Answer { robot, link, message: Box::new(message) });
@@ -276,13 +308,28 @@ impl World {
 
     /// Another session claims a robot and sends it a script, as far as the robot lets it.
     pub(super) fn foreign_session(&mut self, robot: usize, lasts: Span) {
+        self.asks_for(robot, LinkId(FOREIGN + robot as u64), lasts);
+    }
+
+    /// An operator with the role takes a robot, and sends it a script.
+    pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
+        let now = self.now.assume_clock();
+        let link = LinkId(FOREIGN + SEIZES + robot as u64);
+        if let (Some(machine), Ok(name)) = (&mut self.robots[robot].machine, SEIZED_BY.parse()) {
+            let proof = Proof { name, roles: [Role::Drive, Role::Seize].into_iter().collect() };
+            machine.receive(now, link, Input::Proven(proof));
+        }
+        self.asks_for(robot, link, lasts);
+    }
+
+    fn asks_for(&mut self, robot: usize, link: LinkId, lasts: Span) {
         let now = self.now;
-        let link = LinkId(FOREIGN + robot as u64);
+        let seize = link.0 & SEIZES != 0;
         let side = &mut self.robots[robot];
         let taken = side.link.is_some() && self.drawn.robots[robot].connections == Connections::One;
         let Some(machine) = side.machine.as_mut().filter(|_| !taken) else { return };
         let session = SessionId::new("another").ok();
-        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone(), seize: false };
+        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone(), seize };
         machine.receive(now.assume_clock(), link, Input::Message(Message::AvailabilityRequest(ask)));
         if let Some(request) = foreign_script(&self.drawn.robots[robot].block, now, session) {
             machine.receive(now.assume_clock(), link, Input::Message(Message::ControlRequest(request)));
@@ -307,18 +354,25 @@ impl World {
     }
 }
 
+/// Whether the robot answers that it belongs to the session that asks.
+fn is_taken(message: &Message) -> bool {
+    matches!(message, Message::AvailabilityResponse(response) if response.status == Status::Ok)
+}
+
 fn foreign_script(
     block: &InitializationBlock,
     now: Timestamp<Server>,
     session: Option<SessionId>,
 ) -> Option<ControlRequest> {
-    let step = Step {
-        offset: Millis::ZERO,
-        setpoint: Setpoint::new(ControlType::Position, 1.0),
-        stop_condition: None,
+    let device = block.devices.first()?;
+    let setpoint = match device.primary_control_type()? {
+        ControlType::Position => Setpoint::new(ControlType::Position, 1.0),
+        // Nothing continues after the script.
+        rate => Setpoint::new(rate, 0.0),
     };
+    let step = Step { offset: Millis::ZERO, setpoint, stop_condition: None };
     let command = Command::Script(Script::new(vec![step]).ok()?);
-    let mut request = ControlRequest::immediate(block.devices.first()?.id.clone(), command);
+    let mut request = ControlRequest::immediate(device.id.clone(), command);
     request.timestamp = Some(now);
     request.time_offset_to_start = Millis::new(FOREIGN_AHEAD).ok();
     request.request_id = "foreign".parse().ok();

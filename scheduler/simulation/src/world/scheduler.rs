@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::{BEGIN, Due, Item, LASTS_MAX, World, options, participants, session};
+use super::{BEGIN, Due, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
@@ -434,7 +434,7 @@ impl drive::World for World {
                 // Nothing will ever happen again, and the mission has not ended.
                 (_, None) => self.hung = true,
             }
-            self.hung |= self.now > BEGIN + LASTS_MAX;
+            self.hung |= self.now > self.lasts_until;
         }
     }
 

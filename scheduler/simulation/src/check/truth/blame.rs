@@ -6,7 +6,7 @@ use urrcp::{DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;
 use crate::check::movements::jumps_from_the_beginning;
-use crate::draw::BEGINS_AT;
+use crate::draw::{BEGINS_AT, shows_within};
 use crate::trajectory::JUMP;
 use crate::{Happened, Network};
 use downbeat_mission::{FailureKind, Progress};
@@ -64,16 +64,22 @@ impl Said<'_> {
         let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let drawn = &self.facts.drawn().robots[robot];
         let has_moved = self.facts.ran.logs[robot].iter().any(|entry| entry.device == *device);
-        *reading == BEGINS_AT && !has_moved && jumps_from_the_beginning(drawn, device, *expected)
+        let shows = drawn.block.device(device.as_str()).and_then(shows_within).unwrap_or_default();
+        (reading - BEGINS_AT).abs() <= shows
+            && !has_moved
+            && jumps_from_the_beginning(drawn, device, *expected)
     }
 
     /// Whether a stop may have left the device at this position, away from the expected one.
     fn was_left_elsewhere(&self, robot: usize, kind: &FailureKind) -> bool {
         let FailureKind::Position { device, reading, expected, .. } = kind else { return false };
         let mut log = self.facts.ran.logs[robot].iter().filter(|entry| entry.device == *device);
-        let was_there =
-            |entry: &LogEntry| entry.motion == MotionKind::Slow || (entry.value - reading).abs() <= JUMP;
-        let was_there = *reading == BEGINS_AT || log.any(was_there);
+        let device = self.facts.drawn().robots[robot].block.device(device.as_str());
+        let shows = device.and_then(shows_within).unwrap_or_default();
+        let was_there = |entry: &LogEntry| {
+            entry.motion == MotionKind::Slow || (entry.value - reading).abs() <= JUMP + shows
+        };
+        let was_there = (reading - BEGINS_AT).abs() <= shows || log.any(was_there);
         (reading - expected).abs() > JUMP && was_there && !self.facts.stopping.is_empty()
     }
 

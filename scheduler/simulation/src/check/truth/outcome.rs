@@ -6,8 +6,12 @@ use super::Said;
 use super::acts::error_by_its_clock;
 use crate::Happened;
 use crate::check::facts::{SentAct, SentScript};
+use crate::check::situation::off_its_plan;
 use downbeat_mission::report::RobotReport;
 use downbeat_mission::{ActFate, Outcome, Progress, Record};
+
+/// What the mission may not know of a clock that it measures, apart from the round trip: at the bound of its drift, for a minute.
+const CLOCK_ERROR: Span = Span::from_millis(6);
 
 impl Said<'_> {
     pub(super) fn outcome(&self, wrong: &mut Vec<String>) {
@@ -30,12 +34,35 @@ impl Said<'_> {
                 self.script_done(act, script, wrong);
             }
         }
+        self.none_drifted(wrong);
         let ill = |row: &&RobotReport| row.standing != "in" || row.unaccounted > 0;
         if let Some(row) = self.report.robots.iter().find(ill) {
             wrong.push(format!(
                 "done, and {} is {} with {} unknown",
                 row.robot, row.standing, row.unaccounted
             ));
+        }
+    }
+
+    /// No robot whose clock is measured was further from its plan at the end of an act than the tolerance and what the mission cannot
+    /// know of that clock.
+    fn none_drifted(&self, wrong: &mut Vec<String>) {
+        if self.resumed {
+            return;
+        }
+        for act in self.facts.acts.iter().filter(|act| act.counts()) {
+            for robot in act.robots() {
+                let Some(off) = off_its_plan(self.facts, act, robot) else { continue };
+                let drawn = self.facts.drawn();
+                let unknown =
+                    drawn.delay.1 * 2 + drawn.robots[robot].slow + self.slowest(robot) * 2 + CLOCK_ERROR;
+                if off > act.written.plan.start_tolerance + unknown {
+                    wrong.push(format!(
+                        "done, and r{robot} was {off} off the plan at the end of act {}",
+                        act.promise.number
+                    ));
+                }
+            }
         }
     }
 

@@ -144,7 +144,7 @@ impl Said<'_> {
     }
 
     /// The longest that a message to this robot was under way, or that it stood still: a lease counts from what it heard.
-    fn slowest(&self, robot: usize) -> urrcp::Span {
+    pub(super) fn slowest(&self, robot: usize) -> urrcp::Span {
         let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
         let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default() + self.facts.drawn().delay.1

@@ -1,0 +1,151 @@
+//! How devices come to rest: within the acceleration that they declare, without turning back, and from where they were.
+
+use downbeat_robot::set_log::LogEntry;
+use urrcp::{ControlType, Device, DeviceId, Robot, Span, Timestamp};
+
+/// The number of equal intervals into which the time of a braking is divided.
+const INTERVALS: usize = 32;
+/// What takes less time is not judged: times are rounded to nanoseconds.
+const LASTS_LEAST: Span = Span::from_millis(2);
+/// The longest time in which a device slows down, or goes home at its own speed.
+pub(crate) const LASTS_MAX: Span = Span::from_millis(600_000);
+/// The relative error of an acceleration that is computed from differences.
+const ERROR: f64 = 0.02;
+
+/// A device that comes to rest, or goes home, within its limits.
+#[derive(Clone, Debug)]
+pub struct Braking {
+    /// The device.
+    pub device: DeviceId,
+    /// What it changes.
+    pub control_type: ControlType,
+    /// When it begins, by the robot's clock.
+    pub since: Timestamp<Robot>,
+    /// How long it takes.
+    pub lasts: Span,
+    /// The values at the ends of equal intervals.
+    pub values: Vec<f64>,
+}
+
+/// Whether an entry is of a control type.
+pub(crate) fn is_of(entry: &LogEntry, control_type: ControlType) -> bool {
+    match control_type {
+        ControlType::Position => entry.control_type == "position",
+        ControlType::Speed => entry.control_type == "speed",
+        other => entry.control_type == other.to_string(),
+    }
+}
+
+impl Braking {
+    /// Samples the way to rest that an entry begins. `value` returns the value of the device at an instant.
+    pub(crate) fn of(
+        entry: &LogEntry,
+        value: impl Fn(ControlType, Timestamp<Robot>) -> Option<f64>,
+    ) -> Option<Self> {
+        let control_type = entry.control_type.parse().ok()?;
+        let (since, to) = (entry.due, entry.value);
+        let rests = |after: Span| {
+            value(control_type, since + after).is_some_and(|value| value.to_bits() == to.to_bits())
+        };
+        let mut least = Span::ZERO;
+        let mut largest = Span::from_millis(1);
+        while !rests(largest) && largest < LASTS_MAX {
+            (least, largest) = (largest, largest * 2);
+        }
+        while (largest - least).as_nanos() > 1 {
+            let middle = least + (largest - least) / 2;
+            *(if rests(middle) { &mut largest } else { &mut least }) = middle;
+        }
+        let intervals = i64::try_from(INTERVALS).ok()?;
+        let at = |index| since + Span::from_nanos(largest.as_nanos() / intervals * index);
+        let values = (0..=intervals).map(|index| value(control_type, at(index)));
+        let values = values.collect::<Option<Vec<f64>>>()?;
+        Some(Self { device: entry.device.clone(), control_type, since, lasts: largest, values })
+    }
+
+    /// Whether an entry of the log begins it.
+    #[must_use]
+    pub fn is_of(&self, entry: &LogEntry) -> bool {
+        self.device == entry.device && self.since == entry.due && is_of(entry, self.control_type)
+    }
+
+    /// The length of an interval, in seconds.
+    fn interval(&self) -> f64 {
+        self.lasts.as_millis_f64() / 1_000.0 / (self.values.len() - 1) as f64
+    }
+
+    /// Its change a second at an instant, and by how much that may be wrong.
+    pub(crate) fn rate(&self, at: Timestamp<Robot>) -> Option<(f64, f64)> {
+        let rates = self.rates();
+        let index = ((at - self.since).as_millis_f64() / 1_000.0 / self.interval()) as usize;
+        let error = rates.windows(2).map(|two| (two[1] - two[0]).abs()).fold(0.0, f64::max);
+        Some((*rates.get(index)?, error))
+    }
+
+    fn rates(&self) -> Vec<f64> {
+        self.values.windows(2).map(|two| (two[1] - two[0]) / self.interval()).collect()
+    }
+
+    /// The fault of the way, if it has one. `rate`: the change of a position a second before it, and by how much that may be
+    /// wrong. `stays`: the device comes to rest where it is.
+    #[must_use]
+    pub fn flaw(&self, device: &Device, rate: Option<(f64, f64)>, stays: bool) -> Option<String> {
+        let accelerates = acceleration(device);
+        let (Some(first), Some(last)) = (self.values.first(), self.values.last()) else { return None };
+        if self.lasts < LASTS_LEAST {
+            return None;
+        }
+        let interval = self.interval();
+        let grain = 1e-5 * (1.0 + first.abs().max(last.abs())) / interval;
+        if self.control_type != ControlType::Position {
+            let most = accelerates? * (1.0 + ERROR) + grain;
+            let steepest = self.rates().into_iter().fold(0.0, |most: f64, rate| most.max(rate.abs()));
+            let turns = stays && self.values.windows(2).any(|two| two[1].abs() > two[0].abs());
+            let harder = format!("changed its speed by {steepest} a second, and declares {accelerates:?}");
+            return (steepest > most)
+                .then_some(harder)
+                .or_else(|| turns.then(|| "sped up in a stop".to_owned()));
+        }
+        let rates = self.rates();
+        let (before, error) = rate.unwrap_or((rates[0], f64::INFINITY));
+        let most = if error.is_finite() { before + before.signum() * error } else { before };
+        let fastest = accelerates.map(|accelerates| accelerates.max(harder_at_limit(device, *first, most)));
+        let mut change = (rates[0] - before).abs() - error;
+        let hard = fastest.and_then(|fastest| {
+            let most = fastest * interval * (1.0 + ERROR) + grain;
+            change = rates.windows(2).map(|two| (two[1] - two[0]).abs()).fold(change, f64::max);
+            (change > most).then(|| {
+                format!("slowed down by {} a second squared, and may by {fastest}", change / interval)
+            })
+        });
+        let turns = stays
+            && before.abs() > error
+            && rates.iter().any(|rate| rate * before < 0.0 && rate.abs() > grain);
+        let speed =
+            largest(device, ControlType::Speed).map(|speed| speed.max(before.abs()) * (1.0 + ERROR) + grain);
+        let fast = rates
+            .iter()
+            .copied()
+            .filter(|_| !stays)
+            .find(|rate| speed.is_some_and(|speed| rate.abs() > speed));
+        hard.or_else(|| turns.then(|| "turned back in a stop".to_owned()))
+            .or_else(|| fast.map(|rate| format!("went home at {rate} a second")))
+    }
+}
+
+/// How hard a device has to brake so as not to pass its limits.
+pub(crate) fn harder_at_limit(device: &Device, position: f64, rate: f64) -> f64 {
+    let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return 0.0 };
+    let room = if rate > 0.0 { limits.max_value - position } else { position - limits.min_value };
+    if rate == 0.0 { 0.0 } else { rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)) }
+}
+
+/// The largest acceleration that a device declares.
+pub(crate) fn acceleration(device: &Device) -> Option<f64> {
+    largest(device, ControlType::Acceleration)
+}
+
+fn largest(device: &Device, rate: ControlType) -> Option<f64> {
+    let limits = device.available_control_types.limits(rate)?;
+    Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
+}

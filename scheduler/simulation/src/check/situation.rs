@@ -1,0 +1,187 @@
+//! Situations that missions of the simulation have to reach. A simulation that never reaches one of them shows nothing about it.
+
+use std::fmt;
+
+use downbeat_plan::Wait;
+use downbeat_robot::set_log::{LogEntry, MotionKind};
+use urrcp::{ControlType, Robot, Server, Span, Timestamp};
+
+use super::DRIFT;
+use super::facts::{Facts, SentAct, SentScript};
+use crate::braking::{acceleration, harder_at_limit, is_of};
+use crate::draw::{ClockChange, shows_within};
+use crate::{Happened, Ran};
+use downbeat_mission::{ClockMode, Failure, FailureKind, Progress};
+
+/// A situation of a device or a robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Situation {
+    /// A speed goes to zero within the acceleration of its device.
+    SpeedSlows,
+    /// A speed goes to zero at once: its device declares no acceleration.
+    SpeedStops,
+    /// A position slows down within the acceleration of its device.
+    PositionSlows,
+    /// A position slows down harder, so as not to pass its limit.
+    SlowsAtLimit,
+    /// A stop reaches a device that slows down.
+    StoppedAgain,
+    /// A device continues to turn after its script.
+    TurnsAfterScript,
+    /// The lease of such a device ends.
+    LeaseEndsTurning,
+    /// An act starts at a time of day.
+    AtItsTime,
+    /// An act starts at a time of day that the clocks show twice.
+    AtTimeShownTwice,
+    /// An act starts when the clocks skip its time of day.
+    AtSkippedTime,
+    /// An act waits for a time of another day.
+    WaitsForAnotherDay,
+    /// The clock of a robot drifts by more than the tolerance while it plays.
+    DriftsApart,
+    /// A sensor shows that a device would jump, which moved before.
+    RefusedBySensor,
+}
+
+impl Situation {
+    /// All of them.
+    pub const ALL: [Self; 13] = [
+        Self::SpeedSlows,
+        Self::SpeedStops,
+        Self::PositionSlows,
+        Self::SlowsAtLimit,
+        Self::StoppedAgain,
+        Self::TurnsAfterScript,
+        Self::LeaseEndsTurning,
+        Self::AtItsTime,
+        Self::AtTimeShownTwice,
+        Self::AtSkippedTime,
+        Self::WaitsForAnotherDay,
+        Self::DriftsApart,
+        Self::RefusedBySensor,
+    ];
+}
+
+impl fmt::Display for Situation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::SpeedSlows => "a speed goes to zero within its acceleration",
+            Self::SpeedStops => "a speed goes to zero at once",
+            Self::PositionSlows => "a position slows down within its acceleration",
+            Self::SlowsAtLimit => "a position slows down harder at its limit",
+            Self::StoppedAgain => "a stop reaches a device that slows down",
+            Self::TurnsAfterScript => "a device turns on after its script",
+            Self::AtItsTime => "an act starts at its time of day",
+            Self::AtTimeShownTwice => "an act starts at a time that clocks show twice",
+            Self::AtSkippedTime => "an act starts when clocks skip its time of day",
+            Self::WaitsForAnotherDay => "an act waits for a time of another day",
+            Self::RefusedBySensor => "a sensor shows that a device would jump",
+            Self::DriftsApart => "a clock drifts beyond the tolerance in an act",
+            Self::LeaseEndsTurning => "a lease ends after a script, and the device turns",
+        })
+    }
+}
+
+/// The situations of a mission, each as often as it occurred.
+pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
+    let mut met = Vec::new();
+    for robot in 0..facts.drawn().robots.len() {
+        brakings(facts.ran, robot, &mut met);
+    }
+    let scripts = facts.acts.iter().flat_map(|act| &act.scripts);
+    scripts.for_each(|script| after_script(facts, script, &mut met));
+    if let Some(change) = facts.drawn().clock_change.map(|index| ClockChange::ALL[index]) {
+        met.extend(facts.acts.iter().filter_map(|act| at_its_time(change, act)));
+        let waits_long = |(at, happened): &&(Timestamp<Server>, Happened)| match happened {
+            Happened::Told(told) => matches!(&**told,
+                Progress::Waiting { at: Some(target), .. } if *target - *at > Span::from_millis(12 * 3_600_000)),
+            _ => false,
+        };
+        met.extend(facts.ran.history.iter().filter(waits_long).map(|_| Situation::WaitsForAnotherDay));
+    }
+    let drifts = |act: &&SentAct<'_>| {
+        let off = act.robots().into_iter().filter_map(|robot| off_its_plan(facts, act, robot));
+        off.into_iter().any(|off| off > act.written.plan.start_tolerance)
+    };
+    let shown = |failure: &&Failure| {
+        let FailureKind::Position { device, .. } = &failure.kind else { return false };
+        let drawn = facts.drawn().robots.iter().find(|drawn| drawn.block.id == failure.robot);
+        let drawn = drawn.filter(|drawn| !drawn.block.inquiry);
+        drawn.and_then(|drawn| drawn.block.device(device.as_str())).and_then(shows_within).is_some()
+    };
+    let failures = facts.ran.report.iter().flat_map(|report| report.failures.iter());
+    met.extend(failures.filter(shown).map(|_| Situation::RefusedBySensor));
+    met.extend(facts.acts.iter().filter(drifts).map(|_| Situation::DriftsApart));
+    met
+}
+
+/// How far the last step of a robot was off the plan of an act, by the true time. `None` if the robot did not come to its end, lies,
+/// follows NTP, or had its clock set.
+pub(super) fn off_its_plan(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Span> {
+    let measured = facts.drawn().robots[robot].clock == ClockMode::Measured;
+    if !measured || !facts.honest(robot) || facts.clock_was_set(robot) || !act.is_whole_on(robot) {
+        return None;
+    }
+    let last = act.of(robot).max_by_key(|script| script.promised.start.span())?;
+    let entry = last.steps().last()?;
+    let step = last.written?.script.steps().get(entry.step? as usize)?;
+    let planned = act.start_of(last) + step.offset.span();
+    let late = entry.set_at - entry.due;
+    Some((Timestamp::<Server>::from_nanos(entry.true_ns) - late - planned).abs())
+}
+
+/// How an act starts that waits for a time of day.
+fn at_its_time(change: ClockChange, act: &SentAct<'_>) -> Option<Situation> {
+    let Wait::TimeOfDay(time) = act.written.wait else { return None };
+    let start = act.promise.start + act.ahead;
+    if start == change.at() && change.time_of_day(start) != time {
+        return Some(Situation::AtSkippedTime);
+    }
+    let other = [start + change.forward(), start - change.forward()];
+    let twice = other.into_iter().any(|other| change.time_of_day(other) == time);
+    let shows = change.time_of_day(start) == time;
+    shows.then_some(if twice { Situation::AtTimeShownTwice } else { Situation::AtItsTime })
+}
+
+fn brakings(ran: &Ran, robot: usize, met: &mut Vec<Situation>) {
+    let block = &ran.drawn.robots[robot].block;
+    for braking in &ran.brakings[robot] {
+        let Some(device) = block.device(braking.device.as_str()) else { continue };
+        let rate = braking.rate(braking.since).map_or(0.0, |(rate, _)| rate);
+        let limit = harder_at_limit(device, braking.values.first().copied().unwrap_or_default(), rate);
+        met.push(match braking.control_type {
+            ControlType::Position if acceleration(device).is_some_and(|declared| limit > declared) => {
+                Situation::SlowsAtLimit
+            }
+            ControlType::Position => Situation::PositionSlows,
+            _ => Situation::SpeedSlows,
+        });
+        let slows = |at: Timestamp<Robot>| braking.since < at && at < braking.since + braking.lasts;
+        let again = ran.logs[robot].iter().any(|entry| {
+            let is_stop = matches!(entry.motion, MotionKind::Slow | MotionKind::Rest);
+            is_stop && entry.device == braking.device && slows(entry.due)
+        });
+        met.extend(again.then_some(Situation::StoppedAgain));
+    }
+}
+
+/// What becomes of a device whose script has set a speed that is not zero.
+fn after_script(facts: &Facts<'_>, script: &SentScript<'_>, met: &mut Vec<Situation>) {
+    let is_speed = |entry: &&LogEntry| is_of(entry, ControlType::Speed);
+    let last = script.steps().filter(is_speed).last();
+    let Some(last) = last.filter(|last| last.value != 0.0) else { return };
+    let later = facts.ran.logs[script.robot].iter().filter(|entry| entry.true_ns > last.true_ns);
+    let next = later.filter(is_speed).find(|entry| entry.device == last.device);
+    let stopped = next.filter(|next| next.motion == MotionKind::Rest);
+    met.extend(stopped.map(|_| Situation::SpeedStops));
+    if script.steps_set() < script.steps_written() {
+        return;
+    }
+    met.push(Situation::TurnsAfterScript);
+    let Some((next, lease)) = next.zip(script.promised.running) else { return };
+    let at = Timestamp::<Server>::from_nanos(next.true_ns);
+    let heard = facts.heard(script.robot).filter(|heard| *heard < at).last();
+    let ended = heard.is_some_and(|heard| (at - heard - lease.span()).abs() < DRIFT);
+    met.extend((ended && next.request_id.is_none()).then_some(Situation::LeaseEndsTurning));
+}

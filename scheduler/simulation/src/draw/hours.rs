@@ -1,0 +1,100 @@
+//! Missions that last for minutes or hours, evenly on a logarithmic scale, while clocks drift: acts that wait for a long time, and acts
+//! that play for a long time. Their leases are long, so that the scheduler asks each robot once a second.
+
+use downbeat_plan::Wait;
+use downbeat_rehearsal::dry_run::BEGIN;
+use fastrand::Rng;
+use urrcp::{Millis, Span, StopCondition};
+
+use super::unusual::move_script;
+use super::{Drawn, faults, millis, one_in};
+use downbeat_mission::ClockMode;
+
+/// The shortest of these missions, and how many times as long the longest is.
+const SHORTEST: f64 = 60_000.0;
+const TIMES: f64 = 240.0;
+/// By how much the clock of a robot that follows NTP may drift in all, and how fast.
+const NTP_MAX_MS: f64 = 10.0;
+const NTP_MAX_PPM: f64 = 10.0;
+
+/// The largest tolerance of acts that play for long: clocks drift beyond it within minutes.
+const TOLERANCE: Span = Span::from_millis(20);
+
+/// Makes a mission last.
+pub(super) fn last_for_hours(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
+    let lasts = SHORTEST * TIMES.powf(rng.f64());
+    let silence = f64::from(rng.u32(6_000..30_000));
+    let running = Millis::new(silence).ok().filter(|_| !one_in(rng, 4));
+    for act in &mut drawn.choreography.acts {
+        let plan = &mut act.plan;
+        plan.stop_condition = StopCondition { running, ..plan.stop_condition };
+        for script in plan.robots.iter_mut().flat_map(|robot| &mut robot.scripts) {
+            script.stop_condition = StopCondition { running, ..script.stop_condition };
+        }
+    }
+    match rng.bool() {
+        true => wait_long(rng, &mut drawn, lasts),
+        false => {
+            let drifts = rng.usize(0..drawn.robots.len());
+            drawn.robots[drifts].clock = ClockMode::Measured;
+            play_long(&mut drawn, lasts);
+            let plans = drawn.choreography.acts.iter_mut().map(|act| &mut act.plan);
+            plans.for_each(|plan| plan.start_tolerance = plan.start_tolerance.min(TOLERANCE));
+        }
+    }
+    for robot in &mut drawn.robots {
+        robot.settings.drift_ppm = match robot.clock {
+            ClockMode::Measured => (if rng.bool() { 1.0 } else { -1.0 }) * (20.0 + 60.0 * rng.f64()),
+            _ => (rng.f64() - 0.5) * 2.0 * (NTP_MAX_MS / lasts * 1e6).min(NTP_MAX_PPM),
+        };
+    }
+    let faults = faults::draw_faults(rng, &drawn);
+    Drawn { faults, ..drawn }
+}
+
+/// Acts wait for the operator or for an instant.
+fn wait_long(rng: &mut Rng, drawn: &mut Drawn, lasts: f64) {
+    let acts = drawn.choreography.acts.len();
+    let each = lasts / acts as f64;
+    for index in 0..acts {
+        let act = &mut drawn.choreography.acts[index];
+        if rng.bool() {
+            let at = Span::from_millis_f64(each * (index as f64 + rng.f64())) + millis(rng, 500, 1_500);
+            (act.wait, act.timeout, drawn.comes_after[index]) = (Wait::Instant(BEGIN + at), None, None);
+        } else {
+            let comes = Span::from_millis_f64(each * rng.f64());
+            (act.wait, act.timeout) =
+                (Wait::Operator, Some(comes + millis(rng, -200, 4_000).max(Span::ZERO)));
+            drawn.comes_after[index] = Some(comes);
+        }
+    }
+}
+
+/// All movements take longer.
+fn play_long(drawn: &mut Drawn, lasts: f64) {
+    let plays = drawn.choreography.acts.iter().map(|act| act.plan.duration().as_millis_f64()).sum::<f64>();
+    let longer = (lasts / plays.max(1.0)).max(1.0);
+    let robots = drawn.choreography.acts.iter_mut().flat_map(|act| &mut act.plan.robots);
+    for script in robots.flat_map(|robot| &mut robot.scripts) {
+        move_script(script, |start| start * longer, |offset| offset * longer);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FAMILIES, HOURS, HOURS_ONE_IN};
+    use super::*;
+    use crate::{Situation, draw, judge, run};
+
+    #[test]
+    fn missions_last_for_hours_while_clocks_drift() {
+        let (mut longest, mut drifts) = (Span::ZERO, 0);
+        for seed in (HOURS..10_000).step_by((FAMILIES * HOURS_ONE_IN) as usize) {
+            longest = longest.max(draw(seed).lasts());
+            let verdict = judge(&run(seed));
+            assert_eq!(verdict.violations, [], "seed {seed}");
+            drifts += verdict.situations.iter().filter(|of| **of == Situation::DriftsApart).count();
+        }
+        assert!(longest > Span::from_millis(3_600_000) && drifts > 0, "{longest}, {drifts}");
+    }
+}

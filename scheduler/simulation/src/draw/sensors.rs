@@ -1,0 +1,97 @@
+//! Missions with sensors that show where devices are: with noise, after a delay, and of bodies that follow their commands with a lag.
+//! Many of their robots take no inquiries, so that the mission knows positions by sensors alone. One seed in fifty is such a mission.
+
+use downbeat_plan::OnFailure;
+use downbeat_robot::simulated::Moves;
+use fastrand::Rng;
+use urrcp::{ControlType, Device, Interpolation, Span};
+
+use super::staged::instant;
+use super::{Drawn, Fault, Names, millis, one_in};
+use crate::{Stage, play};
+
+/// The noise of a sensor is this part of the error that its device declares.
+const NOISE: f64 = 0.125;
+
+/// Gives most devices sensors and bodies, and stops most missions before another act.
+pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
+    for robot in &mut drawn.robots {
+        if one_in(rng, 2) {
+            (robot.block.inquiry, robot.block.pending_until) = (false, false);
+        }
+        for device in robot.block.devices.iter_mut() {
+            let error = 0.5 + 2.5 * rng.f64();
+            let Some(shown) = with_sensor(device, error).filter(|_| !one_in(rng, 4)) else { continue };
+            *device = shown;
+            // Without names, the mission takes no reading for an answer.
+            robot.names = Names::Echoed;
+            robot.settings.moves.push(Moves {
+                device: device.id.clone(),
+                latency: millis(rng, 0, 60),
+                spread: Span::ZERO,
+                time_constant: if one_in(rng, 3) { Span::ZERO } else { millis(rng, 1, 80) },
+                sensor: device.id.clone(),
+                noise: error * NOISE,
+                delay: millis(rng, 0, 40),
+            });
+        }
+    }
+    let acts = drawn.choreography.acts.len();
+    for act in drawn.choreography.acts.iter_mut().take(acts - 1).filter(|_| !one_in(rng, 3)) {
+        (act.on_failure.default, act.on_failure.then) = (OnFailure::Stop, Some(acts - 1));
+    }
+    if !one_in(rng, 3)
+        && let Some(at) = instant(rng, &play(drawn.clone().without_faults()), Stage::Plays)
+    {
+        let robot = rng.usize(0..drawn.robots.len());
+        let back_after = rng.bool().then(|| millis(rng, 20, 500));
+        let fault = match one_in(rng, 2) {
+            true => Fault::RobotCrash { robot, back_after, told: true },
+            false => Fault::Home,
+        };
+        drawn.faults = vec![(at, fault)];
+    }
+    drawn
+}
+
+/// The same device with a sensor that shows its position, and with this error.
+fn with_sensor(device: &Device, error: f64) -> Option<Device> {
+    device.available_control_types.limits(ControlType::Position)?;
+    let (id, queue) = (&device.id, device.script_queue);
+    let steps = device.available_control_types.script()?.max_number_of_steps;
+    let interpolation = if device.interpolation == Interpolation::Linear { "linear" } else { "hold" };
+    let default =
+        device.default_value.map_or(String::new(), |default| format!(r#""default_value": {default}, "#));
+    let json = format!(
+        r#"{{"id": "{id}", "name": "{id}", {default}"interpolation": "{interpolation}", "script_queue": {queue},
+          "available_control_types": {{
+            "position": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_error": {error}}},
+            "sensor": {{"min_value": -20, "max_value": 120}},
+            "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": {steps}}}}}}}"#
+    );
+    serde_json::from_str(&json).ok()
+}
+
+/// How far a sensor may be from the position of its device at rest, as often as matters here.
+pub(crate) fn shows_within(device: &Device) -> Option<f64> {
+    device.available_control_types.sensor()?;
+    let error = device.available_control_types.limits(ControlType::Position)?.max_error?;
+    Some(error * NOISE * 6.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FAMILIES, SENSORS};
+    use crate::{Situation, judge, run};
+
+    #[test]
+    fn missions_know_positions_by_sensors_of_devices_that_move() {
+        let mut reached = 0;
+        for seed in (SENSORS..20_000).step_by(FAMILIES as usize) {
+            let verdict = judge(&run(seed));
+            assert_eq!(verdict.violations, [], "seed {seed}");
+            reached += verdict.situations.iter().filter(|of| **of == Situation::RefusedBySensor).count();
+        }
+        assert!(reached > 3, "{reached}");
+    }
+}

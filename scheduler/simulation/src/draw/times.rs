@@ -1,0 +1,129 @@
+//! Missions in which acts wait for times of day while the clocks change: times that the clocks skip, that they show twice, and that
+//! are on another day. One seed in fifty is such a mission.
+
+use chrono::{FixedOffset, Offset, Utc};
+use downbeat_mission::zone::Zone;
+use downbeat_plan::Wait;
+use downbeat_rehearsal::dry_run::BEGIN;
+use fastrand::Rng;
+use urrcp::{Server, Span, Timestamp};
+
+use super::{Drawn, millis, one_in};
+
+/// A day.
+const DAY: Span = Span::from_millis(24 * 3_600_000);
+/// An act may wait for a time of the next day. At this time after the beginning, the operator stops it.
+const ENDS_AT: Span = Span::from_millis(15_000);
+/// The distance from a change of the clocks within which times are drawn that they skip or show twice.
+const AROUND_MAX: i64 = 3_000;
+
+/// A change of the clocks.
+#[derive(Clone, Copy, Debug)]
+pub struct ClockChange {
+    /// When, counted from the beginning.
+    pub after: Span,
+    /// The UTC offset until then, in seconds.
+    pub before_s: i32,
+    /// The UTC offset afterwards, in seconds.
+    pub after_s: i32,
+}
+
+impl ClockChange {
+    /// All of them. Most are shorter than real ones, so that a mission reaches the times on both sides. The mission begins at midnight
+    /// in UTC, so that some of them change the date as well.
+    pub const ALL: [Self; 8] = [
+        Self::new(1_500, 3_600, 7_200),
+        Self::new(3_000, 7_200, 3_600),
+        Self::new(2_000, 0, 3),
+        Self::new(4_000, 3, 0),
+        Self::new(2_000, -2, 1),
+        Self::new(4_000, -4, -7),
+        Self::new(1_000, 34_200, 36_000),
+        Self::new(5_000, 39_600, 37_800),
+    ];
+
+    const fn new(after_ms: i64, before_s: i32, after_s: i32) -> Self {
+        Self { after: Span::from_millis(after_ms), before_s, after_s }
+    }
+
+    /// When the clocks change.
+    #[must_use]
+    pub fn at(self) -> Timestamp<Server> {
+        BEGIN + self.after
+    }
+
+    /// What the clocks show at an instant, since the midnight before.
+    #[must_use]
+    pub fn time_of_day(self, at: Timestamp<Server>) -> Span {
+        let offset = if at < self.at() { self.before_s } else { self.after_s };
+        let shown = at - Timestamp::from_nanos(0) + Span::from_millis(i64::from(offset) * 1_000);
+        Span::from_nanos(shown.as_nanos().rem_euclid(DAY.as_nanos()))
+    }
+
+    /// By how much the clocks are set forward.
+    #[must_use]
+    pub fn forward(self) -> Span {
+        Span::from_millis(i64::from(self.after_s - self.before_s) * 1_000)
+    }
+}
+
+/// The time zone of a mission. A zone is a function without data, so that each change has its own.
+pub(crate) fn zone(change: Option<usize>) -> Zone {
+    const fn of<const INDEX: usize>() -> Zone {
+        Zone::new(|at| {
+            let change = ClockChange::ALL[INDEX];
+            let offset = if at < change.at() { change.before_s } else { change.after_s };
+            FixedOffset::east_opt(offset).unwrap_or_else(|| Utc.fix())
+        })
+    }
+    const ZONES: [Zone; ClockChange::ALL.len()] =
+        [of::<0>(), of::<1>(), of::<2>(), of::<3>(), of::<4>(), of::<5>(), of::<6>(), of::<7>()];
+    change.map_or(Zone::UTC, |change| ZONES[change])
+}
+
+/// Lets one act or all acts wait for times of day around a change of the clocks.
+pub(super) fn wait_for_times(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
+    let index = rng.usize(0..ClockChange::ALL.len());
+    let change = ClockChange::ALL[index];
+    let (acts, all) = (drawn.choreography.acts.len(), one_in(rng, 3));
+    let only = rng.usize(0..acts);
+    for act in (0..acts).filter(|act| all || *act == only) {
+        let forward = change.forward();
+        let time = if one_in(rng, 3) {
+            // It is skipped, or shown twice.
+            let largest = forward.abs().as_nanos().min(AROUND_MAX * 1_000_000);
+            let off = Span::from_nanos(rng.i64(0..largest));
+            let last = change.time_of_day(change.at() - Span::from_nanos(1)) + Span::from_nanos(1);
+            if forward > Span::ZERO { last + off } else { last - off }
+        } else {
+            change.time_of_day(BEGIN + millis(rng, 500, 9_000))
+        };
+        let time = Span::from_nanos(time.as_nanos().rem_euclid(DAY.as_nanos()));
+        drawn.choreography.acts[act].wait = Wait::TimeOfDay(Span::from_millis(time.as_nanos() / 1_000_000));
+        drawn.choreography.acts[act].timeout = None;
+    }
+    (drawn.clock_change, drawn.ends_at) = (Some(index), Some(ENDS_AT));
+    drawn
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::super::{FAMILIES, TIMES};
+    use crate::{Situation, judge, run};
+
+    #[test]
+    fn acts_start_at_times_that_clocks_show_once_or_twice_or_skip() {
+        let mut reached = BTreeSet::new();
+        for seed in (TIMES..20_000).step_by(FAMILIES as usize) {
+            let verdict = judge(&run(seed));
+            assert_eq!(verdict.violations, [], "seed {seed}");
+            reached.extend(verdict.situations);
+        }
+        use Situation::{AtItsTime, AtSkippedTime, AtTimeShownTwice, WaitsForAnotherDay};
+        for situation in [AtItsTime, AtTimeShownTwice, AtSkippedTime, WaitsForAnotherDay] {
+            assert!(reached.contains(&situation), "{situation}");
+        }
+    }
+}
