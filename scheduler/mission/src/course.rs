@@ -83,10 +83,12 @@ impl Mission {
                 ActAction::Fail(failing) => self.fail_of_act(now, number, failing),
                 _ if !performs => {}
                 ActAction::Record(record) => self.record_for(now, number, record),
-                ActAction::Send(script) => {
+                ActAction::Send(script) if self.may_send(script) => {
                     self.count_retry(script);
                     self.send_script(now, script);
                 }
+                // It is sent once the robot has confirmed its stop, or has answered on its new link.
+                ActAction::Send(_) => {}
                 ActAction::Refill(robots) => robots.into_iter().for_each(|robot| self.refill(now, robot)),
                 ActAction::Ask(robots) => robots.into_iter().for_each(|robot| self.inquire(now, robot)),
                 ActAction::Withdraw(outcome) => self.withdraw_act(now, number, outcome),

@@ -207,8 +207,8 @@ impl Mission {
         due
     }
 
-    /// The next question to a robot that has answered, and the time at which the mission asks it: as long as a device that a stop has left adrift is not
-    /// where the answer before had it.
+    /// The next question to a robot that has answered, and when to ask it. `None` once every adrift device is where the previous
+    /// answer had it.
     fn asked_again(
         &self,
         now: Timestamp<Server>,
@@ -230,7 +230,10 @@ impl Mission {
         if stated.iter().all(rests) {
             return None;
         }
-        let at = if asked.before.is_empty() { now } else { now.max(asked.at + ASK_AGAIN) };
+        // Readings of a device that still moves differ by less than the error of its sensor if they follow at once.
+        let is_read = stated.keys().any(|device| state.positions.iter().any(|(read, _)| read == device));
+        let is_first = asked.before.is_empty() && !is_read;
+        let at = if is_first { now } else { now.max(asked.at + ASK_AGAIN) };
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 

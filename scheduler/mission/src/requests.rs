@@ -80,7 +80,7 @@ impl Mission {
             return self.goes_on(now);
         }
         let noted = act.answered(script, response, self.arrived, &self.robots);
-        self.report_rest(robot);
+        self.report_rest(now, robot);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
             self.goes_on(now);
@@ -107,7 +107,7 @@ impl Mission {
 
     /// Sends a robot as many scripts as its devices have room for, in order of start.
     pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
-        if self.robots[robot].stop_was_sent() || self.robots[robot].owes_its_times() {
+        if !self.robots[robot].may_be_sent_scripts() {
             return;
         }
         for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
@@ -115,6 +115,12 @@ impl Mission {
         }
         // Room for what is out is room that an act behind may have waited for.
         self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+    }
+
+    /// Whether the robot of a script may be sent it now.
+    pub(super) fn may_send(&self, script: ScriptRef) -> bool {
+        let act = self.acts.iter().find(|act| act.number() == script.act);
+        act.is_some_and(|act| self.robots[act.robot_of(script)].may_be_sent_scripts())
     }
 
     /// Sends the request of a script, for the first time or again.
@@ -180,7 +186,11 @@ impl Mission {
     /// Sends what had to wait.
     pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
         for (robot, message) in std::mem::take(&mut self.deferred) {
-            self.send(now, robot, message);
+            let is_script =
+                matches!(&message, Message::ControlRequest(it) if it.time_offset_to_start.is_some());
+            if !is_script || !self.robots[robot].owes_its_times() {
+                self.send(now, robot, message);
+            }
         }
     }
 

@@ -320,7 +320,7 @@ pub(crate) struct PositionsAsked {
     pub(crate) at: Timestamp<Server>,
     /// When the act asked first.
     pub(crate) since: Timestamp<Server>,
-    /// The positions of devices adrift that answered the question before.
+    /// The positions of adrift devices in the previous answer.
     pub(crate) before: BTreeMap<DeviceId, f64>,
 }
 
@@ -462,6 +462,11 @@ impl RobotState {
     pub(crate) fn owes_its_times(&self) -> bool {
         let unknown = self.clock.samples() == 0 && self.settings.clock == ClockMode::Measured;
         unknown || self.unmeasured_since().is_some()
+    }
+
+    /// Whether it may be sent scripts: no stop was sent to it, and it does not owe its times.
+    pub(crate) fn may_be_sent_scripts(&self) -> bool {
+        !self.stop_was_sent() && !self.owes_its_times()
     }
 
     /// It is the one that is meant, or it is not asked. `false`: that was known of this link.

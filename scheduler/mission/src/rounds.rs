@@ -255,7 +255,7 @@ impl Mission {
                 .for_each(|until| self.robots[robot].runs_elsewhere(until));
             self.carry_out(now, script.act, noted.actions);
         }
-        self.report_rest(robot);
+        self.report_rest(now, robot);
         self.tell_heard(now, robot);
         if response.status == Status::Failed && !matches!(self.phase, Phase::Stopping { .. }) {
             let error = error_of_status(response.error.as_ref());

@@ -310,12 +310,12 @@ impl Script {
         self.first_sent_at.get_or_insert(now);
     }
 
-    /// Whether it was sent for the first time at an instant or later.
     /// It was sent, or another process may have sent it.
     pub(super) const fn was_ever_sent(&self) -> bool {
         self.first_sent_at.is_some() || self.perhaps_sent
     }
 
+    /// Whether it was sent for the first time at an instant or later.
     pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
         self.first_sent_at.is_some_and(|at| at >= since)
     }

@@ -360,7 +360,7 @@ impl Mission {
             }
             let over = |until: &mut Option<Timestamp<Server>>| until.is_some_and(|until| now >= until);
             if self.robots[robot].elsewhere.take_if(over).is_some() {
-                self.report_rest(robot);
+                self.report_rest(now, robot);
                 self.stop_progress(now);
             }
         }
@@ -375,13 +375,15 @@ impl Mission {
         {
             self.inquire_now(now, robot);
         }
-        self.report_rest(robot);
+        self.report_rest(now, robot);
     }
 
     /// Reports that a robot has confirmed its stop, once nothing contradicts that.
-    pub(super) fn report_rest(&mut self, robot: usize) {
+    pub(super) fn report_rest(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.may_report_rest(robot) && !self.owes_a_fate(robot) {
             self.tell_at_rest(robot);
+            // The next act may have waited for this.
+            self.refill(now, robot);
         }
     }
 

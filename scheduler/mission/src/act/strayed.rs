@@ -41,10 +41,13 @@ impl Act {
             return None;
         }
         let (deviation, uncertainty) = self.deviation(member, now, robots)?;
-        let offset = deviation - self.middle_of_deviations(member, now, robots)?;
+        let (common, doubt) = self.common_deviation(member, now, robots)?;
+        let offset = deviation - common;
         let tolerance = self.written().plan.start_tolerance;
-        let drift = Span::from_millis_f64((now - timing.timestamp).as_millis_f64() * DRIFT_BOUND);
-        let is_certain = offset.abs() > tolerance + uncertainty + drift;
+        // Scripts may have been translated by the offset that was predicted for the end of the act.
+        let length = timing.end.max(now) - timing.timestamp;
+        let drift = Span::from_millis_f64(length.as_millis_f64() * DRIFT_BOUND);
+        let is_certain = offset.abs() > tolerance + uncertainty + doubt + drift;
         is_certain.then_some(FailureKind::Clock { offset, uncertainty, tolerance })
     }
 
@@ -74,21 +77,27 @@ impl Act {
         Some((deviation, reading.uncertainty + uncertainty))
     }
 
-    /// By how much all members seem to be off because this machine's clock is not the one by which another process translated their
-    /// scripts; zero for an act that this process has sent. `None` if nothing distinguishes a robot from this machine.
-    fn middle_of_deviations(
+    /// The deviation that all members have in common if this machine's clock differs from that of the process that translated their
+    /// scripts, and its uncertainty; zero for an act that this process has sent. `None` until it is known.
+    fn common_deviation(
         &self,
         member: &Member,
         now: Timestamp<Server>,
         robots: &[RobotState],
-    ) -> Option<Span> {
+    ) -> Option<(Span, Span)> {
         if member.clock_steps.is_some() {
-            return Some(Span::ZERO);
+            return Some((Span::ZERO, Span::ZERO));
+        }
+        let is_measured = |member: &&Member| robots[member.robot].settings.clock == ClockMode::Measured;
+        let mut measured = self.present().filter(is_measured);
+        if measured.any(|member| robots[member.robot].clock.samples() == 0) {
+            return None;
         }
         let deviations = self.present().filter_map(|member| self.deviation(member, now, robots));
-        let mut deviations: Vec<Span> = deviations.map(|(deviation, _)| deviation).collect();
+        let (mut deviations, doubts): (Vec<Span>, Vec<Span>) = deviations.unzip();
         deviations.sort_unstable();
-        (deviations.len() > 2).then(|| deviations[deviations.len() / 2])
+        let doubt = doubts.into_iter().max()?;
+        (deviations.len() > 2).then(|| (deviations[deviations.len() / 2], doubt))
     }
 
     fn by_index(

@@ -239,3 +239,37 @@ fn offsets_continue_from_those_in_the_journal_no_faster_than_clocks_drift() {
         assert_eq!([shift(1), shift(2)], expected.map(ms), "a clock that is {shows} ms ahead");
     }
 }
+
+/// An act of three robots with a second script after `later`, taken up after its start, and the clocks of its robots.
+fn clocks_after_take_up(later: i64, clocks: [ClockSample; 3]) -> Option<FailureKind> {
+    let chain = [("a", 0, 400), ("a", later, 400)];
+    let scripts: [&[Planned]; 3] = [&chain; 3];
+    let (other, promise) = promised(&scripts);
+    let mut robots = robots(&[Tells::Nothing; 3], 2);
+    let now = promise.start + ms(100);
+    let choreography = Arc::clone(&other.act.choreography);
+    let mut act = Act::take_up(choreography, &promise, Reached::Commitment, &robots, now).unwrap();
+    act.note_as_sent_until(now);
+    for (robot, sample) in robots.iter_mut().zip(clocks) {
+        robot.settings.clock = ClockMode::Measured;
+        robot.clock.add(sample);
+    }
+    act.clock_was_set(now, 0, &robots)
+}
+
+/// An exchange with a clock that is ahead by `ahead` milliseconds, whose answer took `back` milliseconds.
+fn exchange(ahead: i64, back: i64) -> ClockSample {
+    let there = by_robot(at(500)) + ms(ahead);
+    ClockSample::from_exchange(at(500), there, there, at(500 + back))
+}
+
+#[test]
+fn a_clock_counts_as_set_only_beyond_the_uncertainty_of_all_clocks_and_the_drift_until_the_end() {
+    let sure = exchange(0, 0);
+    assert!(clocks_after_take_up(2_000, [exchange(60, 0), sure, sure]).is_some());
+    assert!(clocks_after_take_up(2_000, [sure, exchange(60, 0), exchange(60, 0)]).is_some());
+    let delayed = [sure, exchange(0, 160), exchange(0, 120)];
+    assert_eq!(clocks_after_take_up(2_000, delayed), None, "the other two may be right");
+    assert!(clocks_after_take_up(2_000, [exchange(30, 0), sure, sure]).is_some());
+    assert_eq!(clocks_after_take_up(400_000, [exchange(30, 0), sure, sure]), None, "100 ppm are 40 ms");
+}
