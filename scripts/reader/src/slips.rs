@@ -105,7 +105,7 @@ pub fn word<'a>(wrong: &str, known: impl Iterator<Item = &'a str> + Clone) -> Op
                     .to_owned(),
             );
         }
-        "pause" | "freeze" | "estop" | "emergencystop" if has("without") => "stop",
+        "pause" | "freeze" | "hold" | "estop" | "emergencystop" if has("without") => "stop",
         "retry" | "restart" | "reconnect" if has("without") => {
             return Some(
                 "a robot that has failed does not begin again in this act: `without` continues without it"
