@@ -308,6 +308,21 @@ fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
     assert_eq!(scripts_in(&mission.actions), []);
 }
 
+#[test]
+fn a_robot_whose_stop_is_not_confirmed_is_sent_no_script_that_the_next_act_wants() {
+    for (is_stopped, sends) in [(true, 0), (false, 1)] {
+        let mut mission = begins_at_once(Everything);
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        if is_stopped {
+            mission.stop_robot(at(1), 0, Rest::InPlace);
+        }
+        mission.actions.clear();
+        let script = ScriptRef { act: 0, member: 0, script: 0 };
+        mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
+        assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
+    }
+}
+
 /// Two acts: `r0` alone plays the first one, `r1` the second one.
 fn one_after_the_other() -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
