@@ -299,16 +299,22 @@ fn an_act_that_follows_a_failure_begins_once_the_robots_are_at_their_first_posit
     }
 }
 
+/// A mission that plans no way after a failure. Its devices move linearly, and a stop leaves them at this position.
+fn stays_at(rests_at: f64) -> Played {
+    let (mut played, _) = plays(Ok(true), OnFailure::Stop);
+    played.mission.options.transfer = None;
+    for robot in &mut played.mission.robots {
+        let devices = robot.block.iter_mut().flat_map(|block| block.devices.iter_mut());
+        devices.for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
+    }
+    played.positions = [("a".parse().unwrap(), rests_at)].into();
+    played
+}
+
 #[test]
 fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_act_after_a_failure() {
     for (rests_at, plays_it) in [(0.0, false), (45.0, true)] {
-        let (mut played, _) = plays(Ok(true), OnFailure::Stop);
-        played.mission.options.transfer = None;
-        for robot in &mut played.mission.robots {
-            let devices = robot.block.iter_mut().flat_map(|block| block.devices.iter_mut());
-            devices.for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
-        }
-        played.positions = [("a".parse().unwrap(), rests_at)].into();
+        let mut played = stays_at(rests_at);
         fails_towards_another_act(&mut played, Rest::InPlace);
         assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "from {rests_at}");
         let jumps = |told: &Progress| matches!(told, Progress::Failed(failure) if matches!(failure.kind, FailureKind::Position { .. }));
@@ -321,13 +327,7 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
 fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_act_after_a_failure() {
     // The first step of the act is at 45. At first, the device is close to it.
     for (rests_at, plays_it) in [(60.0, false), (45.0, true)] {
-        let (mut played, _) = plays(Ok(true), OnFailure::Stop);
-        played.mission.options.transfer = None;
-        for robot in &mut played.mission.robots {
-            let devices = robot.block.iter_mut().flat_map(|block| block.devices.iter_mut());
-            devices.for_each(|device| device.interpolation = urrcp::Interpolation::Linear);
-        }
-        played.positions = [("a".parse().unwrap(), rests_at)].into();
+        let mut played = stays_at(rests_at);
         played.slows = Some((played.now + ms(1_000), (44.9 - rests_at) / 1_000.0));
         fails_towards_another_act(&mut played, Rest::InPlace);
         assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "to {rests_at}");

@@ -210,3 +210,17 @@ fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Spa
     });
     comes.collect()
 }
+
+/// Plays one seed in `every`, none of which may violate anything, and counts the situations that their missions reach.
+#[cfg(test)]
+fn reached((first, below): (u64, u64), every: u64) -> std::collections::BTreeMap<crate::Situation, usize> {
+    let mut reached = std::collections::BTreeMap::new();
+    for seed in (first..below).step_by(every as usize) {
+        let verdict = crate::judge(&crate::run(seed));
+        assert_eq!(verdict.violations, [], "seed {seed}");
+        for situation in verdict.situations {
+            *reached.entry(situation).or_insert(0) += 1;
+        }
+    }
+    reached
+}

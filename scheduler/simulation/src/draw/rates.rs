@@ -130,25 +130,14 @@ fn strike_while_it_plays(rng: &mut Rng, drawn: &mut Drawn) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
-    use super::super::{FAMILIES, RATES};
-    use crate::{Situation, judge, run};
+    use super::super::{FAMILIES, RATES, reached};
+    use crate::Situation::{
+        LeaseEndsTurning, PositionSlows, SlowsAtLimit, SpeedSlows, SpeedStops, StoppedAgain, TurnsAfterScript,
+    };
 
     #[test]
     fn devices_turn_and_slow_down_within_what_they_declare() {
-        let mut reached = BTreeMap::new();
-        for seed in (RATES..20_000).step_by(FAMILIES as usize) {
-            let verdict = judge(&run(seed));
-            assert_eq!(verdict.violations, [], "seed {seed}");
-            for situation in verdict.situations {
-                *reached.entry(situation).or_insert(0) += 1;
-            }
-        }
-        use Situation::TurnsAfterScript;
-        use Situation::{
-            LeaseEndsTurning, PositionSlows, SlowsAtLimit, SpeedSlows, SpeedStops, StoppedAgain,
-        };
+        let reached = reached((RATES, 20_000), FAMILIES);
         let all = [
             SpeedSlows,
             SpeedStops,

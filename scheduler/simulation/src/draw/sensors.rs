@@ -81,17 +81,12 @@ pub(crate) fn shows_within(device: &Device) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{FAMILIES, SENSORS};
-    use crate::{Situation, judge, run};
+    use super::super::{FAMILIES, SENSORS, reached};
+    use crate::Situation::RefusedBySensor;
 
     #[test]
     fn missions_know_positions_by_sensors_of_devices_that_move() {
-        let mut reached = 0;
-        for seed in (SENSORS..20_000).step_by(FAMILIES as usize) {
-            let verdict = judge(&run(seed));
-            assert_eq!(verdict.violations, [], "seed {seed}");
-            reached += verdict.situations.iter().filter(|of| **of == Situation::RefusedBySensor).count();
-        }
-        assert!(reached > 3, "{reached}");
+        let reached = reached((SENSORS, 20_000), FAMILIES);
+        assert!(reached.get(&RefusedBySensor).is_some_and(|count| *count > 3), "{reached:?}");
     }
 }
