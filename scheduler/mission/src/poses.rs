@@ -28,6 +28,9 @@ pub(super) struct Expected {
 const SLOWS_MAX: Span = Span::from_millis(4_000);
 /// From the second question on, the least time between two of them.
 const ASK_AGAIN: Span = Span::from_millis(100);
+/// The same of positions that a sensor reads: in less time, the readings of a device that still moves may differ by less than the error
+/// of its sensor.
+const READ_AGAIN: Span = Span::from_millis(1_000);
 
 /// Maximum number of sensors per robot that are read only for display.
 const SHOWN_MAX: usize = 64;
@@ -230,10 +233,12 @@ impl Mission {
         if stated.iter().all(rests) {
             return None;
         }
-        // Readings of a device that still moves differ by less than the error of its sensor if they follow at once.
         let is_read = stated.keys().any(|device| state.positions.iter().any(|(read, _)| read == device));
-        let is_first = asked.before.is_empty() && !is_read;
-        let at = if is_first { now } else { now.max(asked.at + ASK_AGAIN) };
+        let at = match (is_read, asked.before.is_empty()) {
+            (true, _) => now.max(asked.at + READ_AGAIN),
+            (false, true) => now,
+            (false, false) => now.max(asked.at + ASK_AGAIN),
+        };
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 

@@ -176,6 +176,11 @@ impl Played {
         by_robot(at + self.ahead.get(&robot).copied().unwrap_or_default())
     }
 
+    fn position(&self, device: &DeviceId, when: Timestamp<Server>) -> Option<f64> {
+        let away = self.slows.map_or(0.0, |(until, by)| (until - when).as_millis_f64().max(0.0) * by);
+        self.positions.get(device).map(|position| position + away)
+    }
+
     fn inquired(&self, robot: usize, inquiry: &Inquiry) -> InquiryResponse {
         let when = self.now + ROUND_TRIP / 2;
         let requests = inquiry.requests.iter().map(|id| {
@@ -196,10 +201,10 @@ impl Played {
             RequestReport { event_timestamp: start, ..report(id, state, None) }
         });
         let requests = requests.collect();
-        let stated = |device: &DeviceId| {
-            let away = self.slows.map_or(0.0, |(until, by)| (until - when).as_millis_f64().max(0.0) * by);
-            let position = self.positions.get(device).map(|position| position + away);
-            DeviceReport { device_id: device.clone(), room: 2, position }
+        let stated = |device: &DeviceId| DeviceReport {
+            device_id: device.clone(),
+            room: 2,
+            position: self.position(device, when),
         };
         let devices = match self.states_all {
             false => inquiry.devices.iter().map(stated).collect(),
@@ -215,9 +220,9 @@ impl Played {
         let says = |status, at| Message::ControlResponse(response(device, id, status, at + ahead));
         let there = self.now + ROUND_TRIP / 2;
         let Command::Script(script) = &request.command else {
-            let Some(position) = self.positions.get(device) else { return says(Status::Failed, there) };
+            let Some(position) = self.position(device, there) else { return says(Status::Failed, there) };
             let reading = response(device, id, Status::Provide, there);
-            let status_value = StatusValue::Number(*position);
+            let status_value = StatusValue::Number(position);
             return Message::ControlResponse(ControlResponse { status_value, ..reading });
         };
         let Some((sent, offset)) = request.timestamp.zip(request.time_offset_to_start) else {

@@ -326,11 +326,20 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
 #[test]
 fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_act_after_a_failure() {
     // The first step of the act is at 45. At first, the device is close to it.
-    for (rests_at, plays_it) in [(60.0, false), (45.0, true)] {
+    for (by_sensor, rests_at, plays_it) in
+        [(false, 60.0, false), (false, 45.0, true), (true, 60.0, false), (true, 45.0, true)]
+    {
         let mut played = stays_at(rests_at);
+        for block in played.mission.robots.iter_mut().filter(|_| by_sensor).flat_map(|robot| &mut robot.block)
+        {
+            block.inquiry = false;
+            for device in block.devices.iter_mut() {
+                *device = device.clone().with_sensor(urrcp::SensorParameters::new(0.0, 90.0).unwrap());
+            }
+        }
         played.slows = Some((played.now + ms(1_000), (44.9 - rests_at) / 1_000.0));
         fails_towards_another_act(&mut played, Rest::InPlace);
-        assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "to {rests_at}");
+        assert_eq!(fates(&played)[1] == ActFate::Played, plays_it, "to {rests_at}, by sensor: {by_sensor}");
     }
 }
 
