@@ -164,3 +164,25 @@ fn a_robot_whose_clock_is_set_in_the_middle_of_an_act_fails_if_more_scripts_are_
         }
     }
 }
+
+#[test]
+fn a_script_that_waited_for_silence_is_not_sent_before_the_answer_on_a_new_link() {
+    let mut mission = begins_at_once(Tells::Nothing);
+    let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let script = sent.into_iter().find_map(|action| match action {
+        Action::Send { message: message @ Message::ControlRequest(_), .. } => Some(message),
+        _ => None,
+    });
+    mission.take_times(at(2), 0, shows(0));
+    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    let _reconnects = happens(&mut mission, at(3), down);
+    let _asks = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
+    for sends in [0, 1] {
+        mission.deferred = vec![(0, script.clone().unwrap())];
+        mission.actions.clear();
+        mission.send_deferred(at(6));
+        assert_eq!(scripts_in(&mission.actions).len(), sends);
+        let there = by_robot(at(5));
+        mission.take_times(at(6), 0, ClockSample::from_exchange(at(5), there, there, at(6)));
+    }
+}
