@@ -127,9 +127,10 @@ impl Found {
     fn row(&self, name: &str) {
         let error = |percent| rank(&self.errors_ms, percent);
         print!("{name:<38}{:>8}{:>11.3}{:>11.3}", self.errors_ms.len(), error(50), error(99));
-        match self.uncertainties_ms.is_empty() {
-            true => println!("{:>13}{:>11}", "-", "-"),
-            false => println!("{:>13.3}{:>10.3}%", rank(&self.uncertainties_ms, 50), self.coverage()),
+        if self.uncertainties_ms.is_empty() {
+            println!("{:>13}{:>11}", "-", "-")
+        } else {
+            println!("{:>13.3}{:>10.3}%", rank(&self.uncertainties_ms, 50), self.coverage())
         }
     }
 }

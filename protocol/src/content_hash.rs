@@ -55,20 +55,20 @@ impl fmt::Debug for ContentHash {
 
 impl Serialize for ContentHash {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match serializer.is_human_readable() {
-            true => {
-                serializer.serialize_str(std::str::from_utf8(&self.digits()).map_err(ser::Error::custom)?)
-            }
-            false => serializer.serialize_bytes(&self.0),
+        if serializer.is_human_readable() {
+            serializer.serialize_str(std::str::from_utf8(&self.digits()).map_err(ser::Error::custom)?)
+        } else {
+            serializer.serialize_bytes(&self.0)
         }
     }
 }
 
 impl<'de> Deserialize<'de> for ContentHash {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match deserializer.is_human_readable() {
-            true => deserializer.deserialize_str(Digits),
-            false => deserializer.deserialize_any(Digits),
+        if deserializer.is_human_readable() {
+            deserializer.deserialize_str(Digits)
+        } else {
+            deserializer.deserialize_any(Digits)
         }
     }
 }

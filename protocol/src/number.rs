@@ -39,10 +39,11 @@ impl Serialize for Number {
 
 impl<'de> Deserialize<'de> for Number {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match deserializer.is_human_readable() {
-            true => deserializer.deserialize_f64(AnyNumber),
-            // A binary encoding has kinds of numbers; any will do.
-            false => deserializer.deserialize_any(AnyNumber),
+        if deserializer.is_human_readable() {
+            deserializer.deserialize_f64(AnyNumber)
+        } else {
+            // A binary encoding has several kinds of numbers, all of which are accepted.
+            deserializer.deserialize_any(AnyNumber)
         }
     }
 }
@@ -72,10 +73,7 @@ impl de::Visitor<'_> for AnyNumber {
 }
 
 pub(crate) fn finite<E: de::Error>(value: f64) -> Result<f64, E> {
-    match value.is_finite() {
-        true => Ok(value),
-        false => Err(E::custom(crate::LimitError::NotFinite)),
-    }
+    if value.is_finite() { Ok(value) } else { Err(E::custom(crate::LimitError::NotFinite)) }
 }
 
 /// The same for a number that may be left out or null.

@@ -47,10 +47,7 @@ pub(crate) fn check_length(text: &str) -> Result<(), LimitError> {
 }
 
 fn check_identifier(text: &str) -> Result<(), LimitError> {
-    match text.is_empty() {
-        true => Err(LimitError::EmptyIdentifier),
-        false => check_length(text),
-    }
+    if text.is_empty() { Err(LimitError::EmptyIdentifier) } else { check_length(text) }
 }
 
 // Clones share their text: every step of a script names its device and its request.

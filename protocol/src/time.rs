@@ -270,9 +270,10 @@ impl<C> Sub for Timestamp<C> {
 impl<C> Serialize for Timestamp<C> {
     /// As RFC 3339, in a binary encoding as nanoseconds since the Unix epoch.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match serializer.is_human_readable() {
-            true => serializer.collect_str(self),
-            false => serializer.serialize_i64(self.nanos),
+        if serializer.is_human_readable() {
+            serializer.collect_str(self)
+        } else {
+            serializer.serialize_i64(self.nanos)
         }
     }
 }
@@ -303,9 +304,10 @@ impl<'de, C> Deserialize<'de> for Timestamp<C> {
                 i64::try_from(nanos).map_err(|_| E::custom("timestamp lies outside the years 1678 to 2262"))
             }
         }
-        let nanos = match deserializer.is_human_readable() {
-            true => deserializer.deserialize_str(Instant),
-            false => deserializer.deserialize_any(Instant),
+        let nanos = if deserializer.is_human_readable() {
+            deserializer.deserialize_str(Instant)
+        } else {
+            deserializer.deserialize_any(Instant)
         };
         nanos.map(Self::from_nanos)
     }
@@ -324,9 +326,10 @@ impl Millis {
     /// # Errors
     /// [`LimitError::OffsetOutOfRange`] when it is negative, not finite or beyond [`OFFSET_MS_MAX`].
     pub fn new(millis: f64) -> Result<Self, LimitError> {
-        match (0.0..=OFFSET_MS_MAX).contains(&millis) {
-            true => Ok(Self(millis)),
-            false => Err(LimitError::OffsetOutOfRange { millis }),
+        if (0.0..=OFFSET_MS_MAX).contains(&millis) {
+            Ok(Self(millis))
+        } else {
+            Err(LimitError::OffsetOutOfRange { millis })
         }
     }
 

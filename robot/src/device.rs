@@ -377,9 +377,12 @@ impl DeviceMachine {
         effects: &mut Vec<Effect>,
     ) {
         let lost = |held: &&Held| !held.began && held.lease_end(heard) == Some(at);
-        let passed = |held: &Held| match held.pending_until == Some(at) {
-            true => NOT_CONFIRMED.to_owned(),
-            false => lease_message("pending", now - at),
+        let passed = |held: &Held| {
+            if held.pending_until == Some(at) {
+                NOT_CONFIRMED.to_owned()
+            } else {
+                lease_message("pending", now - at)
+            }
         };
         let waiting = self.queue.iter().find(lost).map(|held| (held.start, passed(held)));
         match waiting.filter(|_| self.running_lease_end(heard) != Some(at)) {
@@ -706,9 +709,10 @@ fn tighter(declared: Option<f64>, limit: Option<f64>) -> Option<f64> {
 
 /// The reason for which a lease ended. A robot that was itself delayed may not have read messages that arrived in time.
 fn lease_message(lease: &str, late: Span) -> String {
-    match late > START_LATE_MAX {
-        true => format!("the {lease} lease ended while the robot was delayed: it woke up {late} after that"),
-        false => format!("the {lease} lease ended: the server was silent for longer than `stop_condition`"),
+    if late > START_LATE_MAX {
+        format!("the {lease} lease ended while the robot was delayed: it woke up {late} after that")
+    } else {
+        format!("the {lease} lease ended: the server was silent for longer than `stop_condition`")
     }
 }
 

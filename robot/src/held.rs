@@ -69,10 +69,7 @@ impl Held {
 
     /// Its start, then each of its steps.
     pub(crate) fn next_event(&self) -> Option<Timestamp<Robot>> {
-        match self.began {
-            false => Some(self.start),
-            true => self.time_of(self.next_step),
-        }
+        if !self.began { Some(self.start) } else { self.time_of(self.next_step) }
     }
 
     pub(crate) fn steps_done(&self) -> u32 {
@@ -91,9 +88,10 @@ impl Held {
 
     /// The lease that holds now.
     pub(crate) fn lease(&self) -> Lease {
-        match self.began {
-            false => self.lease_of(lease::pending(self.stop_condition)),
-            true => self.running_lease(self.next_step),
+        if !self.began {
+            self.lease_of(lease::pending(self.stop_condition))
+        } else {
+            self.running_lease(self.next_step)
         }
     }
 

@@ -112,9 +112,8 @@ impl Signal {
         limits: Option<&Limits>,
     ) -> Option<Self> {
         let (value, rate) = (self.value(now), self.rate(now));
-        let room = limits.map_or(f64::INFINITY, |limits| match rate > 0.0 {
-            true => limits.max_value - value,
-            false => value - limits.min_value,
+        let room = limits.map_or(f64::INFINITY, |limits| {
+            if rate > 0.0 { limits.max_value - value } else { value - limits.min_value }
         });
         let Some(acceleration) = rates.acceleration else { return self.ramp_home(now, to, rates.speed?) };
         let brake = acceleration.max(rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)));

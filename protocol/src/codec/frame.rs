@@ -43,9 +43,10 @@ pub(super) fn length(head: &[u8]) -> Option<usize> {
 
 /// Reads the payload of one frame.
 pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
-    let message = match names_one_message(payload) {
-        true => read_whole(payload),
-        false => Err(Error::Syntax("expected a dictionary of one key, which names the message".to_owned())),
+    let message = if names_one_message(payload) {
+        read_whole(payload)
+    } else {
+        Err(Error::Syntax("expected a dictionary of one key, which names the message".to_owned()))
     };
     message.or_else(|error| match names_one_message(payload).then(|| read_whole::<UnknownType>(payload)) {
         Some(Ok(unknown)) => Ok(unknown.into()),

@@ -81,25 +81,20 @@ impl TryFrom<Object<RawLimits>> for Limits {
         let RawLimits { min_value, max_value, granularity, max_error } = raw;
         let limits = Self { min_value, max_value, granularity, max_error };
         let [low, high] = limits.multiples();
-        match low <= high {
-            true => Ok(limits),
-            false => Err(LimitError::NoMultiple { granularity, min: min_value, max: max_value }),
+        if low <= high {
+            Ok(limits)
+        } else {
+            Err(LimitError::NoMultiple { granularity, min: min_value, max: max_value })
         }
     }
 }
 
 fn check_range(min: f64, max: f64) -> Result<(), LimitError> {
-    match min <= max {
-        true => Ok(()),
-        false => Err(LimitError::EmptyRange { min, max }),
-    }
+    if min <= max { Ok(()) } else { Err(LimitError::EmptyRange { min, max }) }
 }
 
 fn finite(numbers: &[f64]) -> Result<(), LimitError> {
-    match numbers.iter().all(|number| number.is_finite()) {
-        true => Ok(()),
-        false => Err(LimitError::NotFinite),
-    }
+    if numbers.iter().all(|number| number.is_finite()) { Ok(()) } else { Err(LimitError::NotFinite) }
 }
 
 fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), LimitError> {

@@ -31,10 +31,7 @@ impl Latency {
 
 fn check(span: Span) -> Result<(), LimitError> {
     let millis = span.as_millis_f64();
-    match (0.0..=LATENCY_MS_MAX).contains(&millis) {
-        true => Ok(()),
-        false => Err(LimitError::Latency { millis }),
-    }
+    if (0.0..=LATENCY_MS_MAX).contains(&millis) { Ok(()) } else { Err(LimitError::Latency { millis }) }
 }
 
 /// A latency, or its spread, on the wire: milliseconds that may be left out or null.
@@ -49,11 +46,8 @@ pub(super) mod wire {
         let Some(number::Number(millis)) = Option::<number::Number>::deserialize(d)? else { return Ok(None) };
         let span = Span::from_millis_f64(millis);
         // Rounding to nanoseconds would hide a number just below zero.
-        match millis < 0.0 {
-            true => Err(LimitError::Latency { millis }),
-            false => check(span).map(|()| Some(span)),
-        }
-        .map_err(de::Error::custom)
+        if millis < 0.0 { Err(LimitError::Latency { millis }) } else { check(span).map(|()| Some(span)) }
+            .map_err(de::Error::custom)
     }
 }
 

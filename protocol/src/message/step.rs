@@ -73,9 +73,10 @@ const SHORT_MIN: usize = 3;
 
 impl<'de> Deserialize<'de> for Step {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match deserializer.is_human_readable() {
-            true => deserializer.deserialize_map(StepVisitor),
-            false => deserializer.deserialize_any(ShortStepVisitor),
+        if deserializer.is_human_readable() {
+            deserializer.deserialize_map(StepVisitor)
+        } else {
+            deserializer.deserialize_any(ShortStepVisitor)
         }
     }
 }

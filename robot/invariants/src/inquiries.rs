@@ -79,14 +79,13 @@ impl Judge {
         if let Some(order) = self.order(id) {
             let held = RequestReport { start_timestamp: Some(order.start), ..known };
             let steps_done = u32::try_from(order.done).ok();
-            return match order.began {
-                false => *report == RequestReport { state: RequestState::Held, ..held },
-                true => {
-                    let late_steps = report.late_steps.filter(|late| Some(*late) <= steps_done);
-                    let state = RequestState::Running;
-                    let late_ms_max = report.late_ms_max.filter(|_| late_steps > Some(0));
-                    *report == RequestReport { state, steps_done, late_steps, late_ms_max, ..held }
-                }
+            return if !order.began {
+                *report == RequestReport { state: RequestState::Held, ..held }
+            } else {
+                let late_steps = report.late_steps.filter(|late| Some(*late) <= steps_done);
+                let state = RequestState::Running;
+                let late_ms_max = report.late_ms_max.filter(|_| late_steps > Some(0));
+                *report == RequestReport { state, steps_done, late_steps, late_ms_max, ..held }
             };
         }
         let Some(answer) = self.answers.get(id) else { return *report == unknown };

@@ -88,10 +88,7 @@ pub fn ask(request: &ControlRequest) -> Result<(), Violation> {
 
 /// Holds the robot to a rule.
 fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation> {
-    match holds {
-        true => Ok(()),
-        false => Err(Violation(otherwise())),
-    }
+    if holds { Ok(()) } else { Err(Violation(otherwise())) }
 }
 
 /// A robot, its judge, and the links and requests of its peers.

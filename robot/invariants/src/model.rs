@@ -42,9 +42,10 @@ impl Heard {
 
     /// A link becomes the party of the first session that it names; later ones are parties of their own.
     fn session(&mut self, link: LinkId, session: &SessionId) -> Party {
-        let fresh = match self.of_session.values().any(|party| *party == Party::Link(link)) {
-            true => Party::Session(self.of_session.len()),
-            false => Party::Link(link),
+        let fresh = if self.of_session.values().any(|party| *party == Party::Link(link)) {
+            Party::Session(self.of_session.len())
+        } else {
+            Party::Link(link)
         };
         let party = *self.of_session.entry(session.clone()).or_insert(fresh);
         self.of_link.insert(link, party);
@@ -165,10 +166,8 @@ impl Order {
 
     /// When it must be given up: its lease has ended, or would have ended once the next event has taken place.
     pub(crate) fn must_end(&self, heard: &Heard) -> Option<Now> {
-        let current = match self.began {
-            false => self.pending_ends(heard),
-            true => self.running_ends(heard, self.done),
-        };
+        let current =
+            if !self.began { self.pending_ends(heard) } else { self.running_ends(heard, self.done) };
         let sets_a_step = self.began || self.time_of(0) == Some(self.start);
         let after = self.running_ends(heard, self.done + usize::from(sets_a_step));
         let next = self.next_event().filter(|at| after.is_some_and(|end| end <= *at));

@@ -34,11 +34,14 @@ impl RevokedSerials {
         let is_serial =
             |line: &str| line.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f' | b':'));
         lines
-            .map(|line| match is_serial(line) {
-                true => Ok(line.to_owned()),
-                false => Err(unreadable(std::io::Error::other(
-                    "this is no list of revoked passes, as `downbeat keys` writes it to revoked.serials",
-                ))),
+            .map(|line| {
+                if is_serial(line) {
+                    Ok(line.to_owned())
+                } else {
+                    Err(unreadable(std::io::Error::other(
+                        "this is no list of revoked passes, as `downbeat keys` writes it to revoked.serials",
+                    )))
+                }
             })
             .collect()
     }

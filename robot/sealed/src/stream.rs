@@ -76,9 +76,10 @@ impl<S: AsyncRead + Unpin> AsyncRead for Sealed<S> {
             let mut raw = ReadBuf::new(&mut raw);
             ready!(Pin::new(&mut own.stream).poll_read(context, &mut raw))?;
             if raw.filled().is_empty() {
-                return Poll::Ready(match own.opening.is_within_record() {
-                    true => Err(io::ErrorKind::UnexpectedEof.into()),
-                    false => Ok(()),
+                return Poll::Ready(if own.opening.is_within_record() {
+                    Err(io::ErrorKind::UnexpectedEof.into())
+                } else {
+                    Ok(())
                 });
             }
             own.opening.push(raw.filled());

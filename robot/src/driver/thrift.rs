@@ -69,9 +69,10 @@ impl ThriftRobot {
             error => {
                 // The answer may still come, and would be taken for that of the next call.
                 self.connection = None;
-                DriverError::Away(match has_ended(&error) {
-                    true => self.ended(),
-                    false => format!("{}:{}: {error}", self.host, self.port),
+                DriverError::Away(if has_ended(&error) {
+                    self.ended()
+                } else {
+                    format!("{}:{}: {error}", self.host, self.port)
                 })
             }
         })
@@ -119,9 +120,10 @@ impl Driver for ThriftRobot {
     }
 
     fn ping(&mut self) -> Result<(), DriverError> {
-        match self.call(Connection::ping)? {
-            true => Ok(()),
-            false => Err(DriverError::Away("the robot answers ping with false: not ready".to_owned())),
+        if self.call(Connection::ping)? {
+            Ok(())
+        } else {
+            Err(DriverError::Away("the robot answers ping with false: not ready".to_owned()))
         }
     }
 

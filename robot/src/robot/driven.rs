@@ -218,9 +218,12 @@ impl Robot {
         out: &mut Vec<Output>,
     ) {
         let Some(OpenReading { link, request, .. }) = self.hardware.close(id) else { return };
-        let reading = reading.and_then(|value| match value.is_finite() {
-            true => Ok(value),
-            false => Err(format!("the hardware reads {value}, which is no number")),
+        let reading = reading.and_then(|value| {
+            if value.is_finite() {
+                Ok(value)
+            } else {
+                Err(format!("the hardware reads {value}, which is no number"))
+            }
         });
         match reading {
             Ok(value) => {

@@ -36,13 +36,15 @@ impl Robot {
         let status = if error.is_some() { Status::Failed } else { Status::Ok };
         InquiryResponse {
             error,
-            requests: match belongs {
-                true => inquiry.requests.iter().map(|id| self.report_of(id)).collect(),
-                false => Vec::new(),
+            requests: if belongs {
+                inquiry.requests.iter().map(|id| self.report_of(id)).collect()
+            } else {
+                Vec::new()
             },
-            devices: match belongs {
-                true => inquiry.devices.iter().filter_map(|id| self.device_report(now, id)).collect(),
-                false => Vec::new(),
+            devices: if belongs {
+                inquiry.devices.iter().filter_map(|id| self.device_report(now, id)).collect()
+            } else {
+                Vec::new()
             },
             ..InquiryResponse::new(inquiry, now, now, status)
         }

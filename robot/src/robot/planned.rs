@@ -71,9 +71,10 @@ impl Robot {
     ) -> Result<(), String> {
         let Some(plan) = self.plans.get_mut(id).filter(|plan| plan.given > 0) else {
             // One that is over may still be spoken of.
-            return match self.plans.has_been(id) {
-                true => Ok(()),
-                false => Err(format!("plan {} was never handed over", id.0)),
+            return if self.plans.has_been(id) {
+                Ok(())
+            } else {
+                Err(format!("plan {} was never handed over", id.0))
             };
         };
         let (done_before, device) = (plan.steps_done, plan.device().clone());

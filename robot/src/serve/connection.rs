@@ -289,9 +289,10 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
         }
         if self.spoke {
             let begun = self.decoder.buffered() > 0 || self.decoder.is_skipping();
-            self.until = match begun && !owns {
-                true => self.until.or_else(|| Some(Instant::now() + self.shared.patience.message)),
-                false => None,
+            self.until = if begun && !owns {
+                self.until.or_else(|| Some(Instant::now() + self.shared.patience.message))
+            } else {
+                None
             };
         }
     }
@@ -356,9 +357,10 @@ impl<R: AsyncRead + Unpin> Reading<'_, R> {
             Standing::Free | Standing::Stranger => strangers.turn().await,
         };
         let begin = Instant::now();
-        let decoded = match front.bytes > READ_AT_ONCE {
-            false => self.decoder.next_message(),
-            true => self.decode_elsewhere().await,
+        let decoded = if front.bytes <= READ_AT_ONCE {
+            self.decoder.next_message()
+        } else {
+            self.decode_elsewhere().await
         };
         let answer = match &decoded {
             Some(Ok(Message::InitializationRequest(_))) => self.shared.described.length(),

@@ -24,14 +24,13 @@ impl Described {
         if let Some(bytes) = self.find(&block, encoding) {
             return bytes;
         }
-        let written = match block.devices.len() > DEVICES_AT_ONCE {
-            false => write(block, encoding),
-            true => {
-                let copy = block.clone();
-                // It fails where the runtime ends: then nothing is left to be quick for.
-                let written = tokio::task::spawn_blocking(move || write(copy, encoding)).await;
-                written.unwrap_or_else(|_| write(block, encoding))
-            }
+        let written = if block.devices.len() <= DEVICES_AT_ONCE {
+            write(block, encoding)
+        } else {
+            let copy = block.clone();
+            // It fails where the runtime ends: then nothing is left to be quick for.
+            let written = tokio::task::spawn_blocking(move || write(copy, encoding)).await;
+            written.unwrap_or_else(|_| write(block, encoding))
         };
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         all.retain(|other| other.encoding != encoding);

@@ -91,11 +91,10 @@ fn initialization(trial: &Trial) -> Checked {
         }
     }
     let (_, second) = line.initialization()?;
-    match second.message == first.message {
-        true => {
-            Ok(format!("{} with {}", block.id, downbeat_yaml::render::counted(block.devices.len(), "device")))
-        }
-        false => Err(differs(&sent, &second.text, "the same block as a moment before")),
+    if second.message == first.message {
+        Ok(format!("{} with {}", block.id, downbeat_yaml::render::counted(block.devices.len(), "device")))
+    } else {
+        Err(differs(&sent, &second.text, "the same block as a moment before"))
     }
 }
 
@@ -131,11 +130,12 @@ pub(super) fn agrees(reading: &ClockReading) -> bool {
 fn clock(trial: &Trial) -> Checked {
     let reading = compare_clocks(trial)?;
     let measured = format!("{} ahead, +-{}", reading.offset, reading.uncertainty);
-    match agrees(&reading) || trial.options().clock_measured {
-        true => Ok(measured),
-        false => Err(Unmet::Failed(format!(
+    if agrees(&reading) || trial.options().clock_measured {
+        Ok(measured)
+    } else {
+        Err(Unmet::Failed(format!(
             "{SAMPLES} exchanges show the robot's clock {measured}; expected at most {CLOCK_OFFSET_MAX} beyond that: \
-             discipline it by NTP, or check with `--clock measured`; all other requirements were judged by its own clock"
-        ))),
+         discipline it by NTP, or check with `--clock measured`; all other requirements were judged by its own clock"
+        )))
     }
 }

@@ -101,10 +101,7 @@ impl Exchanges {
             asked.is_held() && !(response.status == Status::Started && asked.has(&Status::Started))
         });
         let open = place(&|asked| asked.unanswered > 0);
-        match is_report(response, held.is_some()) {
-            true => held,
-            false => open,
-        }
+        if is_report(response, held.is_some()) { held } else { open }
     }
 }
 

@@ -147,9 +147,12 @@ fn kept_answers(trial: &Trial) -> Checked {
     const AT_A_TIME: usize = 15;
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let ends = |line: &mut Line, ticket| match trial.reports() {
-        true => line.report(ticket, &Status::Ok, trial.patience()).map(drop),
-        false => trial.pause(urrcp::Span::from_millis(500)),
+    let ends = |line: &mut Line, ticket| {
+        if trial.reports() {
+            line.report(ticket, &Status::Ok, trial.patience()).map(drop)
+        } else {
+            trial.pause(urrcp::Span::from_millis(500))
+        }
     };
     // A robot that has forgotten it would refuse it as late.
     let first = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
@@ -180,13 +183,14 @@ fn kept_answers(trial: &Trial) -> Checked {
         }
         _ => again.message.status != Status::Failed,
     };
-    match same {
-        true => Ok(format!("known after {} others", KEPT - 1)),
-        false => Err(differs(
+    if same {
+        Ok(format!("known after {} others", KEPT - 1))
+    } else {
+        Err(differs(
             &format!("again, after {} others: {}", KEPT - 1, line.asked(first).text),
             &again.text,
             &format!("what it was told at its end: {}", heard.last().map_or("", |last| &last.text)),
-        )),
+        ))
     }
 }
 

@@ -97,10 +97,7 @@ const PERIOD: Span = Span::from_millis(300);
 
 /// Whether the robot answers inquiries.
 pub(super) fn answering(trial: &Trial) -> Result<(), Unmet> {
-    match trial.block()?.inquiry {
-        true => Ok(()),
-        false => Err(not_applicable("the robot declares no `inquiry`")),
-    }
+    if trial.block()?.inquiry { Ok(()) } else { Err(not_applicable("the robot declares no `inquiry`")) }
 }
 
 fn about(requests: &[&ControlRequest]) -> Inquiry {
@@ -124,12 +121,11 @@ fn in_state(
     state: RequestState,
 ) -> Result<(Inquired, RequestReport), Unmet> {
     let (inquired, report) = told(line, request)?;
-    match report.state == state {
-        true => Ok((inquired, report)),
-        false => {
-            let word = format!("{state:?}").to_lowercase();
-            Err(inquired.differs(&format!("state `{word}`")))
-        }
+    if report.state == state {
+        Ok((inquired, report))
+    } else {
+        let word = format!("{state:?}").to_lowercase();
+        Err(inquired.differs(&format!("state `{word}`")))
     }
 }
 
@@ -155,9 +151,10 @@ fn inquiry(trial: &Trial) -> Checked {
         return Err(inquired.differs(&expected));
     }
     let unknown = ids.into_iter().map(|id| RequestReport::new(id, RequestState::Unknown));
-    match said.requests.iter().cloned().eq(unknown) {
-        true => pass(),
-        false => Err(inquired.differs("the three requests in their order, each `unknown` and nothing else")),
+    if said.requests.iter().cloned().eq(unknown) {
+        pass()
+    } else {
+        Err(inquired.differs("the three requests in their order, each `unknown` and nothing else"))
     }
 }
 
@@ -176,11 +173,12 @@ fn held(trial: &Trial) -> Checked {
     line.held(&request)?;
     let (inquired, report) = in_state(&mut line, &request, RequestState::Held)?;
     let right = is_at(report.start_timestamp, &request) && report.event_timestamp.is_none();
-    match right && report.error.is_none() {
-        true => pass(),
-        false => Err(inquired.differs(
+    if right && report.error.is_none() {
+        pass()
+    } else {
+        Err(inquired.differs(
             "start_timestamp: timestamp + time_offset_to_start of the request; no event_timestamp, no error",
-        )),
+        ))
     }
 }
 
@@ -275,12 +273,11 @@ fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCod
     let (inquired, report) = in_state(line, request, RequestState::Ended)?;
     let error = report.error.as_ref();
     let told = error.is_some_and(|error| code.is_none_or(|code| error.code == *code));
-    match told && report.event_timestamp.is_none() {
-        true => Ok(()),
-        false => {
-            let code = code.map(|code| format!(" with error code `{code}`")).unwrap_or_default();
-            Err(inquired.differs(&format!("why it ended{code}, and no event_timestamp: it never started")))
-        }
+    if told && report.event_timestamp.is_none() {
+        Ok(())
+    } else {
+        let code = code.map(|code| format!(" with error code `{code}`")).unwrap_or_default();
+        Err(inquired.differs(&format!("why it ended{code}, and no event_timestamp: it never started")))
     }
 }
 
@@ -291,9 +288,10 @@ fn hash(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     line.held(&request)?;
     let (inquired, report) = in_state(&mut line, &request, RequestState::Held)?;
-    match report.content_hash == request.content_hash {
-        true => pass(),
-        false => Err(inquired.differs("the content_hash of the request")),
+    if report.content_hash == request.content_hash {
+        pass()
+    } else {
+        Err(inquired.differs("the content_hash of the request"))
     }
 }
 
@@ -440,10 +438,7 @@ fn pending_lease(trial: &Trial) -> Checked {
     trial.reporting()?;
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let other = match actor.device.script_queue > 1 {
-        true => Some(line.held(&trial.pending(actor))?),
-        false => None,
-    };
+    let other = if actor.device.script_queue > 1 { Some(line.held(&trial.pending(actor))?) } else { None };
     let named = trial.pending(actor).starting_in(LATER_MS + 1_000.0);
     let ticket = line.held(&named)?;
     let shorter = Inquiry { pending_lease: Some(Millis::from_span(PERIOD)), ..about(&[&named]) };
@@ -464,9 +459,10 @@ fn pending_lease(trial: &Trial) -> Checked {
 /// Makes a requirement not applicable unless the robot acts on `pending_until`.
 fn limiting(trial: &Trial) -> Result<(), Unmet> {
     answering(trial)?;
-    match trial.block()?.pending_until {
-        true => trial.reporting(),
-        false => Err(not_applicable("the robot declares no `pending_until`")),
+    if trial.block()?.pending_until {
+        trial.reporting()
+    } else {
+        Err(not_applicable("the robot declares no `pending_until`"))
     }
 }
 

@@ -121,15 +121,14 @@ fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) 
     let asked = line.asked(ticket);
     let silent = lost.at - sent;
     let (earliest, latest) = (PERIOD - EARLY_MAX, PERIOD + trial.slack());
-    match silent >= earliest && silent <= latest {
-        true => Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed")),
-        false => {
-            let came = format!("{} after {silent} of silence", lost.text);
-            let expected = format!(
-                "it after {PERIOD}, at most {latest}: stop_condition, the way both ways as it was seen, and the tolerance"
-            );
-            Err(differs(&asked.text, &came, &expected))
-        }
+    if silent >= earliest && silent <= latest {
+        Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed"))
+    } else {
+        let came = format!("{} after {silent} of silence", lost.text);
+        let expected = format!(
+            "it after {PERIOD}, at most {latest}: stop_condition, the way both ways as it was seen, and the tolerance"
+        );
+        Err(differs(&asked.text, &came, &expected))
     }
 }
 

@@ -182,9 +182,10 @@ impl<'a> Line<'a> {
             self.take(at, &line)?;
         }
         self.searched = self.buffer.len();
-        match self.buffer.len() <= LINE_BYTES_MAX {
-            true => Ok(()),
-            false => Err(Unmet::Failed(format!("the robot sent {LINE_BYTES_MAX} bytes without a newline"))),
+        if self.buffer.len() <= LINE_BYTES_MAX {
+            Ok(())
+        } else {
+            Err(Unmet::Failed(format!("the robot sent {LINE_BYTES_MAX} bytes without a newline")))
         }
     }
 
@@ -265,13 +266,12 @@ impl<'a> Line<'a> {
         codes: &[ErrorCode],
     ) -> Result<Heard<ControlResponse>, Unmet> {
         let answer = self.answer(ticket)?;
-        match is_failure(&answer.message, codes) {
-            true => Ok(answer),
-            false => {
-                let codes: Vec<_> = codes.iter().map(|code| format!("`{code}`")).collect();
-                let expected = format!("status `Failed` with error code {}", codes.join(" or "));
-                Err(differs(&self.asked(ticket).text, &answer.text, &expected))
-            }
+        if is_failure(&answer.message, codes) {
+            Ok(answer)
+        } else {
+            let codes: Vec<_> = codes.iter().map(|code| format!("`{code}`")).collect();
+            let expected = format!("status `Failed` with error code {}", codes.join(" or "));
+            Err(differs(&self.asked(ticket).text, &answer.text, &expected))
         }
     }
 

@@ -65,9 +65,10 @@ fn many_messages(trial: &Trial) -> Checked {
     }
     // Whether the time is echoed is the concern of `availability`.
     let echoed: Vec<_> = shown.into_iter().flatten().collect();
-    match echoed.is_sorted() {
-        true => pass(),
-        false => Err(differs(&what, "answers in another order", "each answer in the order of its request")),
+    if echoed.is_sorted() {
+        pass()
+    } else {
+        Err(differs(&what, "answers in another order", "each answer in the order of its request"))
     }
 }
 

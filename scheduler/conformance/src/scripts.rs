@@ -88,14 +88,13 @@ fn script_timing(trial: &Trial) -> Checked {
         return Err(differs(&asked.text, &ended.text, "an event_timestamp in `Started` and in `OK`"));
     };
     let error = to - from - length;
-    match error.abs() <= trial.options().tolerance {
-        true => Ok(format!("a script of {length} ended {error} after its time")),
-        false => {
-            let expected = format!(
-                "event_timestamp {length} after that of `Started`, {from}: the last step's time; it is off by {error}"
-            );
-            Err(differs(&asked.text, &ended.text, &expected))
-        }
+    if error.abs() <= trial.options().tolerance {
+        Ok(format!("a script of {length} ended {error} after its time"))
+    } else {
+        let expected = format!(
+            "event_timestamp {length} after that of `Started`, {from}: the last step's time; it is off by {error}"
+        );
+        Err(differs(&asked.text, &ended.text, &expected))
     }
 }
 
@@ -115,11 +114,10 @@ fn max_steps(trial: &Trial) -> Checked {
     let tried = declared.min(STEPS_TRIED_MAX);
     let mut line = trial.connect()?;
     line.held(&of_steps(trial, actor, tried))?;
-    match tried == declared {
-        true => Ok(format!("{tried} steps")),
-        false => {
-            Ok(format!("{tried} steps; {declared} are declared, more than {STEPS_TRIED_MAX} are not tried"))
-        }
+    if tried == declared {
+        Ok(format!("{tried} steps"))
+    } else {
+        Ok(format!("{tried} steps; {declared} are declared, more than {STEPS_TRIED_MAX} are not tried"))
     }
 }
 

@@ -310,10 +310,7 @@ fn forged_roles(trial: &Trial) -> Checked {
     let held = held(trial)?;
     let mut hello = fresh(held)?;
     let all: downbeat_robot::Roles = Role::ALL.into_iter().collect();
-    hello.claim.roles = match hello.claim.roles == all {
-        true => [Role::Observe].into_iter().collect(),
-        false => all,
-    };
+    hello.claim.roles = if hello.claim.roles == all { [Role::Observe].into_iter().collect() } else { all };
     let (_, answer) = greeted(trial, &hello)?;
     match hello.check_answer(&held.pass, &answer) {
         Err(NotSealed::OtherSecret) => pass(),

@@ -44,9 +44,10 @@ pub(super) const ALL: [Requirement; 5] = [
 pub(super) fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
     let ticket = line.ask(cancel)?;
     let answer = line.answer(ticket)?;
-    match trial.confirms_rest(&answer.message) {
-        true => Ok(()),
-        false => Err(differs(&line.asked(ticket).text, &answer.text, "status `OK` to an empty script")),
+    if trial.confirms_rest(&answer.message) {
+        Ok(())
+    } else {
+        Err(differs(&line.asked(ticket).text, &answer.text, "status `OK` to an empty script"))
     }
 }
 

@@ -105,10 +105,7 @@ impl Trial {
     }
 
     pub(super) fn go_on(&self) -> Result<(), Unmet> {
-        match self.interrupted.load(Ordering::Relaxed) {
-            true => Err(Unmet::Interrupted),
-            false => Ok(()),
-        }
+        if self.interrupted.load(Ordering::Relaxed) { Err(Unmet::Interrupted) } else { Ok(()) }
     }
 
     #[expect(clippy::disallowed_methods, reason = "a test client waits in real time")]
@@ -198,17 +195,19 @@ impl Trial {
     /// The same, where it takes scripts.
     pub(super) fn scripted(&self) -> Result<&Actor, Unmet> {
         let actor = self.actor()?;
-        match actor.in_script {
-            true => Ok(actor),
-            false => Err(not_applicable(format!("`{}` takes no scripts", actor.device.id))),
+        if actor.in_script {
+            Ok(actor)
+        } else {
+            Err(not_applicable(format!("`{}` takes no scripts", actor.device.id)))
         }
     }
 
     /// Whether the robot says what becomes of what it has accepted.
     pub(super) fn reporting(&self) -> Result<(), Unmet> {
-        match self.block()?.reports {
-            true => Ok(()),
-            false => Err(not_applicable("the robot declares no `reports`, so nothing tells what it does")),
+        if self.block()?.reports {
+            Ok(())
+        } else {
+            Err(not_applicable("the robot declares no `reports`, so nothing tells what it does"))
         }
     }
 
@@ -252,10 +251,8 @@ impl Trial {
 
     /// Something that is accepted and held until the check is over: a script where the device takes them.
     pub(super) fn pending(&self, actor: &Actor) -> ControlRequest {
-        let request = match actor.in_script {
-            true => self.there_and_back(actor, 500.0),
-            false => self.set(actor, actor.rest),
-        };
+        let request =
+            if actor.in_script { self.there_and_back(actor, 500.0) } else { self.set(actor, actor.rest) };
         request.starting_in(LATER_MS).leased(LEASE_MS)
     }
 

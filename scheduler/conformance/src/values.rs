@@ -129,9 +129,10 @@ fn unknown_device(trial: &Trial) -> Checked {
     let command = Command::Set(Setpoint::new(ControlType::Position, 0.0));
     let ticket = line.ask(&trial.request(&device, command).starting_in(LATER_MS).leased(LEASE_MS))?;
     let answer = line.refused(ticket, &[ErrorCode::UnknownDevice])?;
-    match answer.message.device_id == device {
-        true => pass(),
-        false => Err(differs(&line.asked(ticket).text, &answer.text, "the request's own device_id")),
+    if answer.message.device_id == device {
+        pass()
+    } else {
+        Err(differs(&line.asked(ticket).text, &answer.text, "the request's own device_id"))
     }
 }
 

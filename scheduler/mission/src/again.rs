@@ -33,9 +33,10 @@ pub(super) struct Again {
 impl Mission {
     /// Withdraws an act that this machine was too slow to start, and prepares it again if that is permitted.
     pub(super) fn withdraw_act(&mut self, now: Timestamp<Server>, number: u32, outcome: Outcome) {
-        match self.may_be_prepared_again(now, number) {
-            true => self.prepare_again(now, outcome, Vec::new()),
-            false => self.abort(now, outcome, Rest::InPlace, None),
+        if self.may_be_prepared_again(now, number) {
+            self.prepare_again(now, outcome, Vec::new())
+        } else {
+            self.abort(now, outcome, Rest::InPlace, None)
         }
     }
 
@@ -76,9 +77,10 @@ impl Mission {
             let again = act.attempts() == 0 || failing.len() == all;
             silent && most && again && act.progress() == Progressed::Preparing
         });
-        match suspect {
-            true => self.prepare_again(now, Outcome::DecisionLate { by: Span::ZERO }, failing),
-            false => self.fail_all(now, failing),
+        if suspect {
+            self.prepare_again(now, Outcome::DecisionLate { by: Span::ZERO }, failing)
+        } else {
+            self.fail_all(now, failing)
         }
     }
 

@@ -90,9 +90,10 @@ impl Mission {
         }
         let Link::Lost(lost) = &self.robots[robot].link else { return };
         let off = lost.loss == Loss::Refused && now >= lost.since + STARTS_WITHIN;
-        match off || lost.loss == Loss::Denied || now >= deadline {
-            true => self.fail(now, robot, FailureKind::LinkDown { reason }),
-            false => self.reconnect(robot),
+        if off || lost.loss == Loss::Denied || now >= deadline {
+            self.fail(now, robot, FailureKind::LinkDown { reason })
+        } else {
+            self.reconnect(robot)
         }
     }
 

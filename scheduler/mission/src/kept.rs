@@ -207,10 +207,7 @@ impl Kept {
         if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
             return Fate::Withdraw("an act was sent and not decided");
         }
-        match self.promises.is_empty() {
-            true => Fate::Withdraw("no act was under way"),
-            false => Fate::Resume,
-        }
+        if self.promises.is_empty() { Fate::Withdraw("no act was under way") } else { Fate::Resume }
     }
 
     /// The outcome that the mission gets if `resume` withdraws it, and its reason for people: the outcome of the stop that was

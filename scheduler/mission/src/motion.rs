@@ -242,11 +242,10 @@ fn first_movement(steps: &[(Span, &Step)], linear: bool) -> Option<Movement> {
         Some(place) => {
             let ((begins, from), (ends, to)) = (steps[place], steps[place + 1]);
             let next = steps.get(place + 2).map(|(at, _)| *at);
-            Some(match linear {
-                true => {
-                    Movement { due: begins, lasts: ends - begins, from: Some(from), to, until: Some(ends) }
-                }
-                false => Movement { due: ends, lasts: Span::ZERO, from: Some(from), to, until: next },
+            Some(if linear {
+                Movement { due: begins, lasts: ends - begins, from: Some(from), to, until: Some(ends) }
+            } else {
+                Movement { due: ends, lasts: Span::ZERO, from: Some(from), to, until: next }
             })
         }
         // A single value that is set, and held.

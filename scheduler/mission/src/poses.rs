@@ -190,10 +190,7 @@ impl Mission {
             }
             let until = at + answers_within(&self.robots[robot]);
             if self.robots[robot].owes_positions() {
-                match now < until {
-                    true => due = due.max(Some(until)),
-                    false => silent.push(robot),
-                }
+                if now < until { due = due.max(Some(until)) } else { silent.push(robot) }
             }
         }
         for robot in silent.into_iter().filter(|_| self.options.join == Join::NextAct) {

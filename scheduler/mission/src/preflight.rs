@@ -258,10 +258,13 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Description => description(robot),
         Check::Clock => clock(robot, now),
         Check::Position => positions(mission, index),
-        Check::Hardware => match greeted && robot.clock.samples() > 0 {
-            true => Verdict::Pass("there".to_owned()),
-            false => Verdict::NotChecked,
-        },
+        Check::Hardware => {
+            if greeted && robot.clock.samples() > 0 {
+                Verdict::Pass("there".to_owned())
+            } else {
+                Verdict::NotChecked
+            }
+        }
         Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
             true if robot.ownership == Ownership::Seized => {
                 Verdict::Warning("ours, taken from another session".to_owned())

@@ -287,9 +287,10 @@ impl Mission {
 
     /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
-        match self.robots.iter().all(RobotState::holds_nothing) {
-            true => self.refuse(outcome),
-            false => self.abort(now, outcome, super::robot_state::Rest::InPlace, None),
+        if self.robots.iter().all(RobotState::holds_nothing) {
+            self.refuse(outcome)
+        } else {
+            self.abort(now, outcome, super::robot_state::Rest::InPlace, None)
         }
     }
 
@@ -372,10 +373,7 @@ impl Mission {
             robots: act.present().count(),
             scripts: act.present().map(|member| member.scripts().len()).sum(),
             questions: act.present().map(Member::questions).max().unwrap_or(1),
-            leases: match inquiries && prescribed.is_none() {
-                true => Leases::Shortened,
-                false => Leases::Fixed,
-            },
+            leases: if inquiries && prescribed.is_none() { Leases::Shortened } else { Leases::Fixed },
             round_trip,
             early,
             late,

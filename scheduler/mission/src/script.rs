@@ -439,9 +439,10 @@ impl Script {
     pub(super) fn lose(&mut self) -> News {
         self.state = ScriptState::Unknown;
         self.lost |= self.accepted || self.perhaps_sent;
-        let message = match self.accepted {
-            true => "the robot has lost the script, as after a restart",
-            false => "the robot does not have the script, and its start has passed",
+        let message = if self.accepted {
+            "the robot has lost the script, as after a restart"
+        } else {
+            "the robot does not have the script, and its start has passed"
         };
         News::Failed(ControlError::new(ErrorCode::Internal, message))
     }

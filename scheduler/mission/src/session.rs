@@ -54,11 +54,10 @@ impl fmt::Debug for SessionKey {
 impl<'de> Deserialize<'de> for SessionKey {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let digits = String::deserialize(deserializer)?;
-        match is_key(&digits) {
-            true => Ok(Self(digits)),
-            false => Err(de::Error::custom(format!(
-                "the key of a session, expected {KEY_DIGITS} hexadecimal digits"
-            ))),
+        if is_key(&digits) {
+            Ok(Self(digits))
+        } else {
+            Err(de::Error::custom(format!("the key of a session, expected {KEY_DIGITS} hexadecimal digits")))
         }
     }
 }
@@ -158,9 +157,10 @@ fn hide_keys(error: Option<&mut ControlError>) {
         shown.push(SEPARATOR);
         let digits = part.bytes().take_while(|byte| is_digit(*byte)).count();
         // A long text is cut, perhaps within the key.
-        match digits == KEY_DIGITS || digits > 0 && part[digits..] == *"…" {
-            true => shown.push('…'),
-            false => shown.push_str(&part[..digits]),
+        if digits == KEY_DIGITS || digits > 0 && part[digits..] == *"…" {
+            shown.push('…')
+        } else {
+            shown.push_str(&part[..digits])
         }
         shown.push_str(&part[digits..]);
     }

@@ -205,9 +205,10 @@ impl SkewBudget {
     /// The parts of the budget, as text to follow the total; empty if no latency varies.
     #[must_use]
     pub fn parts(&self) -> String {
-        match self.predicted == self.clocks {
-            true => String::new(),
-            false => format!(" ({} by the clocks alone, the rest by latencies that vary)", self.clocks),
+        if self.predicted == self.clocks {
+            String::new()
+        } else {
+            format!(" ({} by the clocks alone, the rest by latencies that vary)", self.clocks)
         }
     }
 

@@ -111,10 +111,7 @@ pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let readings: Vec<Result<Readings, Unclear>> =
         trials.iter().map(|trial| readable.readings(trial)).collect();
     let usable: Vec<&Readings> = readings.iter().filter_map(|readings| readings.as_ref().ok()).collect();
-    let (lag, error) = match usable.is_empty() {
-        true => (Lag::NONE, f64::INFINITY),
-        false => fit::lag(&usable),
-    };
+    let (lag, error) = if usable.is_empty() { (Lag::NONE, f64::INFINITY) } else { fit::lag(&usable) };
     let constant = lag.constant;
     let fitted: Vec<_> = (readings.into_iter())
         .map(|readings| readings.map(|readings| (fit::fitted(&readings, lag), readings)))
@@ -163,9 +160,12 @@ impl Readable {
     fn saturated(&self, values: &[f64]) -> Result<(), Unclear> {
         let Some((least, largest)) = self.range else { return Ok(()) };
         let share = |count: usize| count as f64 / values.len() as f64;
-        let at_end = |limit: f64, share: f64| match share >= SATURATED_SHARE {
-            true => Err(Unclear::Saturated { share: share * 100.0, limit }),
-            false => Ok(()),
+        let at_end = |limit: f64, share: f64| {
+            if share >= SATURATED_SHARE {
+                Err(Unclear::Saturated { share: share * 100.0, limit })
+            } else {
+                Ok(())
+            }
         };
         at_end(least, share(values.iter().filter(|value| **value <= least).count()))?;
         at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
@@ -200,9 +200,10 @@ impl Readable {
         if latency < -EARLY_MAX - 4.0 * standard_error {
             let early = Span::from_millis_f64(-latency);
             let uncertainty = uncertainty_at(trial, Span::from_millis_f64(latency));
-            return Err(match early > uncertainty + Span::from_millis_f64(EARLY_MAX) {
-                true => Unclear::MovedBefore { early },
-                false => Unclear::LateReading { uncertainty },
+            return Err(if early > uncertainty + Span::from_millis_f64(EARLY_MAX) {
+                Unclear::MovedBefore { early }
+            } else {
+                Unclear::LateReading { uncertainty }
             });
         }
         let (_, last) = readings.span();

@@ -134,9 +134,10 @@ pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
 async fn resolve(server: &str) -> Result<SocketAddr, String> {
     const NTP_PORT: u16 = 123;
     let has_port = server.parse::<std::net::Ipv6Addr>().is_err() && server.contains(':');
-    let addresses: Vec<_> = match has_port {
-        true => tokio::net::lookup_host(server).await.map(Iterator::collect),
-        false => tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect),
+    let addresses: Vec<_> = if has_port {
+        tokio::net::lookup_host(server).await.map(Iterator::collect)
+    } else {
+        tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect)
     }
     .map_err(|error| Refusal::of(Attempt::Connect, &error).reason)?;
     // As many hosts still have no way out by IPv6.

@@ -40,10 +40,7 @@ fn or_dash<T: ToString>(value: Option<T>) -> String {
 }
 
 fn signed(span: Span) -> String {
-    match span >= Span::ZERO {
-        true => format!("+{span}"),
-        false => span.to_string(),
-    }
+    if span >= Span::ZERO { format!("+{span}") } else { span.to_string() }
 }
 
 /// An act: its cues with their times, and a row a device, in this many columns.
@@ -230,9 +227,12 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
 fn after_failure_text(after: &AfterFailure) -> String {
     let acts: Vec<_> = after.acts.iter().map(|act| format!("`{act}`")).collect();
     let home = after.home.then(|| "move to their default positions".to_owned());
-    let then = after.then.as_ref().map(|then| match after.home {
-        true => format!("play `{then}`"),
-        false => format!("move to the first positions of `{then}` and play it"),
+    let then = after.then.as_ref().map(|then| {
+        if after.home {
+            format!("play `{then}`")
+        } else {
+            format!("move to the first positions of `{then}` and play it")
+        }
     });
     let moves: Vec<_> = home.into_iter().chain(then).collect();
     format!("after a failure in {}, robots may {}", acts.join(", "), moves.join(", and then "))

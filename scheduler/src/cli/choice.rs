@@ -53,11 +53,12 @@ fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
 pub(super) fn no_such_act(option: &str, name: &str, choreography: &Choreography) -> String {
     let acts: Vec<String> = choreography.acts.iter().map(|act| act.name.clone()).collect();
     let acts: Vec<String> = acts.into_iter().filter(|act| !act.is_empty()).collect();
-    match acts.is_empty() {
-        true => format!(
+    if acts.is_empty() {
+        format!(
             "there is no act `{name}`: the scenario is not divided into acts; leave out {option} to play all of it"
-        ),
-        false => format!("there is no act `{name}`: the acts are {}{}", listed(&acts), meant(name, &acts)),
+        )
+    } else {
+        format!("there is no act `{name}`: the acts are {}{}", listed(&acts), meant(name, &acts))
     }
 }
 

@@ -45,10 +45,7 @@ struct Outlets {
 impl Outlets {
     fn start() -> std::io::Result<Self> {
         let stderr = Outlet::start("stderr")?;
-        let stdout = match Stream::are_one() {
-            true => None,
-            false => Some(Outlet::start("stdout")?),
-        };
+        let stdout = if Stream::are_one() { None } else { Some(Outlet::start("stdout")?) };
         Ok(Self { stderr, stdout })
     }
 

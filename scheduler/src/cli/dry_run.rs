@@ -128,14 +128,13 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     }
     let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
     let options = options(args, &fleet, first_act);
-    let played = match args.world.is_some() || args.trial.is_some() {
-        true => Trials::new(&choreography, &fleet, &world, options, args.seed)
+    let played = if args.world.is_some() || args.trial.is_some() {
+        Trials::new(&choreography, &fleet, &world, options, args.seed)
             .play_one(args.trial.unwrap_or_default(), args.logs(), &mut viewers)
-            .map_err(|error| (Exit::Failed, error.to_string())),
-        false => {
-            let choice = Choice { readings: &args.reading, seed: args.seed, logs: args.logs() };
-            play(&choice, &choreography, options, &fleet, &mut viewers)
-        }
+            .map_err(|error| (Exit::Failed, error.to_string()))
+    } else {
+        let choice = Choice { readings: &args.reading, seed: args.seed, logs: args.logs() };
+        play(&choice, &choreography, options, &fleet, &mut viewers)
     };
     viewers.bar.0.finish_and_clear();
     let mut played = match played {
@@ -308,13 +307,12 @@ fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> Stri
         sensors.map(|device| format!("`{}/{}`", robot.id, device.id))
     });
     let known: Vec<String> = sensors.collect();
-    match known.is_empty() {
-        true => format!(
+    if known.is_empty() {
+        format!(
             "--reading: there is no sensor `{robot}/{sensor}`; no robot of this scenario has a sensor, so leave out --reading"
-        ),
-        false => {
-            format!("--reading: there is no sensor `{robot}/{sensor}`; the sensors are {}", known.join(", "))
-        }
+        )
+    } else {
+        format!("--reading: there is no sensor `{robot}/{sensor}`; the sensors are {}", known.join(", "))
     }
 }
 

@@ -52,9 +52,10 @@ pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
         Format::Text => {
             for act in &choreography.acts {
                 let columns = console::columns();
-                console::print(&match args.gantt {
-                    true => gantt(act, &fleet::robots_of(&fleet, &act.plan), columns),
-                    false => plan_table(act, columns),
+                console::print(&if args.gantt {
+                    gantt(act, &fleet::robots_of(&fleet, &act.plan), columns)
+                } else {
+                    plan_table(act, columns)
                 });
             }
             console::print(&requirements_table(&requirements, console::columns()));

@@ -264,9 +264,10 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     if let Some((sensor, _)) = args.readings.iter().find(|(sensor, _)| !is_sensor(sensor)) {
         let sensors = block.devices.iter().filter(|device| is_sensor(&device.id));
         let known: Vec<String> = sensors.map(|device| format!("`{}`", device.id)).collect();
-        let known = match known.is_empty() {
-            true => "it has none, so leave out --reading".to_owned(),
-            false => format!("its sensors are {}", known.join(", ")),
+        let known = if known.is_empty() {
+            "it has none, so leave out --reading".to_owned()
+        } else {
+            format!("its sensors are {}", known.join(", "))
         };
         console::error(&format!("--reading: `{}` has no sensor `{sensor}`; {known}", block.id));
         return Exit::Usage;

@@ -560,13 +560,12 @@ impl Work<'_> {
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
         traces.add_mission(clock, &mission, &mut keep.watches);
-        let live = match self.preflight_only {
-            // A preflight alone is told once, by its table.
-            true => Live::lines(Format::Json),
-            false => {
-                let ids = robots.iter().map(|robot| robot.id.clone());
-                Live::start(self.format, clock, choreography, ids, speaker)
-            }
+        let live = if self.preflight_only {
+            // A table shows the result of a preflight, once.
+            Live::lines(Format::Json)
+        } else {
+            let ids = robots.iter().map(|robot| robot.id.clone());
+            Live::start(self.format, clock, choreography, ids, speaker)
         };
         let tell = |at, progress: &_| live.tell(at, progress);
         let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;

@@ -73,9 +73,8 @@ pub(crate) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
             for script in &plan.scripts {
                 // A file of movements knows no latency: what it holds is what is to be seen.
                 let moves_ms = (act.moves_at(&plan.robot, script) - act.lead_in).as_millis_f64();
-                match add(&mut robots[place], script, begin_ms + moves_ms, fleet) {
-                    true => {}
-                    false => drop(rates.insert(format!("{name}/{}", script.device), ())),
+                if !add(&mut robots[place], script, begin_ms + moves_ms, fleet) {
+                    rates.insert(format!("{name}/{}", script.device), ());
                 }
             }
         }

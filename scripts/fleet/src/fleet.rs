@@ -634,10 +634,11 @@ impl FleetReader<'_> {
 }
 
 fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str], groups: &[&str]) {
-    let hint = match groups.contains(&name) {
-        true => Some("a group lists robots, not groups: list those of this group".to_owned()),
-        false => slips::several_names(name, known.iter().copied())
-            .or_else(|| findings.did_you_mean(name, known.iter().copied())),
+    let hint = if groups.contains(&name) {
+        Some("a group lists robots, not groups: list those of this group".to_owned())
+    } else {
+        slips::several_names(name, known.iter().copied())
+            .or_else(|| findings.did_you_mean(name, known.iter().copied()))
     };
     let message = format!("no robot or group `{}` in the fleet", shortened(name));
     let expected = downbeat_yaml::finding::one_of(known.iter().copied());

@@ -188,15 +188,14 @@ fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut 
                 turns += keyframes::unwrap(&mut device.keyframes, *period);
             }
         }
-        match used || scenes.is_empty() {
-            true => sink.note(format!(
+        if used || scenes.is_empty() {
+            sink.note(format!(
                 "`{target}` continues past {period}: {}",
                 downbeat_yaml::render::counted(turns, "turn")
-            )),
-            false => {
-                let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
-                sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
-            }
+            ))
+        } else {
+            let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
+            sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
         }
     }
 }

@@ -89,9 +89,10 @@ impl<'a> Header<'a> {
 
     fn unknown(&self, column: &str, source: &Source, sink: &mut Sink) {
         let message = format!("no column `{}`", shortened(column));
-        let expected = match self.named {
-            true => format!("one of {}, or a number from 1 to {}", names(self.texts()), self.width),
-            false => format!("a number from 1 to {}: the file has no header", self.width),
+        let expected = if self.named {
+            format!("one of {}, or a number from 1 to {}", names(self.texts()), self.width)
+        } else {
+            format!("a number from 1 to {}: the file has no header", self.width)
         };
         let hint = did_you_mean(column, self.texts());
         sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());

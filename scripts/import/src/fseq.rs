@@ -312,22 +312,22 @@ impl Frames<'_> {
                 .map(|mapped| mapped.motion.keyframes.len() * mapped.places.len())
                 .sum::<usize>()
         };
-        match !self.index.is_multiple_of(64) || self.sink.has_room_for(all() as f64) {
-            true => Ok(()),
-            false => Err("the mapped channels change more than two million times".into()),
+        if !self.index.is_multiple_of(64) || self.sink.has_room_for(all() as f64) {
+            Ok(())
+        } else {
+            Err("the mapped channels change more than two million times".into())
         }
     }
 
     fn finish(self) -> Result<usize, String> {
         let frames = self.header.frames;
-        match self.index == frames {
-            true => {
-                // The last frame lasts as long as any other.
-                let end = self.header.begin(frames);
-                self.mapped.iter_mut().for_each(|mapped| mapped.end(end));
-                Ok(frames)
-            }
-            false => Err(format!("the file has {} frames, its header says {frames}", self.index)),
+        if self.index == frames {
+            // The last frame lasts as long as any other.
+            let end = self.header.begin(frames);
+            self.mapped.iter_mut().for_each(|mapped| mapped.end(end));
+            Ok(frames)
+        } else {
+            Err(format!("the file has {} frames, its header says {frames}", self.index))
         }
     }
 }

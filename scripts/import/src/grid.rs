@@ -64,15 +64,12 @@ fn outward(least: f64, most: f64) -> (f64, f64) {
     let digits = (most - least).log10().floor() - 1.0;
     let digits = digits.clamp(-12.0, 300.0);
     // Powers of ten above one are exact, those below are not: divide by their inverse.
-    match digits < 0.0 {
-        true => {
-            let scale = 10_f64.powf(-digits).round();
-            ((least * scale).floor() / scale, (most * scale).ceil() / scale)
-        }
-        false => {
-            let step = 10_f64.powf(digits).round();
-            ((least / step).floor() * step, (most / step).ceil() * step)
-        }
+    if digits < 0.0 {
+        let scale = 10_f64.powf(-digits).round();
+        ((least * scale).floor() / scale, (most * scale).ceil() / scale)
+    } else {
+        let step = 10_f64.powf(digits).round();
+        ((least / step).floor() * step, (most / step).ceil() * step)
     }
 }
 

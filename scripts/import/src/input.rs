@@ -120,22 +120,21 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
     let extensions = format.facts().ends;
     let mut files = Vec::new();
     for path in paths {
-        match path.is_dir() {
-            true => {
-                let (found, _) = listed(path, extensions, sink);
-                if found.is_empty() {
-                    let expected = format!("files named *.{}", extensions.join(", *."));
-                    sink.about(
-                        &name_of(path),
-                        Code::NothingToDo,
-                        "nothing to import here".into(),
-                        &expected,
-                        None,
-                    );
-                }
-                files.extend(found);
+        if path.is_dir() {
+            let (found, _) = listed(path, extensions, sink);
+            if found.is_empty() {
+                let expected = format!("files named *.{}", extensions.join(", *."));
+                sink.about(
+                    &name_of(path),
+                    Code::NothingToDo,
+                    "nothing to import here".into(),
+                    &expected,
+                    None,
+                );
             }
-            false => files.push(path.clone()),
+            files.extend(found);
+        } else {
+            files.push(path.clone())
         }
     }
     if format.facts().is_mapped && robot_a_file(options) {

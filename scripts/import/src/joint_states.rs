@@ -128,10 +128,7 @@ impl Recording {
                 Record::Chunk { header, data } => self.chunk(&header, &data, sink)?,
                 other => self.record(other, sink)?,
             }
-            match self.more {
-                true => Err("it has more than two million positions: cut it".into()),
-                false => Ok(()),
-            }
+            if self.more { Err("it has more than two million positions: cut it".into()) } else { Ok(()) }
         })
         .map_err(|error| format!("the recording cannot be read: {error}"))
     }
@@ -153,11 +150,8 @@ impl Recording {
         }
         self.left -= plain.len() as u64;
         let options = LinearReaderOptions::default().with_skip_start_magic(true).with_skip_end_magic(true);
-        records(&plain, options, |record| match self.more {
-            true => Ok(()),
-            false => self.record(record, sink),
-        })
-        .map_err(|error| format!("in a chunk: {error}"))
+        records(&plain, options, |record| if self.more { Ok(()) } else { self.record(record, sink) })
+            .map_err(|error| format!("in a chunk: {error}"))
     }
 
     fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), String> {

@@ -75,12 +75,13 @@ pub(super) fn read<'a>(bytes: &'a [u8], mut take: impl FnMut(u64, Event<'a>)) ->
         }
         at = end;
     }
-    match found == tracks {
-        true => Ok(song),
-        false => Err(format!(
+    if found == tracks {
+        Ok(song)
+    } else {
+        Err(format!(
             "the header states {}, the file has {found}",
             downbeat_yaml::render::counted(tracks, "track")
-        )),
+        ))
     }
 }
 

@@ -33,10 +33,7 @@ pub fn share(from: &[f64]) -> (u64, u64) {
     reason = "a whole number of less than 63 bits"
 )]
 fn bits(number: f64) -> u64 {
-    match number.fract() == 0.0 && number.abs() < 4e18 {
-        true => number as i64 as u64,
-        false => number.to_bits(),
-    }
+    if number.fract() == 0.0 && number.abs() < 4e18 { number as i64 as u64 } else { number.to_bits() }
 }
 
 #[cfg(test)]

@@ -353,9 +353,10 @@ impl Reader {
     pub fn is_template(&mut self, at: &At<'_>, expected: &str) -> bool {
         let Some(inner) = slips::template(at.node) else { return false };
         let message = format!("braces around `{}`", shortened(&inner));
-        let hint = Some(match is_scalar(expected) {
-            true => format!("write `{}`, without braces", shortened(&slips::bare(&self.scope, &inner))),
-            false => "variables stand for numbers, times and names only: write the rest out".to_owned(),
+        let hint = Some(if is_scalar(expected) {
+            format!("write `{}`, without braces", shortened(&slips::bare(&self.scope, &inner)))
+        } else {
+            "variables stand for numbers, times and names only: write the rest out".to_owned()
         });
         self.add(Code::WrongType, at.place(), message, expected, hint);
         true
@@ -483,9 +484,10 @@ impl Reader {
         let mut seen = std::collections::HashSet::new();
         let mut unique = Vec::with_capacity(entries.len());
         for (key, node) in entries {
-            match seen.insert(key.as_str()) {
-                true => unique.push((key.as_str(), at.entry(key, 0, node))),
-                false => self.duplicate(&at.entry(key, 1, node), key),
+            if seen.insert(key.as_str()) {
+                unique.push((key.as_str(), at.entry(key, 0, node)))
+            } else {
+                self.duplicate(&at.entry(key, 1, node), key)
             }
         }
         unique

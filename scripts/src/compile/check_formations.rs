@@ -31,9 +31,10 @@ pub(super) fn crowded(name: &str) -> String {
 
 /// How near two places are, as the end of a sentence about them.
 pub(super) fn apart(metres: f64, required: f64) -> String {
-    match metres < SAME {
-        true => "are the same".to_owned(),
-        false => format!("are {} m apart", differing(metres, required)[0]),
+    if metres < SAME {
+        "are the same".to_owned()
+    } else {
+        format!("are {} m apart", differing(metres, required)[0])
     }
 }
 

@@ -395,9 +395,10 @@ fn fitting(curve: &Curve, limits: &Limits) -> String {
             figure(span)
         );
     }
-    match limits.min_value > least {
-        true => format!("move it up by {}", figure(limits.min_value - least)),
-        false => format!("move it down by {}", figure(most - limits.max_value)),
+    if limits.min_value > least {
+        format!("move it up by {}", figure(limits.min_value - least))
+    } else {
+        format!("move it down by {}", figure(most - limits.max_value))
     }
 }
 

@@ -290,9 +290,10 @@ impl Teller<'_> {
             };
         }
         let from = self.anchor(&relation.from, cue);
-        let lag = match new >= Span::ZERO {
-            true => format!("{} after", written(new)),
-            false => format!("{} before", written(-new)),
+        let lag = if new >= Span::ZERO {
+            format!("{} after", written(new))
+        } else {
+            format!("{} before", written(-new))
         };
         format!("let {name} {verb} {lag} {from}: `{edit}`")
     }

@@ -66,10 +66,7 @@ impl Mover<'_> {
     /// A jump of a device with a limited speed is an error, but a warning if only the description of the device states its
     /// position, as at the beginning of the mission.
     fn code_of(&self, from: &Position) -> Code {
-        match from.is_sure && self.speed.is_some() {
-            true => Code::TooFast,
-            false => Code::Jump,
-        }
+        if from.is_sure && self.speed.is_some() { Code::TooFast } else { Code::Jump }
     }
 
     fn jump(&self, findings: &mut Reader, segment: &Segment, position: &Position, first: &Value) {

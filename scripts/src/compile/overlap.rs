@@ -57,15 +57,16 @@ pub(super) fn overlap(
         format!("`{cue}` moves `{}` of ", device.id),
         format!(" from {} on, but `{before}` moves it until {}", told(start), told(end)),
     ];
-    let (expected, hint) = match cue == before {
-        true => (
+    let (expected, hint) = if cue == before {
+        (
             "one movement of a device at a time".to_owned(),
             format!("leave out one of the two movements, or give one of them to a cue after `{cue}`"),
-        ),
-        false => (
+        )
+    } else {
+        (
             format!("a start at {} or later", told(end)),
             format!("start `{cue}` {} later, as with `after: {before}`", written(later)),
-        ),
+        )
     };
     SharedFault {
         code: Code::Overlap,

@@ -194,12 +194,10 @@ impl<'c, 'a> Performer<'c, 'a> {
             self.incomplete.extend(&robots);
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let after = track.device.rsplit(['/', '.']).next().unwrap_or_default();
-            let hint = match known().any(|known| known == after) {
-                true => Some(format!(
-                    "name the robot under `robots`, and the device alone: `{}`",
-                    shortened(after)
-                )),
-                false => self.findings.did_you_mean(&track.device, known()),
+            let hint = if known().any(|known| known == after) {
+                Some(format!("name the robot under `robots`, and the device alone: `{}`", shortened(after)))
+            } else {
+                self.findings.did_you_mean(&track.device, known())
             };
             let expected = one_of(known());
             // A move may have the track, which several cues play.
@@ -595,10 +593,7 @@ pub(super) fn unknown_sensor(
     let message = format!("{} no sensor `{}`", cast.have(robots), shortened(sensor));
     let named: Vec<String> = sensors.iter().map(|known| format!("{ahead}{known}")).collect();
     let hint = findings.did_you_mean(&format!("{ahead}{sensor}"), named.iter().map(String::as_str));
-    let expected = match sensors.is_empty() {
-        true => "a robot that has sensors".to_owned(),
-        false => one_of(sensors),
-    };
+    let expected = if sensors.is_empty() { "a robot that has sensors".to_owned() } else { one_of(sensors) };
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }
 

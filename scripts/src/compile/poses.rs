@@ -42,9 +42,10 @@ pub(crate) fn compiled(
 ) -> Result<Act, Vec<Finding>> {
     eased(source, ways, fleet, over, "smooth").or_else(|findings| {
         let few = [Code::TooManySteps, Code::QueueTooShort];
-        match findings.iter().all(|finding| few.contains(&finding.code)) {
-            true => eased(source, ways, fleet, over, "linear"),
-            false => Err(findings),
+        if findings.iter().all(|finding| few.contains(&finding.code)) {
+            eased(source, ways, fleet, over, "linear")
+        } else {
+            Err(findings)
         }
     })
 }

@@ -268,14 +268,15 @@ impl<'a> Timetable<'a> {
             None => {
                 let (prefix, text) = name.text.split_at(sequence_of(&name.text, &name.place).len());
                 let known = || self.act.cues.iter().filter_map(|cue| cue.name.strip_prefix(prefix));
-                let hint = match parse_duration(text).is_some() {
-                    true => Some(format!("a time goes under `at`: write `at: {}`", shortened(text))),
-                    false => of_acts(findings, text)
+                let hint = if parse_duration(text).is_some() {
+                    Some(format!("a time goes under `at`: write `at: {}`", shortened(text)))
+                } else {
+                    of_acts(findings, text)
                         .or_else(|| relation(text, known()))
                         .or_else(|| slips::several_names(text, known()))
                         .or_else(|| within_file(text, known()))
                         .or_else(|| findings.did_you_mean(text, known()))
-                        .or_else(|| slips::earlier_cue(text)),
+                        .or_else(|| slips::earlier_cue(text))
                 };
                 let message = format!("no cue `{}`", shortened(text));
                 let expected = one_of(known());
@@ -369,9 +370,10 @@ impl<'a> Timetable<'a> {
         let Some((index, end)) = late else { return true };
         let (cue, start) = (&self.act.cues[index], schedule.time(self.events[index].0));
         let message = format!("the cue `{}` begins at {start} and ends at {end}", shortened(&cue.name));
-        let hint = match start > horizon {
-            true => "let it begin earlier: shorten what it waits for",
-            false => "shorten it: less `duration`, `repeat`, `canon` or `delay`",
+        let hint = if start > horizon {
+            "let it begin earlier: shorten what it waits for"
+        } else {
+            "shorten it: less `duration`, `repeat`, `canon` or `delay`"
         };
         let expected = format!("an end at {horizon} or earlier");
         findings.add(Code::TooMuch, cue.place.clone(), message, expected, Some(hint.to_owned()));
@@ -409,13 +411,15 @@ impl<'a> Timetable<'a> {
             failed => {
                 let zones = names(auto.iter().filter_map(|zone| zone.zone.as_deref()));
                 let proven = matches!(failed, Ordering::Infeasible(_));
-                let message = match proven {
-                    true => format!("no order of the cues of {zones} keeps all their times"),
-                    false => format!("no order of the cues of {zones} was found that keeps all their times"),
+                let message = if proven {
+                    format!("no order of the cues of {zones} keeps all their times")
+                } else {
+                    format!("no order of the cues of {zones} was found that keeps all their times")
                 };
-                let hint = match proven {
-                    true => "allow more time, or take a cue out of the zone",
-                    false => "the search may have missed one: allow more time, or order some cues by `after`",
+                let hint = if proven {
+                    "allow more time, or take a cue out of the zone"
+                } else {
+                    "the search may have missed one: allow more time, or order some cues by `after`"
                 };
                 let place = self.act.cues[auto[0].cues[0]].place.clone();
                 findings.add(

@@ -111,9 +111,10 @@ impl Steps {
 
 impl Segment {
     pub(super) fn start(&self) -> Span {
-        match self.part.moves_from_anywhere {
-            true => self.begin,
-            false => self.begin + self.part.steps.first_at().unwrap_or_default(),
+        if self.part.moves_from_anywhere {
+            self.begin
+        } else {
+            self.begin + self.part.steps.first_at().unwrap_or_default()
         }
     }
 

@@ -22,12 +22,13 @@ pub(super) struct Thinned {
 /// steps leaves.
 pub(super) fn thinned(on: &OnDevice<'_>, vectors: &Vectors, stretch: Stretch) -> Thinned {
     let wanted = on.track.tolerance.is_some() || on.track.steps_max.is_some();
-    let kept = match wanted && on.device.interpolation == Interpolation::Hold {
-        false => Kept { items: Cow::Borrowed(vectors), worst: (0.0, Span::ZERO) },
-        true => match on.track.steps_max {
+    let kept = if !(wanted && on.device.interpolation == Interpolation::Hold) {
+        Kept { items: Cow::Borrowed(vectors), worst: (0.0, Span::ZERO) }
+    } else {
+        match on.track.steps_max {
             None => kept(on.device, vectors, tolerance(on)),
             Some(most) => closest(on.device, vectors, most as usize),
-        },
+        }
     };
     let (worst, worst_at) = kept.worst;
     let starts = on.track.starts;
@@ -79,10 +80,7 @@ fn closest<'a>(device: &Device, vectors: &Vectors, most: usize) -> Kept<'a> {
     for _ in 0..ROUNDS {
         let middle = f64::midpoint(narrow, wide);
         let found = kept(device, vectors, middle);
-        match found.items.len() <= most {
-            true => (wide, best) = (middle, found),
-            false => narrow = middle,
-        }
+        if found.items.len() <= most { (wide, best) = (middle, found) } else { narrow = middle }
     }
     best
 }

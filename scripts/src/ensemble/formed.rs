@@ -36,10 +36,10 @@ pub(super) fn formed(
         Refused::TooShort { body, seconds } => Fault::TooShort { dancer: body, seconds },
         Refused::Blocked(blocked) => Fault::Blocked(blocked),
     })?;
-    let shares = bodies.iter().zip(&crossed.errors).map(|(body, error)| match *error < body.error {
-        true => error / body.error,
-        false => 1.0,
-    });
+    let shares = bodies
+        .iter()
+        .zip(&crossed.errors)
+        .map(|(body, error)| if *error < body.error { error / body.error } else { 1.0 });
     let ways = crossed.ways.iter().zip(shares).zip(dancers);
     Ok(ways.map(|((way, share), dancer)| Moved::of_way(way, dancer, share)).collect())
 }
@@ -72,9 +72,10 @@ fn reached(name: &str, dancers: &[Dancer<'_>], places: &[Point]) -> Result<(), F
         dancer.is_flat() && differ(height)
     };
     let Some(dancer) = dancers.iter().position(cannot) else { return Ok(()) };
-    let why = match differ(places[0][2]) {
-        true => format!("the places of `{}` differ in height", shortened(name)),
-        false => format!("the places of `{}` are at another height", shortened(name)),
+    let why = if differ(places[0][2]) {
+        format!("the places of `{}` differ in height", shortened(name))
+    } else {
+        format!("the places of `{}` are at another height", shortened(name))
     };
     Err(Fault::Flat { dancer, why })
 }
@@ -84,9 +85,10 @@ fn uncrowded(dancers: &[Dancer<'_>], places: &[Point], ground: Ground<'_>) -> Re
     // Of more places than robots only some are taken.
     let Some(pair) = nearest_pair(places).filter(|_| places.len() <= dancers.len()) else { return Ok(()) };
     let required = ground.fleet.space.between_middles(dancers.iter().map(|dancer| dancer.body));
-    match pair.distance >= required.max(SAME) - ROUNDING {
-        true => Ok(()),
-        false => Err(Fault::Crowded { places: pair.places, distance: pair.distance, required }),
+    if pair.distance >= required.max(SAME) - ROUNDING {
+        Ok(())
+    } else {
+        Err(Fault::Crowded { places: pair.places, distance: pair.distance, required })
     }
 }
 
@@ -98,9 +100,10 @@ fn homes(dancers: &[Dancer<'_>]) -> Result<Vec<Point>, Fault> {
     };
     let homes: Vec<Option<Point>> = dancers.iter().map(home).collect();
     let homeless: Vec<usize> = (0..homes.len()).filter(|dancer| homes[*dancer].is_none()).collect();
-    match homeless.is_empty() {
-        true => Ok(homes.into_iter().flatten().collect()),
-        false => Err(Fault::Homeless(homeless)),
+    if homeless.is_empty() {
+        Ok(homes.into_iter().flatten().collect())
+    } else {
+        Err(Fault::Homeless(homeless))
     }
 }
 

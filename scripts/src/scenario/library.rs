@@ -120,9 +120,10 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                 Err(finding) if finding.code == Code::Unreadable => {
                     let mut reader = Reader::default();
                     let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
-                    let hint = Some(match name.contains('*') {
-                        true => "name each file, as in `[moves/bow.yaml, moves/wave.yaml]`".to_owned(),
-                        false => "the path counts from the folder of the scenario".to_owned(),
+                    let hint = Some(if name.contains('*') {
+                        "name each file, as in `[moves/bow.yaml, moves/wave.yaml]`".to_owned()
+                    } else {
+                        "the path counts from the folder of the scenario".to_owned()
                     });
                     reader.add(Code::Include, place, message, "a readable file", hint);
                     findings.extend(locate(&documents.sources, reader.found));
@@ -475,9 +476,10 @@ fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: u8) -> Vec<Sect
         let least = sections.last().map_or(0, |last| last.bar + 1);
         if bar < least || (sections.is_empty() && bar > 0) {
             let message = format!("a tempo at bar {}", bar + 1);
-            let expected = match sections.is_empty() {
-                true => "the first tempo at bar 1".to_owned(),
-                false => format!("bar {} or later", least + 1),
+            let expected = if sections.is_empty() {
+                "the first tempo at bar 1".to_owned()
+            } else {
+                format!("bar {} or later", least + 1)
             };
             let place = place.map_or_else(|| item.place(), |at| at.place());
             reader.add(Code::TimeOrder, place, message, expected, None);

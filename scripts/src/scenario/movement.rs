@@ -127,9 +127,10 @@ fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         let within = if is_played { track.motion.length() } else { longest };
         curves(std::slice::from_mut(track), at, reader, |curve| curve.reverse(within));
         let own = track.motion.length();
-        match is_played {
-            true => track.begin = exact.minus(track.end()),
-            false => track.length = if own == longest { exact } else { own.into() },
+        if is_played {
+            track.begin = exact.minus(track.end())
+        } else {
+            track.length = if own == longest { exact } else { own.into() }
         }
     }
 }
@@ -396,12 +397,11 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
         return Some(Turns { times, cycle });
     }
     let (time, once) = (time.rounded(), once.rounded());
-    let (message, hint) = match time < once {
-        true => {
-            let hint = format!("give it `{}` or more, or leave `repeat` out", written(once));
-            (format!("{time} is not enough for a movement of {once}"), Some(hint))
-        }
-        false => (format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times"), None),
+    let (message, hint) = if time < once {
+        let hint = format!("give it `{}` or more, or leave `repeat` out", written(once));
+        (format!("{time} is not enough for a movement of {once}"), Some(hint))
+    } else {
+        (format!("a movement of {once} fits into {time} more than {REPEATS_MAX} times"), None)
     };
     reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", hint);
     None
@@ -415,9 +415,10 @@ fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
     }
     let (cycle, once) = (cycle.rounded(), once.rounded());
     let message = format!("a movement of {once} would begin again after {cycle}");
-    let hint = Some(match cycle == Span::ZERO {
-        true => "leave `every` out: then each turn begins when the one before it has ended".to_owned(),
-        false => "make the movement shorter, or let its turns begin less often".to_owned(),
+    let hint = Some(if cycle == Span::ZERO {
+        "leave `every` out: then each turn begins when the one before it has ended".to_owned()
+    } else {
+        "make the movement shorter, or let its turns begin less often".to_owned()
     });
     reader.add(Code::BadMotion, at.place(), message, format!("at least {once}"), hint);
     None

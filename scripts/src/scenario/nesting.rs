@@ -114,9 +114,10 @@ fn around(inside: &[String]) -> String {
     let mut chain = inside.iter().cycle().skip(least).take(inside.len());
     let first = chain.next().map_or("it", String::as_str);
     let others: Vec<&str> = chain.map(String::as_str).collect();
-    match others.is_empty() {
-        true => format!("{first} uses itself"),
-        false => format!("{first} uses itself, by way of {}", others.join(", ")),
+    if others.is_empty() {
+        format!("{first} uses itself")
+    } else {
+        format!("{first} uses itself, by way of {}", others.join(", "))
     }
 }
 
@@ -148,9 +149,10 @@ pub(super) fn arguments(
     for (parameter, at) in &given {
         match declared(parameters).find(|(known, _)| known == parameter) {
             Some((_, default)) => {
-                let value = match ends_suit(reader, at, parameter, default) {
-                    true => scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value)),
-                    false => None,
+                let value = if ends_suit(reader, at, parameter, default) {
+                    scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value))
+                } else {
+                    None
                 };
                 values.push(((*parameter).to_owned(), value));
             }

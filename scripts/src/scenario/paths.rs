@@ -113,9 +113,10 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
     if matches!(at.node, Node::List(_)) && !(least..=POINTS_MAX).contains(&all.len()) {
         let code = if all.len() > POINTS_MAX { Code::TooMuch } else { Code::WrongType };
         let message = format!("a path through {}", crate::render::counted(all.len(), "point"));
-        let expected = match closed {
-            true => format!("{least} to {POINTS_MAX} points of a closed path"),
-            false => format!("{least} to {POINTS_MAX} points"),
+        let expected = if closed {
+            format!("{least} to {POINTS_MAX} points of a closed path")
+        } else {
+            format!("{least} to {POINTS_MAX} points")
         };
         reader.add(code, at.place(), message, expected, None);
         return None;

@@ -566,10 +566,7 @@ proptest! {
     ) {
         let fleet = if of_devices { limited(3) } else { fleet(3) };
         let [x, y, z] = shift.map(|tenths| f64::from(tenths) / 10.0);
-        let cue = match form {
-            true => "form: f".to_owned(),
-            false => format!("turn: {turn}, grow: {}, shift: [{x}, {y}, {z}]", f64::from(grow) / 10.0),
-        };
+        let cue = if form { "form: f".to_owned() } else { format!("turn: {turn}, grow: {}, shift: [{x}, {y}, {z}]", f64::from(grow) / 10.0) };
         let formation = format!("f: {{points: [[{x}, {y}, 1], [{}, 3, 2], [4, {}, 1]]}}", x + 1.0, y + 4.0);
         if let Some(over) = enough(&fleet, &formation, &format!("{cue}, over: 10ms")) {
             let again = enough(&fleet, &formation, &format!("{cue}, over: {over}"));

@@ -123,9 +123,10 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
     }
     if finding.code == Code::Conflict {
         let Some(edit) = words.last().filter(|edit| edit.contains(": ")) else { return Vec::new() };
-        let text = match edit.starts_with("duration") {
-            true => with_key(text, words[0], edit),
-            false => with_bound(text, finding, words[0], edit),
+        let text = if edit.starts_with("duration") {
+            with_key(text, words[0], edit)
+        } else {
+            with_bound(text, finding, words[0], edit)
         };
         return vec![text.unwrap_or_else(|| panic!("{finding:?} {hint}"))];
     }
@@ -176,12 +177,11 @@ fn edits(text: &str, finding: &Finding, hint: &str) -> Vec<String> {
         let whole = text.lines().nth(finding.line - 1).unwrap();
         let from = finding.column - 1;
         let value = whole[from..].split_once(": ").unwrap().1;
-        let new = match value.starts_with('{') {
-            true => value.replacen('{', &format!("{{{tolerance}, "), 1),
-            false => {
-                let end = value.rfind(']').unwrap() + 1;
-                format!("{{{tolerance}, keyframes: {}}}{}", &value[..end], &value[end..])
-            }
+        let new = if value.starts_with('{') {
+            value.replacen('{', &format!("{{{tolerance}, "), 1)
+        } else {
+            let end = value.rfind(']').unwrap() + 1;
+            format!("{{{tolerance}, keyframes: {}}}{}", &value[..end], &value[end..])
         };
         return vec![text.replace(value, &new)];
     }

@@ -399,12 +399,13 @@ fn formula() -> impl Strategy<Value = Movement> {
                 let form = Form::Bent([a_, b_, c_]);
                 // The corner is looked at as well.
                 let corner = (-a_ / b_ * 1_000.0).clamp(0.0, whole);
-                let ways = match corner > 0.0 && corner < whole {
-                    true => vec![
+                let ways = if corner > 0.0 && corner < whole {
+                    vec![
                         way(0.0, corner, form),
                         way(corner, whole, Form::Bent([a_ + b_ * corner / 1_000.0, b_, c_])),
-                    ],
-                    false => vec![way(0.0, whole, form)],
+                    ]
+                } else {
+                    vec![way(0.0, whole, form)]
                 };
                 (format!("abs({a} + {b} * t / 1s) + {c}"), ways)
             }
@@ -629,10 +630,7 @@ proptest! {
                 let allowed = tolerance.unwrap_or(own);
                 let is_thinned = tolerance.is_some() || most.is_some();
                 let is_fitted = !movement.yaml.starts_with("keyframes") && change.pause.is_none();
-                let fewest = || match !linear && (is_thinned || is_fitted) {
-                    true => as_few_as_can_be(used, &Held::of(&movement, &change, values), allowed, most),
-                    false => Ok(()),
-                };
+                let fewest = || if !linear && (is_thinned || is_fitted) { as_few_as_can_be(used, &Held::of(&movement, &change, values), allowed, most) } else { Ok(()) };
                 let so_many = |most| with_so_many(used, linear, &movement, &change, values, most);
                 verify(act, (device, linear), &movement, &change, allowed, values.2)
                     .and_then(|()| most.map_or(Ok(()), so_many))

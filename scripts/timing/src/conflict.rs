@@ -90,9 +90,10 @@ fn link(arc: &Arc) -> Link {
 fn smallest(arcs: &Arcs, found: &[Arc]) -> Vec<Arc> {
     let mut best = found.to_vec();
     let everywhere = arcs.nodes().saturating_mul(arcs.all().len()).saturating_mul(best.len()) <= WORK_MAX;
-    let starts: Vec<usize> = match everywhere {
-        true => (0..arcs.nodes()).collect(),
-        false => found.iter().map(|arc| arc.from as usize).collect(),
+    let starts: Vec<usize> = if everywhere {
+        (0..arcs.nodes()).collect()
+    } else {
+        found.iter().map(|arc| arc.from as usize).collect()
     };
     let mut work = 0usize;
     for start in starts {

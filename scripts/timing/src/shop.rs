@@ -305,9 +305,10 @@ fn preemptive(jobs: &[(i64, i64, i64)]) -> i64 {
         let until = next.peek().map_or(i64::MAX, |(head, ..)| *head);
         let done = length.min(until - time);
         time += done;
-        match done < length {
-            true => ready.push((tail, length - done)),
-            false => end = end.max(time.saturating_add(tail)),
+        if done < length {
+            ready.push((tail, length - done))
+        } else {
+            end = end.max(time.saturating_add(tail))
         }
     }
 }

@@ -9,10 +9,7 @@ use icu_normalizer::ComposingNormalizerBorrowed;
 
 /// A name in normalization form C.
 pub fn composed(name: &str) -> Cow<'_, str> {
-    match name.is_ascii() {
-        true => Cow::Borrowed(name),
-        false => ComposingNormalizerBorrowed::new_nfc().normalize(name),
-    }
+    if name.is_ascii() { Cow::Borrowed(name) } else { ComposingNormalizerBorrowed::new_nfc().normalize(name) }
 }
 
 /// Whether two names differ in their encoding at most.

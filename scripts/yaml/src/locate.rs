@@ -150,10 +150,7 @@ impl LineStarts {
 
     /// The parser places what ends the text, such as the value after a last `---`, on the line after it.
     fn within(&self, spot: Spot) -> Spot {
-        match spot.line > self.0.len() {
-            true => Spot { line: self.0.len(), column: 1, width: 1 },
-            false => spot,
-        }
+        if spot.line > self.0.len() { Spot { line: self.0.len(), column: 1, width: 1 } } else { spot }
     }
 
     /// Some characters of a text, if it is written there.

@@ -88,10 +88,7 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
 }
 
 fn empty(source: &Source) -> Finding {
-    let message = match source.text.contains('#') {
-        true => "the file has comments only",
-        false => "the file is empty",
-    };
+    let message = if source.text.contains('#') { "the file has comments only" } else { "the file is empty" };
     let hint = "`downbeat init first-show` writes a scenario, a fleet and a robot to begin with".to_owned();
     Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
 }

@@ -53,10 +53,7 @@ impl Project {
     /// There is no such folder.
     pub fn within(folder: &Path) -> io::Result<Self> {
         let root = real(folder)?;
-        match root.is_dir() {
-            true => Ok(Self { root }),
-            false => Err(io::ErrorKind::NotADirectory.into()),
-        }
+        if root.is_dir() { Ok(Self { root }) } else { Err(io::ErrorKind::NotADirectory.into()) }
     }
 
     /// Its folder.
@@ -158,12 +155,11 @@ mod tests {
             let stage = Self(tempfile::tempdir().unwrap());
             for name in names {
                 let path = stage.0.path().join(name);
-                match name.ends_with('/') {
-                    true => std::fs::create_dir_all(path).unwrap(),
-                    false => {
-                        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-                        std::fs::write(path, name).unwrap();
-                    }
+                if name.ends_with('/') {
+                    std::fs::create_dir_all(path).unwrap()
+                } else {
+                    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                    std::fs::write(path, name).unwrap();
                 }
             }
             stage

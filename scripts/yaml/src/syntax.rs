@@ -195,9 +195,10 @@ fn second_colon(finding: &mut Finding, line: &str) {
     let Some((key, value)) = entry.split_once(": ") else { return };
     let inner = value.trim();
     let is_map = inner.ends_with(':') || inner.contains(": [") || inner.contains(": {");
-    finding.hint = Some(match is_map {
-        true => format!("begin a new line after `{key}:`, and indent it deeper"),
-        false => format!("write the value in quotation marks: `{key}: \"{}\"`", shortened(inner)),
+    finding.hint = Some(if is_map {
+        format!("begin a new line after `{key}:`, and indent it deeper")
+    } else {
+        format!("write the value in quotation marks: `{key}: \"{}\"`", shortened(inner))
     });
 }
 

@@ -147,10 +147,7 @@ impl Own {
                     answer["originate_timestamp"] = at;
                 }
                 writeln!(out, "{}", json!({"availability_response": answer}))?;
-                match self.floods == Floods::WhenAvailable && of_mission {
-                    true => self.pour(out),
-                    false => Ok(()),
-                }
+                if self.floods == Floods::WhenAvailable && of_mission { self.pour(out) } else { Ok(()) }
             }
             "control_request" => {
                 let stop = asked["control_value"].as_array().is_some_and(Vec::is_empty);

@@ -92,9 +92,10 @@ fn device(key: (&RobotId, &DeviceId), of_a: &Devices<'_>, of_b: &Devices<'_>) ->
     if a == b && used.is_none() {
         return None;
     }
-    let steps = match a == b {
-        true => StepDifferences::default(),
-        false => compare(&of_a.movement(robot, device), &of_b.movement(robot, device)),
+    let steps = if a == b {
+        StepDifferences::default()
+    } else {
+        compare(&of_a.movement(robot, device), &of_b.movement(robot, device))
     };
     let start = |scripts: Option<&Vec<&DeviceScript>>| Some(scripts?.first()?.start);
     let count = |scripts: Option<&Vec<&DeviceScript>>| scripts.map_or(0, Vec::len);

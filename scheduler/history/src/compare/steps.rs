@@ -255,9 +255,10 @@ impl<'a> Cursor<'a> {
     /// With the steps of this very time done.
     fn at_step(&self, at: Span) -> Option<Values> {
         let last = self.movement.steps.get(self.passed.checked_sub(1)?)?;
-        match last.at == at {
-            true => Some((last.setpoint.control_type, last.setpoint.values().collect())),
-            false => self.before(at),
+        if last.at == at {
+            Some((last.setpoint.control_type, last.setpoint.values().collect()))
+        } else {
+            self.before(at)
         }
     }
 }

@@ -94,10 +94,9 @@ impl ClockMeasured {
         let surely = surely.filter(|surely| *surely > Span::ZERO);
         let surely_off = surely.zip(best).map(|(surely, best)| surely.max(best.offset.abs()));
         Some(Self {
-            follows: told.shift.map(|shift| match shift == Span::ZERO {
-                true => Follows::Ntp,
-                false => Follows::Measured,
-            }),
+            follows: told
+                .shift
+                .map(|shift| if shift == Span::ZERO { Follows::Ntp } else { Follows::Measured }),
             offset,
             uncertainty,
             surely_off,

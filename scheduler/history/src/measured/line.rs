@@ -47,12 +47,11 @@ impl ClockLine {
         let last = exchanges.last().map_or(origin, |exchange| exchange.received);
         let step = -nanos(counts_in(exchanges));
         let drift_shows = exchanges.len() >= EXCHANGES_FOR_DRIFT && last - origin >= TIME_FOR_DRIFT;
-        let (rate, rates) = match !drift_shows && bounds.gap(0.0) >= step {
-            true => (0.0, None),
-            false => {
-                let rate = bounds.widest();
-                (rate, bounds.possible(rate))
-            }
+        let (rate, rates) = if !drift_shows && bounds.gap(0.0) >= step {
+            (0.0, None)
+        } else {
+            let rate = bounds.widest();
+            (rate, bounds.possible(rate))
         };
         let gap = bounds.gap(rate);
         let offset = zero + f64::midpoint(bounds.least_upper(rate), bounds.greatest_lower(rate));

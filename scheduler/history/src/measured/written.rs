@@ -34,10 +34,7 @@ pub fn world_text(measured: &Measured, file: &str) -> String {
 fn section(text: &mut String, key: &str, entries: impl Iterator<Item = String>) {
     let entries: String = entries.collect();
     let says_something = entries.lines().any(|line| !line.trim_start().starts_with('#'));
-    *text += &match says_something {
-        true => format!("{key}:\n{entries}"),
-        false => entries,
-    };
+    *text += &if says_something { format!("{key}:\n{entries}") } else { entries };
 }
 
 fn head(measured: &Measured, file: &str) -> String {
@@ -83,10 +80,7 @@ fn link(robot: &RobotId, link: &LinkMeasured) -> String {
     };
     let samples =
         format!("{} of {}, {way}", counted(link.samples, "delay"), counted(link.exchanges, "exchange"));
-    let few = match link.samples < SAMPLES_FOR_P99 {
-        true => "; p99 is of few",
-        false => "",
-    };
+    let few = if link.samples < SAMPLES_FOR_P99 { "; p99 is of few" } else { "" };
     let mut text = format!(
         "  # {samples}{few}\n  {}:\n    delay: {{least: {}, p50: {}, p90: {}, p99: {}, largest: {}}}\n",
         scalar(robot.as_str()),
@@ -185,9 +179,10 @@ fn sensor(sensor: &SensorMeasured) -> String {
     let values = sensor.values.iter().enumerate();
     let values: Vec<String> =
         values.map(|(index, (time, value))| format!("[{}, {value}]", at(index, *time))).collect();
-    match values.len() > READINGS_ON_A_LINE {
-        true => values.iter().for_each(|value| text += &format!("\n    - {value}")),
-        false => text += &format!(" [{}]", values.join(", ")),
+    if values.len() > READINGS_ON_A_LINE {
+        values.iter().for_each(|value| text += &format!("\n    - {value}"))
+    } else {
+        text += &format!(" [{}]", values.join(", "))
     }
     text + "\n"
 }
@@ -204,9 +199,10 @@ fn operator(operator: &OperatorMeasured) -> String {
 
 fn incidents(robot: &RobotMeasured) -> Vec<String> {
     let incident = |one: &Break| {
-        let note = match one.back {
-            true => "",
-            false => "  # The connection was not back by the end of the file: the robot may have failed.\n",
+        let note = if one.back {
+            ""
+        } else {
+            "  # The connection was not back by the end of the file: the robot may have failed.\n"
         };
         format!(
             "{note}  - {{robot: {}, what: link_down, at: {}, lasts: {}}}\n",
@@ -220,9 +216,10 @@ fn incidents(robot: &RobotMeasured) -> Vec<String> {
 
 /// One time, or the range of several.
 fn from_to(least: Span, most: Span) -> String {
-    match micros(least) == micros(most) {
-        true => micros(least),
-        false => format!("{{from: {}, to: {}}}", micros(least), micros(most)),
+    if micros(least) == micros(most) {
+        micros(least)
+    } else {
+        format!("{{from: {}, to: {}}}", micros(least), micros(most))
     }
 }
 
@@ -238,9 +235,10 @@ fn percent(share: f64) -> String {
     let digits = (0..6).find(|digits| percent * 10f64.powi(*digits) >= 100.0).unwrap_or(6);
     let digits = usize::try_from(digits).unwrap_or(0);
     let text = format!("{percent:.digits$}");
-    match text.contains('.') {
-        true => format!("{}%", text.trim_end_matches('0').trim_end_matches('.')),
-        false => format!("{text}%"),
+    if text.contains('.') {
+        format!("{}%", text.trim_end_matches('0').trim_end_matches('.'))
+    } else {
+        format!("{text}%")
     }
 }
 

@@ -60,10 +60,7 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "not_approached" => format!("{} is not played: {}", act(), text("reason")),
         "act_ended" => {
             let name = value["report"]["act"].as_str().map_or_else(act, str::to_owned);
-            match value["again"] == true {
-                true => withdrawn(&name),
-                false => format!("{name} has ended"),
-            }
+            if value["again"] == true { withdrawn(&name) } else { format!("{name} has ended") }
         }
         "act_withdrawn" => withdrawn(&act()),
         "failed" => text("text").to_owned(),

@@ -179,10 +179,7 @@ impl Act {
             approach.wakeup = timing.commit_from();
             return Vec::new();
         }
-        match now >= approach.wakeup {
-            true => self.round(now, robots),
-            false => Vec::new(),
-        }
+        if now >= approach.wakeup { self.round(now, robots) } else { Vec::new() }
     }
 
     fn round(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
@@ -320,9 +317,10 @@ impl Act {
             commitment.next_round = timing.out_of_quiet(now + timing.pace.period);
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
-        match begun {
-            true => self.begin(now),
-            false => actions.extend(self.make_room(now, robots)),
+        if begun {
+            self.begin(now)
+        } else {
+            actions.extend(self.make_room(now, robots))
         }
         actions
     }

@@ -25,10 +25,8 @@ impl Act {
         let delay = robot.clock.reading().map_or(Span::ZERO, |clock| clock.delay_max);
         let lease = lost.longest_lease().map(|lease| now + delay + lease);
         let ends = planned_end(timing.start, lost) + late_of(timing, robot);
-        let until = match leaves_a_rate_on(lost) {
-            true => lease,
-            false => Some(lease.map_or(ends, |lease| lease.min(ends))),
-        };
+        let until =
+            if leaves_a_rate_on(lost) { lease } else { Some(lease.map_or(ends, |lease| lease.min(ends))) };
         until.is_none_or(|until| now < until).then_some(until)
     }
 }

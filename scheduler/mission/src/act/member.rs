@@ -98,9 +98,10 @@ impl Member {
         }
         let taken_up = &mut self.scripts[script];
         taken_up.name(Some(id));
-        match follows && shift == self.shift && clock == ClockMode::Measured {
-            true => taken_up.lose_shift(),
-            false => taken_up.translate(shift),
+        if follows && shift == self.shift && clock == ClockMode::Measured {
+            taken_up.lose_shift()
+        } else {
+            taken_up.translate(shift)
         }
         self.scripts[script].taken_up();
     }

@@ -477,9 +477,10 @@ impl Act {
     /// The limit of a script that is sent now. `ahead` is the time by which the robot's clock is ahead of the server's, if known.
     pub(crate) fn pending_until(&self, script: ScriptRef, ahead: Option<Span>) -> Option<Timestamp<Robot>> {
         let (timing, member) = (self.timing.as_ref()?, &self.members[script.member]);
-        Some(match self.is_committed() {
-            true => member.beyond_start(script.script, timing),
-            false => member.brink_of(script.script, timing, ahead),
+        Some(if self.is_committed() {
+            member.beyond_start(script.script, timing)
+        } else {
+            member.brink_of(script.script, timing, ahead)
         })
     }
 

@@ -91,9 +91,8 @@ impl Act {
         }
         let untold = self.may_have_begun_untold(script, response);
         let member = &mut self.members[script.member];
-        let news = member.change(script.script, |script| match untold {
-            true => script.failed_untold(error_of(response)),
-            false => script.answered(response),
+        let news = member.change(script.script, |script| {
+            if untold { script.failed_untold(error_of(response)) } else { script.answered(response) }
         });
         self.noted(script, news, robots)
     }
@@ -212,10 +211,11 @@ impl Act {
                     actions.push(ActAction::Tell(Progress::Finished { robot: id, number: self.number }));
                 }
                 actions.push(ActAction::Refill(vec![robot]));
-                match robots[robot].reports() {
-                    true => self.watch_for(script.member, robots),
-                    // It is asked at the end of what is sent to it now.
-                    false => self.look_again(),
+                if robots[robot].reports() {
+                    self.watch_for(script.member, robots)
+                } else {
+                    // The robot is asked at the end of the scripts that it is sent now.
+                    self.look_again()
                 }
             }
             News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
@@ -493,11 +493,10 @@ impl Act {
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
         let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
         let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
-        match silent && (asked || planned) {
-            true => {
-                ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
-            }
-            false => Span::from_millis(3_600_000),
+        if silent && (asked || planned) {
+            ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+        } else {
+            Span::from_millis(3_600_000)
         }
     }
 
@@ -536,10 +535,13 @@ impl Act {
         if member.firsts().map(begins).min().is_none_or(|first| now < first) {
             return None;
         }
-        let lease = |(index, script): (usize, &Script)| match now >= begins(script) {
-            true => script.shortest_lease(),
-            // Between two of its scripts the next one waits, and is lost when the longer of its leases has run out.
-            false => script.shortest_lease().max(member.pending_lease_now(index, timing)),
+        let lease = |(index, script): (usize, &Script)| {
+            if now >= begins(script) {
+                script.shortest_lease()
+            } else {
+                // The next script waits, and is lost when the longer of its leases has ended.
+                script.shortest_lease().max(member.pending_lease_now(index, timing))
+            }
         };
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }

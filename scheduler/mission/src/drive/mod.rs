@@ -148,10 +148,7 @@ pub async fn drive<W: World>(mission: &mut Mission, world: &mut W) -> Option<Rep
                 Some(Happened::Killed) => return None,
                 Some(Happened::Left) => return Some(Report::as_left(mission, world.now())),
                 Some(Happened::OnLink { at, robot, link, event }) => {
-                    match driver.links.takes(robot, link, &event) {
-                        true => (at, event),
-                        false => continue,
-                    }
+                    if driver.links.takes(robot, link, &event) { (at, event) } else { continue }
                 }
                 Some(Happened::Event { at, event }) => (at, event),
             };

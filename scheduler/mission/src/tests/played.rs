@@ -206,9 +206,10 @@ impl Played {
             room: 2,
             position: self.position(device, when),
         };
-        let devices = match self.states_all {
-            false => inquiry.devices.iter().map(stated).collect(),
-            true => self.positions.keys().map(stated).collect(),
+        let devices = if !self.states_all {
+            inquiry.devices.iter().map(stated).collect()
+        } else {
+            self.positions.keys().map(stated).collect()
         };
         let there = self.shown(robot, when);
         InquiryResponse { requests, devices, ..InquiryResponse::new(inquiry, there, there, Status::Ok) }

@@ -26,10 +26,11 @@ pub fn differences(certificate: &Certificate, now: &Subject) -> Vec<String> {
         found.push(format!("it is of the scenario `{}`, and this is `{}`", then.scenario, now.scenario));
     }
     let options = options(&then.options, &now.options);
-    match options.is_empty() {
-        // Other options change scripts, and naming each of those would hide the reason.
-        false => found.extend(options),
-        true => acts(&then.acts, &now.acts, &mut found),
+    // Other options change scripts, and naming each of those would hide the reason.
+    if options.is_empty() {
+        acts(&then.acts, &now.acts, &mut found);
+    } else {
+        found.extend(options);
     }
     settings("the fleet", &then.fleet, &now.fleet, &mut found);
     robots(then, now, &mut found);

@@ -135,9 +135,10 @@ impl Certificate {
             Ok(certificate) => certificate,
             Err(error) => return Err(CertificateError::Damaged { file, reason: error.to_string() }),
         };
-        match certificate.seal == certificate.sealed() {
-            true => Ok(certificate),
-            false => Err(CertificateError::Seal { file }),
+        if certificate.seal == certificate.sealed() {
+            Ok(certificate)
+        } else {
+            Err(CertificateError::Seal { file })
         }
     }
 

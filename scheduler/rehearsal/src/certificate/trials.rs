@@ -354,9 +354,10 @@ fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
     let Some((_, faulty_act, _)) = injected.incident() else { return false };
     let first = |planned: &RobotPlan| planned.scripts.iter().map(|script| script.start.span()).min();
     let of_robot = act.plan.robots.iter().find(|planned| planned.robot == *robot).and_then(first);
-    let bound = match act.is_named(faulty_act) {
-        true => Some(middle(act)),
-        false => act.plan.robots.iter().filter_map(first).min().map(|earliest| earliest + NEXT),
+    let bound = if act.is_named(faulty_act) {
+        Some(middle(act))
+    } else {
+        act.plan.robots.iter().filter_map(first).min().map(|earliest| earliest + NEXT)
     };
     of_robot.zip(bound).is_some_and(|(start, bound)| start >= bound)
 }

@@ -65,10 +65,7 @@ impl Disk for SimulatedDisk {
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
         let room = self.capacity.map_or(bytes.len(), |capacity| capacity.saturating_sub(self.bytes.len()));
         self.bytes.extend_from_slice(&bytes[..bytes.len().min(room)]);
-        match bytes.len() <= room {
-            true => Ok(()),
-            false => Err(io::ErrorKind::StorageFull.into()),
-        }
+        if bytes.len() <= room { Ok(()) } else { Err(io::ErrorKind::StorageFull.into()) }
     }
 
     fn sync(&mut self) -> io::Result<()> {

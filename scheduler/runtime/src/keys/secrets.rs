@@ -77,12 +77,13 @@ impl Authority {
                 let claim = claim(entry);
                 Held { robot: robot.clone(), pass: secret.pass(&claim), claim }
             };
-            match robots.is_empty() {
-                true => drop(files::delete(&file(&entry.name))?),
-                false => files::write_private(
+            if robots.is_empty() {
+                files::delete(&file(&entry.name))?;
+            } else {
+                files::write_private(
                     &file(&entry.name),
                     &Passes::new(robots.iter().map(held).collect()).text(),
-                )?,
+                )?
             }
         }
         for entry in issued.entries().iter().filter(|entry| entry.kind == Kind::Operator) {

@@ -28,10 +28,7 @@ impl LinkEncoding {
 
     /// The encoding of the next message.
     pub(crate) fn current(&self) -> Encoding {
-        match self.understood.load(Ordering::Relaxed) {
-            true => self.wanted,
-            false => Encoding::Json,
-        }
+        if self.understood.load(Ordering::Relaxed) { self.wanted } else { Encoding::Json }
     }
 
     /// Notes which encodings the robot lists, if the message is its initialization block.

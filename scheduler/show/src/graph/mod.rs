@@ -194,10 +194,7 @@ impl CueNode {
             Span::ZERO => format!("at {}", self.start_ms),
             duration => format!("at {} for {duration}", self.start_ms),
         };
-        let slack = match self.critical {
-            true => "critical".to_owned(),
-            false => format!("slack {}", self.slack_ms),
-        };
+        let slack = if self.critical { "critical".to_owned() } else { format!("slack {}", self.slack_ms) };
         let bounds = self.bounds.iter().map(|bound| format!("[{}]", within(bound, TEXT_MAX)));
         [name, when, slack].into_iter().chain(bounds).collect()
     }

@@ -120,10 +120,7 @@ fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
 
 fn started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Started {
     let began = act.of(robot).any(SentScript::began);
-    let excuse = match began {
-        true => why_it_started(facts, act, robot),
-        false => why_it_missed(facts, act, robot),
-    };
+    let excuse = if began { why_it_started(facts, act, robot) } else { why_it_missed(facts, act, robot) };
     Started { robot, began, excuse }
 }
 

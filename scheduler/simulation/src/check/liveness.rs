@@ -290,9 +290,10 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let (gap, other_gap) = (gap(before, act), gap(other_before, other));
         // An act is sent as soon as its devices have room. What its lead is longer by, which is bounded above, it starts later.
         // After a stop the whole lead comes after it and no longer overlaps the act before.
-        let longer = match was_stopped(facts, before, act) || waited_for_room(facts, before, act) {
-            true => with,
-            false => (with - without).max(Span::ZERO),
+        let longer = if was_stopped(facts, before, act) || waited_for_room(facts, before, act) {
+            with
+        } else {
+            (with - without).max(Span::ZERO)
         };
         if gap > other_gap.max(Span::ZERO) * TIMES + longer + gap_allowed(facts, before, act) {
             verdict.violated(

@@ -32,15 +32,14 @@ pub(super) fn last_for_hours(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
             script.stop_condition = StopCondition { running, ..script.stop_condition };
         }
     }
-    match rng.bool() {
-        true => wait_long(rng, &mut drawn, lasts),
-        false => {
-            let drifts = rng.usize(0..drawn.robots.len());
-            drawn.robots[drifts].clock = ClockMode::Measured;
-            play_long(&mut drawn, lasts);
-            let plans = drawn.choreography.acts.iter_mut().map(|act| &mut act.plan);
-            plans.for_each(|plan| plan.start_tolerance = plan.start_tolerance.min(TOLERANCE));
-        }
+    if rng.bool() {
+        wait_long(rng, &mut drawn, lasts)
+    } else {
+        let drifts = rng.usize(0..drawn.robots.len());
+        drawn.robots[drifts].clock = ClockMode::Measured;
+        play_long(&mut drawn, lasts);
+        let plans = drawn.choreography.acts.iter_mut().map(|act| &mut act.plan);
+        plans.for_each(|plan| plan.start_tolerance = plan.start_tolerance.min(TOLERANCE));
     }
     for robot in &mut drawn.robots {
         robot.settings.drift_ppm = match robot.clock {

@@ -45,10 +45,8 @@ pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
     {
         let robot = rng.usize(0..drawn.robots.len());
         let back_after = rng.bool().then(|| millis(rng, 20, 500));
-        let fault = match one_in(rng, 2) {
-            true => Fault::RobotCrash { robot, back_after, told: true },
-            false => Fault::Home,
-        };
+        let fault =
+            if one_in(rng, 2) { Fault::RobotCrash { robot, back_after, told: true } } else { Fault::Home };
         drawn.faults = vec![(at, fault)];
     }
     drawn

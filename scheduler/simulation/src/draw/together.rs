@@ -17,10 +17,7 @@ use downbeat_rehearsal::dry_run::BEGIN;
 
 /// Makes such a mission of what was drawn. One that never comes to its first decision stays as it is.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {
-    match rng.bool() {
-        true => taken_up_before_the_start(rng, drawn),
-        false => back_before_the_lease_is_over(rng, drawn),
-    }
+    if rng.bool() { taken_up_before_the_start(rng, drawn) } else { back_before_the_lease_is_over(rng, drawn) }
 }
 
 /// What becomes of the first act that is decided, counted from the beginning.

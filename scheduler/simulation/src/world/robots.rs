@@ -277,13 +277,12 @@ impl World {
         }
         side.hardware_dead_since.get_or_insert(now);
         let Some(machine) = &mut side.machine else { return };
-        match told {
-            true => machine.hardware_lost(now.assume_clock(), "its connection has ended"),
-            false => {
-                machine.hardware_dies(now.assume_clock());
-                if back_after.is_none_or(|after| after > HARDWARE_GIVEN_UP) {
-                    self.put(now + HARDWARE_GIVEN_UP, Item::HardwareLost(robot));
-                }
+        if told {
+            machine.hardware_lost(now.assume_clock(), "its connection has ended")
+        } else {
+            machine.hardware_dies(now.assume_clock());
+            if back_after.is_none_or(|after| after > HARDWARE_GIVEN_UP) {
+                self.put(now + HARDWARE_GIVEN_UP, Item::HardwareLost(robot));
             }
         }
         if let Some(after) = back_after {

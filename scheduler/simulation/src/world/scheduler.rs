@@ -281,9 +281,10 @@ impl World {
 
     /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
     pub(super) fn stop_by_journal(&mut self) {
-        match self.scheduler.is_running() {
-            true => self.tell(Event::StopRequested { rest: Rest::InPlace, by: None }),
-            false => self.take_up(Intention::Stop),
+        if self.scheduler.is_running() {
+            self.tell(Event::StopRequested { rest: Rest::InPlace, by: None })
+        } else {
+            self.take_up(Intention::Stop)
         }
     }
 

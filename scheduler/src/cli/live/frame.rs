@@ -323,9 +323,10 @@ fn cue_line(cues: &[PlannedCue], played: Span) -> Line<'static> {
         .collect();
     let next = cues.iter().filter(|cue| cue.start > played).min_by_key(|cue| cue.start);
     let mut pieces = vec![Piece::styled("cue     ", DIM)];
-    pieces.push(match under_way.is_empty() {
-        true => Piece::styled("none", DIM),
-        false => Piece::styled(under_way.join(", "), BOLD),
+    pieces.push(if under_way.is_empty() {
+        Piece::styled("none", DIM)
+    } else {
+        Piece::styled(under_way.join(", "), BOLD)
     });
     if let Some(next) = next {
         pieces.push(Piece::styled("  next ", DIM));

@@ -246,9 +246,8 @@ fn worded(message: &str, whose: &Whose, value: Option<&Value>) -> (String, Strin
         digits.parse::<f64>().is_ok().then(|| format!("write the number alone: `{digits}`"))
     };
     // Some messages name the device.
-    let of = |found: &str| match found.contains("device `") {
-        true => found.to_owned(),
-        false => format!("{found}, for {}", whose.name),
+    let of = |found: &str| {
+        if found.contains("device `") { found.to_owned() } else { format!("{found}, for {}", whose.name) }
     };
     let Some((found, expected)) = message.split_once(", expected ") else {
         let is_swapped = message.contains("lies above");

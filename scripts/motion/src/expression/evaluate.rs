@@ -124,9 +124,10 @@ fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(
 }
 
 fn on_clock(amount: &Amount, span: Span, known: &dyn Known) -> Result<Amount, Fault> {
-    match amount.is_musical() {
-        true => Ok(Amount::of(known.on_the_clock(amount, span)?, amount.unit)),
-        false => Ok(*amount),
+    if amount.is_musical() {
+        Ok(Amount::of(known.on_the_clock(amount, span)?, amount.unit))
+    } else {
+        Ok(*amount)
     }
 }
 
@@ -153,9 +154,10 @@ fn of_amounts(two: Two, a: Amount, b: Amount, span: Span, known: &dyn Known) -> 
             Ok(Quantity::Amount(scaled(&a, unit, |part| part.over(by).unwrap_or(part))))
         }
         Two::Over => {
-            let (a, b) = match a.unit == b.unit {
-                true => comparable(&a, &b, span, known)?,
-                false => (on_clock(&a, span, known)?.number, on_clock(&b, span, known)?.number),
+            let (a, b) = if a.unit == b.unit {
+                comparable(&a, &b, span, known)?
+            } else {
+                (on_clock(&a, span, known)?.number, on_clock(&b, span, known)?.number)
             };
             plain(a.over(divisor(b, span)?).unwrap_or(a), unit)
         }
@@ -266,10 +268,8 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
     match function {
         Function::Sin | Function::Cos | Function::Tan => {
             angle_only(name, first.unit, span)?;
-            let degrees = match first.unit == Unit::ANGLE {
-                true => first.number.times(Num::whole(180)),
-                false => first.number,
-            };
+            let degrees =
+                if first.unit == Unit::ANGLE { first.number.times(Num::whole(180)) } else { first.number };
             let cosine = sine(degrees.plus(Num::whole(90)));
             match function {
                 Function::Sin => plain(sine(degrees)),

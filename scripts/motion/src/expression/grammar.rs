@@ -223,10 +223,11 @@ impl Parser<'_> {
     }
 
     fn here(&self) -> Span {
-        match self.at < self.chars.len() {
-            true => (self.at, self.at + 1),
-            // The end is shown at the last character.
-            false => (self.chars.len().saturating_sub(1), self.chars.len()),
+        if self.at < self.chars.len() {
+            (self.at, self.at + 1)
+        } else {
+            // Points at the last character where the text ends early.
+            (self.chars.len().saturating_sub(1), self.chars.len())
         }
     }
 
@@ -353,9 +354,10 @@ impl Parser<'_> {
             _ => None,
         };
         let word = self.word();
-        let (span, found) = match word.is_empty() {
-            true => (self.here(), found.to_string()),
-            false => ((self.at, self.at + word.chars().count()), shortened(&word)),
+        let (span, found) = if word.is_empty() {
+            (self.here(), found.to_string())
+        } else {
+            ((self.at, self.at + word.chars().count()), shortened(&word))
         };
         Fault::new(
             span,
@@ -448,11 +450,12 @@ impl Parser<'_> {
 
     fn unknown(&self, word: &str, span: Span) -> Fault {
         let known = || FUNCTIONS.iter().map(|(name, ..)| *name).chain(WORDS);
-        let hint = match (self.known)(word) || matches!(word, "index" | "count") {
-            true => Some(format!("a variable is written `${word}`")),
-            false => did_you_mean(word, known()).or_else(|| {
-                Some("the name of a variable begins with `$`; cues are named under `after`, `with` and `before`".to_owned())
-            }),
+        let hint = if (self.known)(word) || matches!(word, "index" | "count") {
+            Some(format!("a variable is written `${word}`"))
+        } else {
+            did_you_mean(word, known()).or_else(|| {
+            Some("the name of a variable begins with `$`; cues are named under `after`, `with` and `before`".to_owned())
+        })
         };
         let names: Vec<String> = FUNCTIONS.iter().map(|(name, ..)| format!("`{name}`")).collect();
         let expected = format!("a function ({}), `pi` or a variable such as `$a`", names.join(", "));
@@ -563,9 +566,10 @@ fn written(text: &str, span: Span) -> Result<Option<Num>, Fault> {
     }
     let is_number = text.chars().all(|c| c.is_ascii_digit() || matches!(c, '.' | 'e' | 'E' | '-' | '+'));
     let Some(number) = text.parse::<f64>().ok().filter(|_| is_number) else { return Ok(None) };
-    match number.is_finite() {
-        true => Ok(Some(Num::of(number))),
-        false => Err(Fault::new(span, "the number is too large", "a number below 1e308")),
+    if number.is_finite() {
+        Ok(Some(Num::of(number)))
+    } else {
+        Err(Fault::new(span, "the number is too large", "a number below 1e308"))
     }
 }
 

@@ -101,9 +101,10 @@ impl Amount {
 /// The text of an expression that evaluates to exactly this fraction.
 pub fn fraction(value: Fraction) -> String {
     let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
-    match size.is_integer() {
-        true => format!("({sign}{})", whole(*size.numer())),
-        false => format!("({sign}{} / {})", whole(*size.numer()), whole(*size.denom())),
+    if size.is_integer() {
+        format!("({sign}{})", whole(*size.numer()))
+    } else {
+        format!("({sign}{} / {})", whole(*size.numer()), whole(*size.denom()))
     }
 }
 

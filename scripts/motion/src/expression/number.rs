@@ -44,9 +44,10 @@ impl Num {
 
     fn kept(value: Fraction) -> Self {
         let short = |part: &i128| 128 - part.unsigned_abs().leading_zeros() <= BITS_MAX;
-        match short(value.numer()) && short(value.denom()) {
-            true => Self::Exact(value),
-            false => Self::Real(to_f64(value)),
+        if short(value.numer()) && short(value.denom()) {
+            Self::Exact(value)
+        } else {
+            Self::Real(to_f64(value))
         }
     }
 
@@ -57,9 +58,10 @@ impl Num {
             Self::Real(value) => value,
             Self::Exact(value) => {
                 let small = |part: &i128| part.unsigned_abs() < 1 << 53;
-                match small(value.numer()) && small(value.denom()) {
-                    true => *value.numer() as f64 / *value.denom() as f64,
-                    false => to_f64(value),
+                if small(value.numer()) && small(value.denom()) {
+                    *value.numer() as f64 / *value.denom() as f64
+                } else {
+                    to_f64(value)
                 }
             }
         }

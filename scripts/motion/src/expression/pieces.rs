@@ -82,17 +82,19 @@ pub fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
         let rates = rates.map(|(_, slope, curvature)| (slope, curvature));
         join(&mut done, (formula, whole), Piece { begin, end, rates, values });
     }
-    match done.iter().map(Piece::bends).sum::<f64>() <= BENDS_IN_ALL_MAX {
-        true => Ok(done),
-        false => Err(Trouble::TooMany),
+    if done.iter().map(Piece::bends).sum::<f64>() <= BENDS_IN_ALL_MAX {
+        Ok(done)
+    } else {
+        Err(Trouble::TooMany)
     }
 }
 
 /// How often something of such a length, in nanoseconds, with this curvature and range of values bends.
 fn bending(length: i64, curvature: f64, (least, most): (f64, f64)) -> f64 {
-    match curvature == 0.0 {
-        true => 0.0,
-        false => seconds(length) * (curvature / (most - least).max(f64::MIN_POSITIVE)).sqrt(),
+    if curvature == 0.0 {
+        0.0
+    } else {
+        seconds(length) * (curvature / (most - least).max(f64::MIN_POSITIVE)).sqrt()
     }
 }
 

@@ -78,10 +78,7 @@ impl Lines {
     }
 
     fn reached(&self, of: &Candidates, duration: f64) -> u64 {
-        match self.are_left() {
-            true => of.between(self.lowest(duration), self.highest(duration)),
-            false => 0,
-        }
+        if self.are_left() { of.between(self.lowest(duration), self.highest(duration)) } else { 0 }
     }
 }
 

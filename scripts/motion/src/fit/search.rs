@@ -61,9 +61,10 @@ fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) ->
         if enough - too_little <= close.max(enough * 1e-7) {
             break;
         }
-        match problem.tubes.is_enough(room + 2.0 * problem.dust, budget) {
-            true => enough = room,
-            false => too_little = room,
+        if problem.tubes.is_enough(room + 2.0 * problem.dust, budget) {
+            enough = room
+        } else {
+            too_little = room
         }
     }
     too_little

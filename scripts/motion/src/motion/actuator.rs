@@ -264,9 +264,10 @@ impl<'a> Actuator<'a> {
 
     /// What the device is set to at a knot, which is on its grid unless something else is written.
     fn settled(&self, played: &Played<'_>, index: usize) -> f64 {
-        match played.curve.knots[index].shape.is_written() {
-            true => played.set(index),
-            false => self.on_grid(played.set(index)),
+        if played.curve.knots[index].shape.is_written() {
+            played.set(index)
+        } else {
+            self.on_grid(played.set(index))
         }
     }
 
@@ -299,10 +300,7 @@ impl<'a> Actuator<'a> {
                 break;
             }
             let fitted = fit(middle, fits);
-            match enough(&fitted) {
-                true => (wide, best) = (middle, fitted),
-                false => narrow = middle,
-            }
+            if enough(&fitted) { (wide, best) = (middle, fitted) } else { narrow = middle }
         }
         (wide, best)
     }
@@ -333,10 +331,13 @@ impl<'a> Actuator<'a> {
             (Shape::Sampled(_), Interpolation::Linear) if still() => Means::Still,
             (Shape::Eased(Easing::Step), Interpolation::Linear) if thinned && still() => Means::Still,
             (Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Step), _) => Means::Jump,
-            (Shape::Eased(_), _) => match thinned {
-                true => Means::Joined,
-                false => Means::Alone,
-            },
+            (Shape::Eased(_), _) => {
+                if thinned {
+                    Means::Joined
+                } else {
+                    Means::Alone
+                }
+            }
             (Shape::OwnReversed | Shape::Early | Shape::Sampled(_), _) => Means::Early,
         }
     }

@@ -73,11 +73,10 @@ impl Path {
     pub fn through(points: &[[f64; 3]], closed: bool) -> Result<Self, TurnsBack> {
         let (around, pieces) = if closed { (AROUND, points.len()) } else { (0, points.len() - 1) };
         let count = points.len();
-        let all: Vec<[f64; 3]> = match closed {
-            true => (0..=count + 2 * around)
-                .map(|index| points[(index + count * around - around) % count])
-                .collect(),
-            false => points.to_vec(),
+        let all: Vec<[f64; 3]> = if closed {
+            (0..=count + 2 * around).map(|index| points[(index + count * around - around) % count]).collect()
+        } else {
+            points.to_vec()
         };
         let mut times = vec![0.0];
         for pair in all.windows(2) {

@@ -345,11 +345,10 @@ fn no_place(at: &At<'_>, without: &[&Standing]) -> Pending {
         _ => format!("the places of robots {shown} are not known"),
     };
     let expected = "robots with a `body` in the fleet file, whose devices have a default value or are moved by a cue above this one";
-    let hint = match without.iter().any(|robot| robot.axes.is_none()) {
-        true => "add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`",
-        false => {
-            "set the devices of the body in a cue above this one, as in `tracks: {x: [{at: 0s, to: 1}]}`, or order by `index`"
-        }
+    let hint = if without.iter().any(|robot| robot.axes.is_none()) {
+        "add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`"
+    } else {
+        "set the devices of the body in a cue above this one, as in `tracks: {x: [{at: 0s, to: 1}]}`, or order by `index`"
     };
     Pending {
         code: Code::MissingKey,

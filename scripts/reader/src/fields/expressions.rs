@@ -288,9 +288,10 @@ impl Reader {
             }
         }
         let hint = match amount.unit {
-            Unit::PERCENT => Some(match expected.contains("factor") {
-                true => format!("write `{}`", amount.number.f64()),
-                false => "a percentage is a part of something, as in `50% * 90`".to_owned(),
+            Unit::PERCENT => Some(if expected.contains("factor") {
+                format!("write `{}`", amount.number.f64())
+            } else {
+                "a percentage is a part of something, as in `50% * 90`".to_owned()
             }),
             Unit::TIME => Some("divide the time by another one: `$a / 1s`".to_owned()),
             _ => None,
@@ -451,9 +452,10 @@ fn node_of(value: Quantity, span: Span) -> Result<Node, Fault> {
     Ok(match amount.unit {
         Unit::PLAIN => {
             let double = amount.number.f64();
-            match Num::of(double).compared(amount.number).is_eq() {
-                true => Node::Number(double),
-                false => Node::Text(amount.written()),
+            if Num::of(double).compared(amount.number).is_eq() {
+                Node::Number(double)
+            } else {
+                Node::Text(amount.written())
             }
         }
         Unit::TIME => {

@@ -69,9 +69,10 @@ fn lines_of(bytes: &[u8]) -> Result<Vec<FlatStroke>, Unfit> {
     }
     if pen.lines.is_empty() {
         // The tree has no texts, for it has no fonts.
-        let message = match document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
-            true => "the drawing has no paths, only texts, which are not read: convert them to paths",
-            false => "the drawing has no paths",
+        let message = if document.descendants().any(|node| node.has_tag_name((SVG, "text"))) {
+            "the drawing has no paths, only texts, which are not read: convert them to paths"
+        } else {
+            "the drawing has no paths"
         };
         return Err(Unfit { message: message.to_owned(), expected: EXPECTED });
     }

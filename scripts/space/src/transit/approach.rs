@@ -24,17 +24,15 @@ pub fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
     if !may_meet(a, b, enough) {
         return None;
     }
-    match a.is_even_with(b) {
-        true => Some(together(a, b)),
-        false => searched(a, b, enough),
-    }
+    if a.is_even_with(b) { Some(together(a, b)) } else { searched(a, b, enough) }
 }
 
 /// Whether [`closest`] can find an approach, at little expense; certain of straight ways with one time law.
 pub fn may_meet(a: &Way, b: &Way, enough: f64) -> bool {
-    match a.is_even_with(b) {
-        true => Line::between(a, b).nearest().0 < enough,
-        false => apart(&a.bounds(), &b.bounds()) < enough,
+    if a.is_even_with(b) {
+        Line::between(a, b).nearest().0 < enough
+    } else {
+        apart(&a.bounds(), &b.bounds()) < enough
     }
 }
 

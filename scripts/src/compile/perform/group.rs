@@ -105,14 +105,13 @@ impl<'a> Performer<'_, 'a> {
             if !is_known {
                 self.tell_entangled(cue, group);
             }
-            let danced = match is_known && !robots.iter().any(|robot| self.incomplete.contains(robot)) {
-                true => self.group(grouped, ground),
-                false => {
-                    if let Err(fault) = ensemble::places(group, robots.len(), ground.of_scenario) {
-                        self.tell(cue, group, &robots, &fault, ground, None);
-                    }
-                    false
+            let danced = if is_known && !robots.iter().any(|robot| self.incomplete.contains(robot)) {
+                self.group(grouped, ground)
+            } else {
+                if let Err(fault) = ensemble::places(group, robots.len(), ground.of_scenario) {
+                    self.tell(cue, group, &robots, &fault, ground, None);
                 }
+                false
             };
             if !danced {
                 self.incomplete.extend(robots);

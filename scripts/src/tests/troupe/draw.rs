@@ -209,10 +209,7 @@ impl Cue {
     }
 
     fn over(&self) -> String {
-        match self.in_beats {
-            true => format!("{} beats", self.over / BEAT),
-            false => format!("{}ms", self.over),
-        }
+        if self.in_beats { format!("{} beats", self.over / BEAT) } else { format!("{}ms", self.over) }
     }
 }
 

@@ -111,10 +111,8 @@ impl Laid {
         let part = if b > a { (within - a) / (b - a) } else { 0.0 };
         let start = self.places[0].1;
         let gone = std::array::from_fn(|axis| from[axis] + (to[axis] - from[axis]) * part - start[axis]);
-        let turned = match self.is_circle {
-            true => 360.0 * share * laps as f64,
-            false => self.heading(after) - self.heading(1),
-        };
+        let turned =
+            if self.is_circle { 360.0 * share * laps as f64 } else { self.heading(after) - self.heading(1) };
         (gone, turned)
     }
 

@@ -218,10 +218,11 @@ impl Cue {
                 steps.push((begin, last.1, last.2));
             }
             for (index, (quarters, value)) in keyframes.iter().enumerate() {
-                let at = match index + 1 == keyframes.len() {
-                    true => end,
+                let at = if index + 1 == keyframes.len() {
+                    end
+                } else {
                     // Turns differ by a nanosecond.
-                    false => (begin + laid(start, show.beats(start, *quarters))).min(end),
+                    (begin + laid(start, show.beats(start, *quarters))).min(end)
                 };
                 let written = change.of(*value);
                 if !is_held && ((written / granularity).rem_euclid(1.0) - 0.5).abs() < 1e-9 {

@@ -33,12 +33,11 @@ impl Part {
     /// Where it has a value, in order.
     fn meets(&self, value: f64) -> Vec<f64> {
         let [a, b, c] = [self.c[0] - value, self.c[1], self.c[2]];
-        let roots = match c == 0.0 {
-            true => vec![-a / b],
-            false => {
-                let root = (b * b - 4.0 * a * c).sqrt();
-                vec![(-b - root) / (2.0 * c), (-b + root) / (2.0 * c)]
-            }
+        let roots = if c == 0.0 {
+            vec![-a / b]
+        } else {
+            let root = (b * b - 4.0 * a * c).sqrt();
+            vec![(-b - root) / (2.0 * c), (-b + root) / (2.0 * c)]
         };
         roots.into_iter().filter(|ms| *ms > 0.0 && *ms < self.length as f64).collect()
     }

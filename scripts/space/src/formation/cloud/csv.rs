@@ -38,9 +38,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Point>, Unfit> {
             return Err(Format::Csv.unfit(format!("the table has more than {ITEMS_MAX} rows")));
         }
     }
-    match points.is_empty() {
-        true => Err(Format::Csv.unfit("the table has no rows of numbers".to_owned())),
-        false => Ok(points),
+    if points.is_empty() {
+        Err(Format::Csv.unfit("the table has no rows of numbers".to_owned()))
+    } else {
+        Ok(points)
     }
 }
 

@@ -58,9 +58,10 @@ pub fn read(name: &str, bytes: &[u8]) -> Result<Cloud, Unfit> {
         Cloud::Points(points) => points.iter().all(near),
         Cloud::Surface(surface) => surface.iter().flatten().all(near),
     };
-    match sound {
-        true => Ok(cloud),
-        false => Err(format.unfit("a coordinate is not a finite number, or far too large".to_owned())),
+    if sound {
+        Ok(cloud)
+    } else {
+        Err(format.unfit("a coordinate is not a finite number, or far too large".to_owned()))
     }
 }
 

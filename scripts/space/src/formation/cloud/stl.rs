@@ -31,9 +31,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Triangle>, Unfit> {
             return Err(unfit(format!("the file has more than {ITEMS_MAX} triangles")));
         }
     }
-    match surface.iter().any(|triangle| area(triangle) > 0.0) {
-        true => Ok(surface),
-        false => Err(unfit("the file has no triangle with an area".to_owned())),
+    if surface.iter().any(|triangle| area(triangle) > 0.0) {
+        Ok(surface)
+    } else {
+        Err(unfit("the file has no triangle with an area".to_owned()))
     }
 }
 

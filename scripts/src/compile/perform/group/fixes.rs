@@ -152,9 +152,10 @@ impl<'f> Fixes<'f> {
         for factor in factors {
             let new = rounded(size * factor, round);
             if let Some(over) = self.tried(new / size) {
-                return Some(match over == self.group.over {
-                    true => told(&format!("`{key}: {new}`")),
-                    false => format!("{} with `over: {}`", told(&format!("`{key}: {new}`")), written(over)),
+                return Some(if over == self.group.over {
+                    told(&format!("`{key}: {new}`"))
+                } else {
+                    format!("{} with `over: {}`", told(&format!("`{key}: {new}`")), written(over))
                 });
             }
         }
@@ -241,10 +242,7 @@ impl<'f> Fixes<'f> {
         let ground = ensemble::Ground { formations, ..self.ground.of_scenario };
         let asked = Asked { together, tolerance: self.cue.tolerance };
         let ways = ensemble::ways(asked, dancers, ground);
-        Some(ways.and_then(|ways| match self.are_within(&ways) {
-            true => Ok(ways),
-            false => Err(Fault::ToldElsewhere),
-        }))
+        Some(ways.and_then(|ways| if self.are_within(&ways) { Ok(ways) } else { Err(Fault::ToldElsewhere) }))
     }
 
     /// Whether all ways end within the limits of the devices.

@@ -146,13 +146,14 @@ impl Performer<'_, '_> {
                 let (robots_are, places_are) = (counted(robots, "robot"), counted(*places, "place"));
                 let name = shortened(name);
                 let message = format!("{robots_are} for the {places_are} of `{name}`");
-                let hint = match robots > *places {
-                    true => format!(
+                let hint = if robots > *places {
+                    format!(
                         "`form: {{to: {name}, spare: stay}}` lets those without a place stay where they are, `spare: home` sends them home"
-                    ),
-                    false => format!(
+                    )
+                } else {
+                    format!(
                         "`form: {{to: {name}, thin: evenly}}` leaves places free at even steps, `thin: nearest` those that are far"
-                    ),
+                    )
                 };
                 let expected = format!("{}, or a choice", counted(*places, "robot"));
                 self.findings.add(Code::PlacesCount, here, message, expected, Some(hint));
@@ -247,15 +248,14 @@ impl Performer<'_, '_> {
         }
         known.sort_unstable();
         let home = (what == "formation").then_some("home");
-        let hint = match known.is_empty() && home != Some(name) {
-            true => {
-                let written = match what {
-                    "path" => "{points: [[0, 0, 1], [2, 0, 1]]}",
-                    _ => "{circle: {radius: 2}}",
-                };
-                Some(format!("define it, as in `{what}s: {{{}: {written}}}`", shortened(name)))
-            }
-            false => self.findings.did_you_mean(name, known.iter().copied().chain(home)),
+        let hint = if known.is_empty() && home != Some(name) {
+            let written = match what {
+                "path" => "{points: [[0, 0, 1], [2, 0, 1]]}",
+                _ => "{circle: {radius: 2}}",
+            };
+            Some(format!("define it, as in `{what}s: {{{}: {written}}}`", shortened(name)))
+        } else {
+            self.findings.did_you_mean(name, known.iter().copied().chain(home))
         };
         let hint = elsewhere.or(hint);
         let expected = match (known.is_empty(), home) {

@@ -155,10 +155,7 @@ proptest! {
         drop in 0usize..3,
         insert in "[\\[\\]{}:,&*!|>'\"#%a-z0-9 \n-]{0,3}",
     ) {
-        let text = match block {
-            true => format!("x:\n  - {}\ny: 1\n", rows.join("\n  - ")),
-            false => format!("x: [{}]\ny: 1\n", rows.join(", ")),
-        };
+        let text = if block { format!("x:\n  - {}\ny: 1\n", rows.join("\n  - ")) } else { format!("x: [{}]\ny: 1\n", rows.join(", ")) };
         same(&text);
         let cut = cut.min(text.len());
         let end = (cut + drop).min(text.len());
