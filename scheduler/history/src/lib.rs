@@ -11,3 +11,5 @@ pub mod compare;
 pub mod history;
 pub mod measured;
 pub mod page;
+#[cfg(test)]
+mod test_records;

@@ -130,7 +130,7 @@ pub enum Action {
 }
 
 /// What an operator wants to know while the mission goes on.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "progress", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Progress {
@@ -273,7 +273,7 @@ pub enum Progress {
     GoingHome {
         /// The name of the act.
         act: String,
-        /// The choreography with this act.
+        /// The choreography with this act. Recordings leave it out.
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },
@@ -285,7 +285,7 @@ pub enum Progress {
         act: String,
         /// The name of the act that follows.
         to: String,
-        /// The choreography with this act.
+        /// The choreography with this act. Recordings leave it out.
         #[serde(skip)]
         choreography: Arc<Choreography>,
     },

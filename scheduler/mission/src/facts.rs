@@ -1,5 +1,7 @@
 //! What became of an act, as plain facts for the report and the journal.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 
@@ -95,6 +97,21 @@ pub enum DeviceState {
     Failed,
     /// It was sent, and it is unknown what became of it.
     Unknown,
+}
+
+impl fmt::Display for DeviceState {
+    /// As in reports.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Planned => "planned",
+            Self::Sent => "sent",
+            Self::Accepted => "accepted",
+            Self::Started => "started",
+            Self::Ended => "ended",
+            Self::Failed => "failed",
+            Self::Unknown => "unknown",
+        })
+    }
 }
 
 /// What one script of a device did.

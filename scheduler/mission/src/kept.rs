@@ -4,11 +4,10 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::Deserialize;
-use serde_json::Value;
 use urrcp::{DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::lines::{begins_with, sound, whole_length};
-use super::record::{ActFlaws, ActOver, OutOfTolerance, Promise, StepsLate};
+use super::record::{ActFlaws, ActOver, ENDED_ACT, EndedAct, Promise, Record};
 use super::{ActFate, Failure, Outcome, Rest};
 
 /// The state of a mission according to its records.
@@ -34,8 +33,8 @@ pub struct Kept {
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
-    /// The outcome as in the report; `None` if the mission was cut off.
-    pub outcome: Option<Value>,
+    /// The outcome; `None` if the mission was cut off.
+    pub outcome: Option<Outcome>,
     /// The part from the first line that is not whole; `None` if all lines are whole.
     pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
@@ -51,12 +50,11 @@ pub struct Kept {
 }
 
 /// A stop that was being sent.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Stopping {
     /// The outcome that the mission was going to have.
     pub outcome: Outcome,
     /// How the stop brings robots to rest.
-    #[serde(default)]
     pub rest: Rest,
 }
 
@@ -108,32 +106,15 @@ pub struct Torn {
     pub whole_after: usize,
 }
 
-/// The fields that are read of most lines. The reports of acts, which fill most of a long journal, are skipped.
+/// A line with its time.
 #[derive(Deserialize)]
-struct Head {
-    at: Option<Timestamp<Server>>,
-    record: String,
-    number: Option<u32>,
-    robot: Option<RobotId>,
-    #[serde(default)]
-    unnamed: Vec<RobotId>,
-    request_id: Option<RequestId>,
-    #[serde(rename = "doubt_ms")]
-    doubt: Option<Span>,
-    #[serde(rename = "shift_ms")]
-    shift: Option<Span>,
-    report: Option<Numbered>,
-    outcome: Option<Value>,
-    #[serde(default)]
-    rest: Rest,
-    #[serde(default)]
-    unaccounted: Vec<RobotId>,
-    out_of_tolerance: Option<OutOfTolerance>,
-    steps_late: Option<StepsLate>,
-    #[serde(default)]
-    again: bool,
+struct Dated {
+    at: Timestamp<Server>,
+    #[serde(flatten)]
+    record: Record,
 }
 
+/// The part of a report that is read here. The rest of it, which fills most of a long journal, is skipped.
 #[derive(Deserialize)]
 struct Numbered {
     number: u32,
@@ -280,52 +261,58 @@ impl Kept {
             self.stopping_since = None;
             return under_way.push((promise.number, json, Progressed::Prepared));
         }
-        let Ok(head) = serde_json::from_slice::<Head>(json) else { return };
-        let mut came_to = |reached| {
-            let of_number = under_way.iter_mut().find(|(number, ..)| Some(*number) == head.number);
+        if begins_with(json, ENDED_ACT) {
+            let Ok(ended) = serde_json::from_slice::<EndedAct<Numbered>>(json) else { return };
+            under_way.retain(|(number, ..)| *number != ended.report.number);
+            return self.act_ended(ended);
+        }
+        let Ok(Dated { at, record }) = serde_json::from_slice(json) else { return };
+        let mut came_to = |reached, act: u32| {
+            let of_number = under_way.iter_mut().find(|(number, ..)| *number == act);
             of_number.into_iter().for_each(|(.., progressed)| *progressed = reached);
         };
-        match head.record.as_str() {
-            "decided" => {
-                came_to(Progressed::Decided);
-                self.doubts.extend(head.number.zip(head.doubt));
-                self.unnamed.extend(head.unnamed);
+        match record {
+            Record::Decided { number, unnamed, doubt } => {
+                came_to(Progressed::Decided, number);
+                self.doubts.insert(number, doubt);
+                self.unnamed.extend(unnamed);
             }
-            "committed" => came_to(Progressed::Committed),
+            Record::Committed { number } => came_to(Progressed::Committed, number),
             // Its robots drop it. If another act continues to play, this act is prepared again after that one has ended.
-            "lapsing" => came_to(Progressed::Prepared),
-            "act_ended" => {
-                let ended = head.report.map(|report| report.number);
-                under_way.retain(|(number, ..)| Some(*number) != ended);
-                if head.again {
-                    // All robots have confirmed the stop of this attempt, and the mission continues.
-                    (self.stopping, self.stopping_since) = (None, None);
-                    return;
-                }
-                self.ended_acts += 1;
-                self.course.extend(serde_json::from_slice::<ActOver>(json));
-                let Head { unaccounted, out_of_tolerance, steps_late, .. } = head;
-                let flaws = ActFlaws { unaccounted, out_of_tolerance, steps_late };
-                self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
-            }
-            "act_skipped" => self.course.extend(serde_json::from_slice::<ActOver>(json)),
-            "failed" => self.failures.extend(serde_json::from_slice::<Failure>(json)),
-            "dropped" => {
+            Record::Lapsing { number } => came_to(Progressed::Prepared, number),
+            Record::ActSkipped(over) => self.course.push(over),
+            Record::Failed(failure) => self.failures.push(failure),
+            Record::Dropped { robot } => {
                 // An earlier confirmation belongs to an earlier stop.
-                self.stopped.retain(|robot| head.robot.as_ref() != Some(robot));
-                self.dropped.extend(head.robot);
+                self.stopped.retain(|stopped| *stopped != robot);
+                self.dropped.push(robot);
             }
-            "stopping" => {
-                // Without a readable outcome, the mission is stopped as failed.
-                let unknown = Stopping { outcome: Outcome::Failed, rest: head.rest };
-                self.stopping = Some(serde_json::from_slice(json).unwrap_or(unknown));
-                self.stopping_since = self.stopping_since.or(head.at);
+            Record::Stopping { outcome, rest, .. } => {
+                self.stopping = Some(Stopping { outcome, rest });
+                self.stopping_since = self.stopping_since.or(Some(at));
             }
-            "translated" => self.translated.extend(head.request_id.zip(head.shift)),
-            "stop_confirmed" => self.stopped.extend(head.robot),
-            "ended" => self.outcome = head.outcome.or(Some(Value::Null)),
-            _ => {}
+            Record::Translated { request_id, shift } => {
+                self.translated.insert(request_id, shift);
+            }
+            Record::StopConfirmed { robot } => self.stopped.push(robot),
+            Record::Ended { outcome } => self.outcome = Some(outcome),
+            Record::Begun
+            | Record::Checked
+            | Record::Go { .. }
+            | Record::Prepared(_)
+            | Record::ActEnded { .. } => {}
         }
+    }
+
+    fn act_ended(&mut self, ended: EndedAct<Numbered>) {
+        if ended.again {
+            // All robots have confirmed the stop of this attempt, and the mission continues.
+            (self.stopping, self.stopping_since) = (None, None);
+            return;
+        }
+        self.ended_acts += 1;
+        self.course.push(ended.over);
+        self.flaws.extend(Some(ended.flaws).filter(|flaws| *flaws != ActFlaws::default()));
     }
 }
 

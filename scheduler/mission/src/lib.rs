@@ -72,7 +72,7 @@ pub use fates::{ActCourse, ActFate};
 pub use kept::{Fate, Kept, Left, LeftOn, Progressed, Stopping, Torn};
 pub use latency::{LatencyDiffers, OtherLatency};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
-pub use lines::{dated_line, ended_acts, line, whole, whole_length};
+pub use lines::{dated_line, ended_acts, line, sound, whole, whole_length};
 pub use motion::{MotionReport, MotionSpread};
 pub use options::{FixedStart, FixedStarts, Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;

@@ -2,11 +2,12 @@
 
 use std::io;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
 use super::ActReport;
+use super::record::{ENDED_ACT, EndedAct};
 
 /// The line of a record of any type, with its time.
 ///
@@ -61,14 +62,8 @@ pub fn begins_with(json: &[u8], kind: &[u8]) -> bool {
 
 /// The reports of the acts that have ended, in order, without attempts that were repeated.
 pub fn ended_acts(bytes: &[u8]) -> impl Iterator<Item = ActReport> {
-    #[derive(Deserialize)]
-    struct Ended {
-        report: ActReport,
-        #[serde(default)]
-        again: bool,
-    }
     let lines = bytes.split_inclusive(|byte| *byte == b'\n').map_while(sound);
-    let ended = lines.filter(|json| begins_with(json, br#","record":"act_ended","#));
-    let ended = ended.filter_map(|json| serde_json::from_slice::<Ended>(json).ok());
+    let ended = lines.filter(|json| begins_with(json, ENDED_ACT));
+    let ended = ended.filter_map(|json| serde_json::from_slice::<EndedAct<ActReport>>(json).ok());
     ended.filter(|ended| !ended.again).map(|ended| ended.report)
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use downbeat_plan::{Choreography, OnFailure};
 use downbeat_yaml::render::counted;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::FailureKind;
@@ -15,7 +15,7 @@ use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission};
 
 /// What is checked.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Check {
@@ -71,7 +71,7 @@ impl Check {
 }
 
 /// What a check said.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Verdict {
@@ -86,7 +86,7 @@ pub enum Verdict {
 }
 
 /// A robot's row.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PreflightRow {
     /// Which robot.
     pub robot: RobotId,
@@ -99,12 +99,12 @@ pub struct PreflightRow {
     #[serde(skip)]
     pub positions: BTreeMap<DeviceId, f64>,
     /// What its sensors read, and where its devices stand.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<DeviceReading>,
 }
 
 /// What a sensor, or a device that can tell where it stands, read.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceReading {
     /// Which device.
     pub device: DeviceId,
@@ -122,7 +122,7 @@ pub struct DeviceReading {
 }
 
 /// The whole table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Preflight {
     /// Whether robots were asked at all.
     pub greeting: Greeting,
@@ -132,12 +132,12 @@ pub struct Preflight {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skew: Option<SkewBudget>,
     /// The movements that failures may cause. A failure in any other act only stops robots where they are.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub after_failures: Vec<AfterFailure>,
 }
 
 /// The movements that a failure in one of these acts may cause.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AfterFailure {
     /// The names of the acts.
     pub acts: Vec<String>,

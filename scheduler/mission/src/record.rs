@@ -7,7 +7,7 @@ use super::facts::is_zero;
 use super::{ActFate, ActReport, Failure, Outcome, Rest};
 
 /// A line of the journal.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "record", rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Record {
@@ -30,7 +30,7 @@ pub enum Record {
         /// The number of the act.
         number: u32,
         /// Robots that do not know requests by their names.
-        #[serde(skip_serializing_if = "Vec::is_empty")]
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
         /// A robot that goes silent without a word later than so long before the start may be noticed too late.
         #[serde(rename = "doubt_ms")]
@@ -88,7 +88,7 @@ pub enum Record {
         #[serde(flatten)]
         over: ActOver,
         /// Whether it was withdrawn before anything moved, to be prepared again.
-        #[serde(skip_serializing_if = "std::ops::Not::not")]
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         again: bool,
     },
     /// An act was not played.
@@ -123,6 +123,21 @@ impl Record {
             | Self::ActSkipped(_) => false,
         }
     }
+}
+
+/// The beginning of the JSON of [`Record::ActEnded`], behind the time of its line.
+pub(super) const ENDED_ACT: &[u8] = br#","record":"act_ended","#;
+
+/// The fields of [`Record::ActEnded`], with as much of its report as `Report` reads.
+#[derive(Deserialize)]
+pub(super) struct EndedAct<Report> {
+    pub(super) report: Report,
+    #[serde(flatten)]
+    pub(super) flaws: ActFlaws,
+    #[serde(flatten)]
+    pub(super) over: ActOver,
+    #[serde(default)]
+    pub(super) again: bool,
 }
 
 /// An act of the scenario is over, so that another process can tell what became of it.

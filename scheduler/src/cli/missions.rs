@@ -9,7 +9,7 @@ use serde_json::json;
 use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
-use crate::journal::{self, Found, Life, Missions, NotPrivate};
+use crate::journal::{self, Found, Life, Missions, NotPrivate, Unreadable};
 use crate::show::table::Rows;
 
 /// List the missions of this machine that run or were cut off.
@@ -98,10 +98,14 @@ pub(super) fn listed() -> Result<Missions, Exit> {
         console::warn(&format!("{refused}; if a mission runs there, this command does not reach it"));
     }
     for journal in &missions.damaged {
-        console::warn(&format!(
-            "the first line of {} cannot be read, so the robots of its mission are not known; make sure that no robot moves, then delete the file",
-            journal.display()
-        ));
+        let why = match journal::read(journal) {
+            Err(other @ Unreadable::OtherVersion { .. }) => other.to_string(),
+            _ => format!(
+                "the first line of {} cannot be read, so the robots of its mission are not known; make sure that no robot moves, then delete the file",
+                journal.display()
+            ),
+        };
+        console::warn(&why);
     }
     Ok(missions)
 }

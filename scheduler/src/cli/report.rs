@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Attempt, Refusal};
-use serde_json::Value;
 
 use super::{Exit, Format, ProjectArgs, ScenarioArgs, console, load};
-use crate::history::{self, History, NoHistory};
+use crate::history::{self, History, HistoryReport, NoHistory};
 use crate::page::{self, Written};
 
 /// Show a mission that was played, from its journal or its recording.
@@ -120,28 +119,22 @@ fn refused(error: &str) -> Exit {
     Exit::Usage
 }
 
-fn text(report: &Value) -> String {
-    let name = report["scenario"].as_str().unwrap_or("a mission");
-    let outcome = match &report["outcome"] {
-        Value::Null => "its end is not known".to_owned(),
-        Value::String(outcome) => outcome.clone(),
-        other => other["outcome"].as_str().map_or_else(|| other.to_string(), str::to_owned),
-    };
+fn text(report: &HistoryReport<'_>) -> String {
+    let name = report.scenario.unwrap_or("a mission");
+    let outcome = report.outcome.map_or_else(|| "its end is not known".to_owned(), ToString::to_string);
     let mut text = format!("{}: {outcome}\n", shown(name));
-    for act in report["acts"].as_array().into_iter().flatten() {
-        let (name, start) =
-            (act["act"].as_str().unwrap_or_default(), act["start"].as_str().unwrap_or_default());
-        let robots = downbeat_scripts::counted(act["robots"].as_array().map_or(0, Vec::len), "robot");
-        let spread = act["spread_ms"].as_f64();
-        let spread =
-            spread.map_or_else(|| "no starts known".to_owned(), |spread| format!("spread {spread} ms"));
+    for act in &report.acts {
+        let robots = downbeat_scripts::counted(act.robots.len(), "robot");
+        let spread = act.spread.map_or_else(
+            || "no starts known".to_owned(),
+            |spread| format!("spread {} ms", spread.as_millis_f64()),
+        );
         let fate = history::fate_text(act);
-        text += &format!("  {}: {fate}, planned start {start}, {robots}, {spread}\n", shown(name));
+        let (name, start) = (shown(&act.act), act.start);
+        text += &format!("  {name}: {fate}, planned start {start}, {robots}, {spread}\n");
     }
-    for failure in report["failures"].as_array().into_iter().flatten() {
-        let (robot, why) =
-            (failure["robot"].as_str().unwrap_or_default(), failure["text"].as_str().unwrap_or_default());
-        text += &format!("  {}: {}\n", shown(robot), shown(why));
+    for failure in &report.failures {
+        text += &format!("  {}: {}\n", shown(failure.robot.as_str()), shown(&failure.kind.to_string()));
     }
     text
 }

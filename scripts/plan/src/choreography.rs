@@ -15,7 +15,7 @@ use crate::requirements::Requirements;
 pub type Positions = BTreeMap<RobotId, BTreeMap<DeviceId, f64>>;
 
 /// A whole scenario: acts with the ways between them.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choreography {
     /// The scenario's name.
     pub scenario: String,

@@ -18,7 +18,7 @@ pub(crate) fn listed(found: &RunDifferences) -> Vec<Listed> {
         all.push(plain("scenario", format!("{} → {}", name(&scenario.a), name(&scenario.b))));
     }
     if let Some(ended) = &found.outcome {
-        all.push(plain("outcome", format!("{} → {}", outcome(&ended.a), outcome(&ended.b))));
+        all.push(plain("outcome", format!("{} → {}", outcome(ended.a.as_ref()), outcome(ended.b.as_ref()))));
     }
     for (robots, text) in
         [(&found.dropped_added, "left out now"), (&found.dropped_removed, "no longer left out")]

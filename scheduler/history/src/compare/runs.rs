@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
+use downbeat_mission::{Failure, Record};
 use serde::Serialize;
-use serde_json::Value;
 use urrcp::Span;
 
 use super::played::{PlayedAct, SentScript, acts, movement};
@@ -18,7 +19,7 @@ pub struct RunDifferences {
     pub same: bool,
     pub(crate) scenario: Option<Change<Option<String>>>,
     /// How the mission ended; `null` where that is not known.
-    pub(crate) outcome: Option<Change<Value>>,
+    pub(crate) outcome: Option<Change<Option<Outcome>>>,
     /// In the order of the first mission; then those that only the second one has.
     pub(crate) acts: Vec<RunAct>,
     /// Robots that were left out.
@@ -81,7 +82,7 @@ pub(crate) struct StateChange {
     pub(crate) device: String,
     /// One for each script.
     #[serde(flatten)]
-    pub(crate) states: Change<Vec<String>>,
+    pub(crate) states: Change<Vec<DeviceState>>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -97,7 +98,7 @@ pub(crate) struct ScriptDifferences {
 
 /// What differs between two missions. Start errors and spreads that differ by at most `within` count as equal.
 pub fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
-    let outcome = |history: &History| history.report()["outcome"].clone();
+    let outcome = |history: &History| history.outcome().cloned();
     let (acts_a, acts_b) = (acts(a), acts(b));
     let pairs = matched(&acts_a, &acts_b, |act| (act.name.as_str(), act.before));
     let acts = pairs.into_iter().map(|(in_a, in_b)| act((a, in_a), (b, in_b), within));
@@ -129,15 +130,16 @@ fn beyond<T: Clone + Ord>(all: &[T], others: &[T]) -> Vec<T> {
 }
 
 fn dropped(history: &History) -> Vec<String> {
-    let records = history.records.iter().map(|(_, record)| record);
-    let dropped = records.filter(|record| record["record"] == "dropped");
-    dropped.filter_map(|record| record["robot"].as_str().map(str::to_owned)).collect()
+    let robot = |(_, record): &(_, Record)| match record {
+        Record::Dropped { robot } => Some(robot.to_string()),
+        _ => None,
+    };
+    history.records.iter().filter_map(robot).collect()
 }
 
 fn failures(history: &History) -> Vec<RobotFailure> {
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let failure =
-        |failed: &Value| RobotFailure { robot: text(&failed["robot"]), text: text(&failed["text"]) };
+        |failure: &Failure| RobotFailure { robot: failure.robot.to_string(), text: failure.kind.to_string() };
     history.failures().into_iter().map(failure).collect()
 }
 
@@ -155,21 +157,20 @@ impl Figure {
 
 type Side<'a> = (&'a History, Option<&'a PlayedAct<'a>>);
 
-fn act((history_a, a): Side<'_>, (history_b, b): Side<'_>, within: Span) -> RunAct {
-    let report = |act: Option<&PlayedAct<'_>>| act.and_then(|act| act.report).cloned().unwrap_or_default();
+fn act<'a>((history_a, a): Side<'a>, (history_b, b): Side<'a>, within: Span) -> RunAct {
+    let report = |act: Option<&PlayedAct<'a>>| act.and_then(|act| act.report);
     let (report_a, report_b) = (report(a), report(b));
-    let spread = |report: &Value| report["spread_ms"].as_f64();
+    let spread = |report: Option<&ActReport>| Some(report?.spread?.as_millis_f64());
     let both = a.zip(b);
-    let rows = |report: &Value| report["robots"].as_array().cloned().unwrap_or_default();
-    let (rows_a, rows_b) = (rows(&report_a), rows(&report_b));
-    let rows = matched(&rows_a, &rows_b, |row| row["robot"].as_str());
+    let rows = |report: Option<&'a ActReport>| report.map_or(&[][..], |report| &report.robots);
+    let rows = matched(rows(report_a), rows(report_b), |row| &row.robot);
     let robots = rows.into_iter().map(|(a, b)| robot(a, b, within));
     RunAct {
         act: b.or(a).map(|act| act.name.clone()).unwrap_or_default(),
         time: b.or(a).map_or(1, |act| act.before + 1),
         presence: Presence::of(a, b),
         fate: both.and_then(|(a, b)| Change::of(a.fate.clone(), b.fate.clone())),
-        spread_ms: both.and_then(|_| Figure::of(spread(&report_a), spread(&report_b), within)),
+        spread_ms: both.and_then(|_| Figure::of(spread(report_a), spread(report_b), within)),
         robots: robots.filter(|robot| both.is_some() && !robot.is_empty()).collect(),
         scripts: both.map_or_else(Vec::new, |(a, b)| scripts((history_a, a), (history_b, b))),
     }
@@ -182,10 +183,10 @@ impl RunAct {
     }
 }
 
-fn robot(a: Option<&Value>, b: Option<&Value>, within: Span) -> RunRobot {
-    let shown = b.or(a).and_then(|row| row["robot"].as_str()).unwrap_or_default();
+fn robot(a: Option<&ActRobot>, b: Option<&ActRobot>, within: Span) -> RunRobot {
+    let shown = b.or(a).map_or("", |row| row.robot.as_str());
     let both = a.zip(b);
-    let change = |of: fn(&Value) -> u64| both.and_then(|(a, b)| Change::of(of(a), of(b)));
+    let change = |of: fn(&DeviceReport) -> u32| both.and_then(|(a, b)| Change::of(sum(a, of), sum(b, of)));
     let states = both.map_or_else(Vec::new, |(a, b)| {
         let (a, b) = (states(a), states(b));
         let mut devices: Vec<&String> = a.keys().chain(b.keys()).collect();
@@ -201,10 +202,10 @@ fn robot(a: Option<&Value>, b: Option<&Value>, within: Span) -> RunRobot {
     RunRobot {
         robot: shown.to_owned(),
         presence: Presence::of(a, b),
-        left_out: both.and_then(|(a, b)| Change::of(a["left_out"] == true, b["left_out"] == true)),
+        left_out: both.and_then(|(a, b)| Change::of(a.left_out, b.left_out)),
         start_error_ms: both.and_then(|(a, b)| Figure::of(start_error(a), start_error(b), within)),
-        steps_done: change(|row| sum(row, "steps_done")),
-        late_steps: change(|row| sum(row, "late_steps")),
+        steps_done: change(|script| script.steps_done),
+        late_steps: change(|script| script.late_steps),
         states,
     }
 }
@@ -217,24 +218,19 @@ impl RunRobot {
     }
 }
 
-fn devices(row: &Value) -> impl Iterator<Item = &Value> {
-    row["devices"].as_array().into_iter().flatten()
+fn start_error(row: &ActRobot) -> Option<f64> {
+    let errors = row.devices.iter().filter_map(|script| script.start_error);
+    errors.max_by_key(|error| error.abs()).map(Span::as_millis_f64)
 }
 
-fn start_error(row: &Value) -> Option<f64> {
-    let errors = devices(row).filter_map(|script| script["start_error_ms"].as_f64());
-    errors.max_by(|a, b| a.abs().total_cmp(&b.abs()))
+fn sum(row: &ActRobot, of: fn(&DeviceReport) -> u32) -> u64 {
+    row.devices.iter().map(|script| u64::from(of(script))).sum()
 }
 
-fn sum(row: &Value, key: &str) -> u64 {
-    devices(row).filter_map(|script| script[key].as_u64()).sum()
-}
-
-fn states(row: &Value) -> BTreeMap<String, Vec<String>> {
-    let mut states: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for script in devices(row) {
-        let text = |key: &str| script[key].as_str().unwrap_or_default().to_owned();
-        states.entry(text("device")).or_default().push(text("state"));
+fn states(row: &ActRobot) -> BTreeMap<String, Vec<DeviceState>> {
+    let mut states: BTreeMap<String, Vec<DeviceState>> = BTreeMap::new();
+    for script in &row.devices {
+        states.entry(script.device.to_string()).or_default().push(script.state);
     }
     states
 }
@@ -253,7 +249,7 @@ fn scripts(
             continue;
         }
         let (robot, device) = key;
-        let first = |scripts: &Vec<SentScript>| scripts.first().map(|script| script.start);
+        let first = |scripts: &Vec<SentScript>| scripts.first().map(|script| script.start.get());
         let starts = of_a.and_then(first).zip(of_b.and_then(first));
         let steps = |history, scripts: Option<&Vec<SentScript>>| {
             movement(history, robot, device, scripts.map_or(&[], Vec::as_slice))
@@ -276,27 +272,37 @@ fn are_same(a: &[SentScript], b: &[SentScript]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use serde_json::json;
-    use urrcp::Timestamp;
+    use urrcp::{Command, ContentHash, Timestamp};
 
-    fn history(error: f64, state: &str, hash: &str) -> History {
-        let device = json!({"device": "d", "state": state, "start_error_ms": error, "steps_done": 3});
-        let report = json!({"act": "one", "number": 0, "spread_ms": error, "robots": [
-            {"robot": "r", "left_out": false, "devices": [device]}]});
-        let scripts =
-            json!([{"robot": "r", "device": "d", "start": 0, "content_hash": hash, "request_id": "x"}]);
+    use super::*;
+    use crate::test_records::{device, ended, prepared, report, script};
+
+    use DeviceState::{Ended, Failed};
+
+    fn one() -> ContentHash {
+        hash(Span::from_millis(1))
+    }
+
+    fn hash(of: Span) -> ContentHash {
+        let setpoint = urrcp::Setpoint::new(urrcp::ControlType::Position, of.as_millis_f64());
+        Command::Set(setpoint).content_hash()
+    }
+
+    fn history(error_ms: f64, state: DeviceState, hash: ContentHash) -> History {
+        let error = Some(Span::from_millis_f64(error_ms));
+        let devices = vec![DeviceReport { start_error: error, steps_done: 3, ..device("d", state) }];
+        let robots = vec![ActRobot { robot: "r".parse().unwrap(), left_out: false, devices }];
         let records = [
-            json!({"record": "prepared", "number": 0, "act": 0, "scripts": scripts}),
-            json!({"record": "act_ended", "act": 0, "fate": "played", "report": report}),
-            json!({"record": "ended", "outcome": "done"}),
+            prepared(0, vec![script("x", hash)]),
+            ended(ActReport { spread: error, robots, ..report("one", 0) }),
+            Record::Ended { outcome: Outcome::Done },
         ];
         History::of_records(records.into_iter().map(|record| (Timestamp::from_nanos(0), record)).collect())
     }
 
     #[test]
     fn a_start_error_that_is_closer_to_zero_is_better() {
-        let found = runs(&history(2.0, "ended", "h"), &history(-0.5, "ended", "h"), Span::ZERO);
+        let found = runs(&history(2.0, Ended, one()), &history(-0.5, Ended, one()), Span::ZERO);
         let robot = &found.acts[0].robots[0];
         assert_eq!(robot.start_error_ms, Some(Figure { a: Some(2.0), b: Some(-0.5), better: Some(true) }));
         assert!(!found.same && robot.states.is_empty() && found.acts[0].scripts.is_empty());
@@ -304,7 +310,7 @@ mod tests {
 
     #[test]
     fn what_differs_by_less_than_was_allowed_is_the_same() {
-        let (a, b) = (history(2.0, "ended", "h"), history(2.5, "ended", "h"));
+        let (a, b) = (history(2.0, Ended, one()), history(2.5, Ended, one()));
         assert!(runs(&a, &b, Span::from_micros(500)).same);
         assert!(!runs(&a, &b, Span::from_micros(499)).same);
         assert!(runs(&a, &a, Span::ZERO).same);
@@ -312,10 +318,10 @@ mod tests {
 
     #[test]
     fn other_scripts_and_other_states_are_differences_however_much_is_allowed() {
-        let a = history(2.0, "ended", "h");
-        let found = runs(&a, &history(2.0, "failed", "h"), Span::MAX);
-        assert_eq!(found.acts[0].robots[0].states[0].states.b, ["failed"]);
-        let found = runs(&a, &history(2.0, "ended", "other"), Span::MAX);
+        let a = history(2.0, Ended, one());
+        let found = runs(&a, &history(2.0, Failed, one()), Span::MAX);
+        assert_eq!(found.acts[0].robots[0].states[0].states.b, [Failed]);
+        let found = runs(&a, &history(2.0, Ended, hash(Span::from_millis(2))), Span::MAX);
         assert_eq!(found.acts[0].scripts[0].steps, None, "a journal has no steps");
         assert!(!found.same);
     }

@@ -1,5 +1,6 @@
 //! Differences as text for people.
 
+use downbeat_mission::report::{DeviceState, Outcome};
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Closest, counted};
 use serde_json::Value;
@@ -45,7 +46,7 @@ pub fn run_text(found: &RunDifferences, columns: usize) -> String {
         text.say(&format!("scenario: {} → {}", shown(&name(a)), shown(&name(b))));
     }
     if let Some(Change { a, b }) = &found.outcome {
-        text.say(&format!("outcome: {} → {}", outcome(a), outcome(b)));
+        text.say(&format!("outcome: {} → {}", outcome(a.as_ref()), outcome(b.as_ref())));
     }
     text.names("robots left out only in the first", &found.dropped_removed);
     text.names("robots left out only in the second", &found.dropped_added);
@@ -318,7 +319,7 @@ pub(super) fn robot_row(robot: &RunRobot) -> Vec<String> {
     }
     for change in &robot.states {
         let Change { a, b } = &change.states;
-        other.push(format!("{}: {} → {}", change.device, a.join(" "), b.join(" ")));
+        other.push(format!("{}: {} → {}", change.device, words(a), words(b)));
     }
     vec![
         robot.robot.clone(),
@@ -390,11 +391,12 @@ fn value(value: &Value) -> String {
     }
 }
 
-pub(super) fn outcome(outcome: &Value) -> String {
-    match outcome {
-        Value::Null => "not known".to_owned(),
-        other => value(other["outcome"].as_str().map(Value::from).as_ref().unwrap_or(other)),
-    }
+fn words(states: &[DeviceState]) -> String {
+    states.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
+}
+
+pub(super) fn outcome(outcome: Option<&Outcome>) -> String {
+    outcome.map_or_else(|| "not known".to_owned(), |outcome| shown(&outcome.to_string()).into_owned())
 }
 
 /// One difference in words, for a list.

@@ -1,8 +1,11 @@
 //! How an act ended, by its report and by what was told or written down.
 
+use downbeat_mission::report::{ActReport, ActRobot, DeviceReport, DeviceState};
+use downbeat_mission::{Progress, Record};
 use serde::Serialize;
-use serde_json::Value;
 use urrcp::{Server, Timestamp};
+
+use super::Happened;
 
 /// What became of an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -21,32 +24,31 @@ pub(crate) enum Fate {
 }
 
 impl Fate {
-    /// By the report of an act, as it is in JSON; without one the act has not ended, as far as is known.
-    pub(crate) fn of(report: Option<&Value>) -> Self {
+    /// By the report of an act; without one the act has not ended, as far as is known.
+    pub(crate) fn of(report: Option<&ActReport>) -> Self {
         let Some(report) = report else { return Self::Open };
-        let robots = report["robots"].as_array().into_iter().flatten();
-        let (left_out, taking_part): (Vec<&Value>, Vec<&Value>) =
-            robots.partition(|robot| robot["left_out"] == true);
-        let scripts = |robots: &[&Value]| -> Vec<Value> {
-            robots.iter().flat_map(|robot| robot["devices"].as_array().cloned().unwrap_or_default()).collect()
-        };
-        let began =
-            |script: &Value| script["started_at"].is_string() || script["steps_done"].as_u64() > Some(0);
-        let scripts_left = scripts(&taking_part);
-        let is = |state: &'static str| move |script: &Value| script["state"] == state;
-        if !scripts_left.is_empty() && scripts_left.iter().all(is("ended")) {
+        let (left_out, taking_part): (Vec<&ActRobot>, Vec<&ActRobot>) =
+            report.robots.iter().partition(|robot| robot.left_out);
+        let scripts_left: Vec<&DeviceReport> = scripts(&taking_part).collect();
+        let is_unknown = |script: &&DeviceReport| script.state == DeviceState::Unknown;
+        if !scripts_left.is_empty() && scripts_left.iter().all(|script| script.state == DeviceState::Ended) {
             return Self::Played;
         }
-        if !scripts_left.iter().chain(&scripts(&left_out)).any(began) {
-            return if scripts_left.iter().any(is("unknown")) { Self::Unknown } else { Self::Withdrawn };
+        let began = |script: &DeviceReport| script.started_at.is_some() || script.steps_done > 0;
+        if !scripts_left.iter().copied().chain(scripts(&left_out)).any(began) {
+            return if scripts_left.iter().any(is_unknown) { Self::Unknown } else { Self::Withdrawn };
         }
-        if scripts_left.iter().any(is("unknown")) { Self::Unknown } else { Self::Stopped }
+        if scripts_left.iter().any(is_unknown) { Self::Unknown } else { Self::Stopped }
     }
 }
 
-/// The fate of an act as text, from its report as JSON.
+fn scripts<'a>(robots: &[&'a ActRobot]) -> impl Iterator<Item = &'a DeviceReport> {
+    robots.iter().flat_map(|robot| &robot.devices)
+}
+
+/// The fate of an act as text, from its report.
 #[must_use]
-pub fn fate_text(report: &Value) -> &'static str {
+pub fn fate_text(report: &ActReport) -> &'static str {
     match Fate::of(Some(report)) {
         Fate::Played => "played",
         Fate::Stopped => "stopped on the way",
@@ -56,40 +58,45 @@ pub fn fate_text(report: &Value) -> &'static str {
 }
 
 /// When an act was over, or everything was being stopped, after it was sent at `sent`.
-pub(crate) fn over(
-    told: &[(Timestamp<Server>, Value)],
+pub(crate) fn over<'a>(
+    mut happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     name: &str,
     number: u32,
     sent: Timestamp<Server>,
 ) -> Option<Timestamp<Server>> {
-    let ends = |value: &Value| match (value["progress"].as_str(), value["record"].as_str()) {
-        (Some("stopping"), _) | (_, Some("stopping" | "ended")) => true,
-        (Some("act_ended"), _) => value["act"] == name,
-        (_, Some("act_ended")) => value["report"]["number"] == number,
-        _ => false,
+    let ends = |happened: Happened<'_>| match happened {
+        Happened::Told(Progress::Stopping { .. })
+        | Happened::Recorded(Record::Stopping { .. } | Record::Ended { .. }) => true,
+        Happened::Told(Progress::ActEnded { act }) => act == name,
+        Happened::Recorded(Record::ActEnded { report, .. }) => report.number == number,
+        Happened::Told(_) | Happened::Recorded(_) => false,
     };
-    told.iter().find(|(at, value)| *at >= sent && ends(value)).map(|(at, _)| *at)
+    happened.find(|(at, happened)| *at >= sent && ends(*happened)).map(|(at, _)| at)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
+    use crate::test_records::{device, report};
 
-    fn robot(left_out: bool, states: &[&str]) -> Value {
-        let script = |state: &&str| json!({"state": state, "steps_done": u32::from(!["accepted", "unknown"].contains(state))});
-        json!({"left_out": left_out, "devices": states.iter().map(script).collect::<Vec<_>>()})
+    fn robot(left_out: bool, states: &[DeviceState]) -> ActRobot {
+        let script = |state: &DeviceState| {
+            let begun = !matches!(state, DeviceState::Accepted | DeviceState::Unknown);
+            DeviceReport { steps_done: u32::from(begun), ..device("d", *state) }
+        };
+        ActRobot { robot: "r".parse().unwrap(), left_out, devices: states.iter().map(script).collect() }
     }
 
     #[test]
     fn an_act_is_played_only_if_all_that_were_not_left_out_did_all_their_steps() {
-        let fate = |robots: &[Value]| Fate::of(Some(&json!({ "robots": robots })));
-        assert_eq!(fate(&[robot(false, &["ended", "ended"]), robot(true, &["failed"])]), Fate::Played);
-        assert_eq!(fate(&[robot(false, &["ended", "failed"])]), Fate::Stopped);
-        assert_eq!(fate(&[robot(false, &["accepted"]), robot(false, &["accepted"])]), Fate::Withdrawn);
-        assert_eq!(fate(&[robot(false, &["ended", "unknown"])]), Fate::Unknown);
-        assert_eq!(fate(&[robot(true, &["started"])]), Fate::Stopped);
+        use DeviceState::{Accepted, Ended, Failed, Started, Unknown};
+        let fate =
+            |robots: &[ActRobot]| Fate::of(Some(&ActReport { robots: robots.to_vec(), ..report("one", 0) }));
+        assert_eq!(fate(&[robot(false, &[Ended, Ended]), robot(true, &[Failed])]), Fate::Played);
+        assert_eq!(fate(&[robot(false, &[Ended, Failed])]), Fate::Stopped);
+        assert_eq!(fate(&[robot(false, &[Accepted]), robot(false, &[Accepted])]), Fate::Withdrawn);
+        assert_eq!(fate(&[robot(false, &[Ended, Unknown])]), Fate::Unknown);
+        assert_eq!(fate(&[robot(true, &[Started])]), Fate::Stopped);
         assert_eq!(Fate::of(None), Fate::Open);
-        assert_eq!(Fate::of(Some(&json!("nonsense"))), Fate::Withdrawn);
     }
 }

@@ -9,12 +9,16 @@ use std::path::{Path, PathBuf};
 
 use mcap::MessageStream;
 use mcap::read::Options;
-use serde::Deserialize;
-use serde_json::{Value, json};
-use urrcp::{InitializationBlock, Interpolation, Robot, RobotId, Server, Span, Timestamp};
+use serde::Serialize;
+use urrcp::{
+    ControlType, InitializationBlock, Interpolation, Message, RequestId, Robot, RobotId, Server, Span,
+    Status, Timestamp,
+};
 
-use downbeat_mission::promised_name;
-use downbeat_runtime::journal::{self, Unreadable};
+use downbeat_mission::report::{ActFate, ActReport, Outcome};
+use downbeat_mission::{Failure, Progress, Promise, Record, promised_name};
+use downbeat_runtime::journal::{self, Unreadable, VERSION};
+use downbeat_runtime::recording::{ClockOffset, PlannedValue, ReportedValue, VERSION_KEY};
 
 pub use self::fate::fate_text;
 pub(crate) use self::fate::{Fate, over};
@@ -35,9 +39,9 @@ pub struct History {
     /// Where the file stops being whole, if it does.
     pub cut_off: Option<String>,
     /// What was decided, as in the journal.
-    pub records: Vec<(Timestamp<Server>, Value)>,
+    pub records: Vec<(Timestamp<Server>, Record)>,
     /// What the operator was told.
-    pub(crate) told: Vec<(Timestamp<Server>, Value)>,
+    pub(crate) told: Vec<(Timestamp<Server>, Progress)>,
     pub(crate) robots: Vec<KnownRobot>,
     /// Of each topic, what it is about.
     routes: HashMap<String, Option<Route>>,
@@ -83,8 +87,8 @@ pub(crate) struct KnownRobot {
     pub(crate) clock: Vec<(Timestamp<Server>, f64, f64)>,
     /// Questions that it has answered with its times.
     pub(crate) exchanges: Vec<Exchange>,
-    /// When questions that it has not answered yet were sent, by their name and own timestamp.
-    open: HashMap<(&'static str, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
+    /// When questions that it has not answered yet were sent, by their kind and own timestamp.
+    open: HashMap<(Question, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
     /// What its sensors read, by device, when that arrived.
     pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
 }
@@ -106,16 +110,19 @@ pub(crate) struct Exchange {
 /// not left, unless the machine was busy.
 const NOTED_WITHIN: Span = Span::from_millis(1);
 
-/// Messages that carry the times of an exchange: the question, and its answer.
-const QUESTIONS: [(&str, &str); 2] =
-    [("availability_request", "availability_response"), ("inquiry", "inquiry_response")];
+/// Messages whose answers carry the times of an exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Question {
+    Availability,
+    Inquiry,
+}
 
 /// A step of a script.
 #[derive(Clone, Debug)]
 pub(crate) struct PlannedStep {
     pub(crate) due: Timestamp<Server>,
     pub(crate) value: f64,
-    pub(crate) control: String,
+    pub(crate) control_type: ControlType,
 }
 
 /// A file of which no mission can be shown.
@@ -138,35 +145,98 @@ pub enum NoHistory {
         /// Which file.
         path: PathBuf,
     },
+    /// Another version of Downbeat has written it.
+    #[error(
+        "`{}` has version {found}, expected version {VERSION}; use the Downbeat that wrote it", path.display()
+    )]
+    OtherVersion {
+        /// Which file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+}
+
+/// What happened in a mission: the operator's view or, if only the journal is left, what was recorded.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Happened<'a> {
+    Told(&'a Progress),
+    Recorded(&'a Record),
+}
+
+/// An act that has ended.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EndedAct<'a> {
+    pub(crate) report: &'a ActReport,
+    pub(crate) fate: &'a ActFate,
+    /// Whether it was withdrawn, to be prepared again.
+    pub(crate) again: bool,
+}
+
+/// The known part of the report of a mission.
+#[derive(Debug, Serialize)]
+pub struct HistoryReport<'a> {
+    /// The scenario's name.
+    pub scenario: Option<&'a str>,
+    /// `None` if the end is not known.
+    pub outcome: Option<&'a Outcome>,
+    /// Planned start of the first act.
+    pub start: Option<Timestamp<Server>>,
+    /// Largest spread of the starts of any act.
+    #[serde(rename = "spread_ms")]
+    pub spread: Option<Span>,
+    /// The acts that have ended. Attempts that were withdrawn and repeated are left out.
+    pub acts: Vec<&'a ActReport>,
+    /// The failures of robots, in order.
+    pub failures: Vec<&'a Failure>,
 }
 
 impl History {
     /// The known part of the report: the name, the outcome and the reports of the acts that have ended.
     #[must_use]
-    pub fn report(&self) -> Value {
-        let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
-        // Attempts that were withdrawn and repeated are not acts of a report.
-        let ended = ended.filter(|(_, record)| record["again"] != true);
-        let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
-        let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
-        let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
-        json!({
-            "scenario": self.scenario,
-            "outcome": outcome.map(|(_, record)| &record["outcome"]),
-            "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
-            "spread_ms": spread,
-            "acts": acts,
-            // Neither kind of file states the totals of each robot over all acts.
-            "robots": null,
-            "failures": self.failures(),
+    pub fn report(&self) -> HistoryReport<'_> {
+        let acts: Vec<&ActReport> =
+            self.ended_acts().filter(|act| !act.again).map(|act| act.report).collect();
+        HistoryReport {
+            scenario: self.scenario.as_deref(),
+            outcome: self.outcome(),
+            start: self.promises().next().map(|(_, promise)| promise.start),
+            spread: acts.iter().filter_map(|act| act.spread).max(),
+            acts,
+            failures: self.failures(),
+        }
+    }
+
+    /// `None` if the end of the mission is not known.
+    pub(crate) fn outcome(&self) -> Option<&Outcome> {
+        self.records.iter().rev().find_map(|(_, record)| match record {
+            Record::Ended { outcome } => Some(outcome),
+            _ => None,
         })
     }
 
-    pub(crate) fn of_kind<'a>(
-        &'a self,
-        kind: &'a str,
-    ) -> impl Iterator<Item = &'a (Timestamp<Server>, Value)> {
-        self.records.iter().filter(move |(_, record)| record["record"] == *kind)
+    /// The acts that were promised, each with the instant of its record.
+    pub(crate) fn promises(&self) -> impl Iterator<Item = (Timestamp<Server>, &Promise)> {
+        self.records.iter().filter_map(|(at, record)| match record {
+            Record::Prepared(promise) => Some((*at, promise)),
+            _ => None,
+        })
+    }
+
+    pub(crate) fn ended_acts(&self) -> impl DoubleEndedIterator<Item = EndedAct<'_>> {
+        self.records.iter().filter_map(|(_, record)| match record {
+            Record::ActEnded { report, over, again, .. } => {
+                Some(EndedAct { report, fate: &over.fate, again: *again })
+            }
+            _ => None,
+        })
+    }
+
+    /// Everything that happened, in order.
+    pub(crate) fn happened(&self) -> impl Iterator<Item = (Timestamp<Server>, Happened<'_>)> {
+        let told = self.told.iter().map(|(at, told)| (*at, Happened::Told(told)));
+        let records = if self.told.is_empty() { &self.records[..] } else { &[] };
+        told.chain(records.iter().map(|(at, record)| (*at, Happened::Recorded(record))))
     }
 
     /// Reads a journal, a mission's folder, or a recording, as far as it is whole.
@@ -190,6 +260,7 @@ impl History {
             Ok(records) => Ok(Self::of_journal(records)),
             Err(Unreadable::Io { path, error }) => Err(NoHistory::Io { path, error }),
             Err(Unreadable::NoBegin { path }) => Err(NoHistory::Unknown { path }),
+            Err(Unreadable::OtherVersion { path, found }) => Err(NoHistory::OtherVersion { path, found }),
         }
     }
 
@@ -211,18 +282,23 @@ impl History {
     }
 
     /// The failures of robots, in order.
-    pub(crate) fn failures(&self) -> Vec<&Value> {
-        let (all, kind) = match self.source {
-            HistorySource::Recording => (&self.told, "progress"),
-            HistorySource::Journal => (&self.records, "record"),
+    pub(crate) fn failures(&self) -> Vec<&Failure> {
+        let failure = |(_, happened)| match happened {
+            Happened::Told(Progress::Failed(failure)) | Happened::Recorded(Record::Failed(failure)) => {
+                Some(failure)
+            }
+            _ => None,
         };
-        all.iter().map(|(_, value)| value).filter(|value| value[kind] == "failed").collect()
+        self.happened().filter_map(failure).collect()
     }
 
     fn of_recording(bytes: &[u8], path: &Path) -> Result<Self, NoHistory> {
         let mut history = Self { source: HistorySource::Recording, ..Self::default() };
         match MessageStream::new_with_options(bytes, Options::ValidateChunkCrcs.into()) {
-            Ok(messages) => history.take_all(messages),
+            Ok(messages) => match history.take_all(messages) {
+                None => {}
+                Some(found) => return Err(NoHistory::OtherVersion { path: path.to_path_buf(), found }),
+            },
             Err(error) => history.cut_off = Some(format!("nothing can be read: {error}")),
         }
         let empty = history.records.is_empty() && history.told.is_empty() && history.robots.is_empty();
@@ -249,13 +325,8 @@ impl History {
 
     /// A journal of these records.
     #[cfg(test)]
-    pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Value)>) -> Self {
+    pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Record)>) -> Self {
         Self { records, ..Self::default() }
-    }
-
-    /// What the operator was told; nothing in a journal.
-    pub(crate) fn told(&self) -> &[(Timestamp<Server>, Value)] {
-        &self.told
     }
 
     /// How a device goes from step to step, as its robot described it.
@@ -272,11 +343,11 @@ impl History {
         robot: &str,
         device: &str,
         request: &str,
-    ) -> Vec<(Timestamp<Server>, f64, &str)> {
+    ) -> Vec<(Timestamp<Server>, f64, ControlType)> {
         let robot = self.robots.iter().find(|known| known.id.as_str() == robot);
         let key = (device.to_owned(), request.to_owned());
         let steps = robot.and_then(|robot| robot.planned.get(&key)).into_iter().flatten();
-        let mut steps: Vec<_> = steps.map(|step| (step.due, step.value, step.control.as_str())).collect();
+        let mut steps: Vec<_> = steps.map(|step| (step.due, step.value, step.control_type)).collect();
         // What is sent again is written down again.
         steps.sort_by_key(|(due, ..)| *due);
         steps.dedup();
@@ -289,10 +360,18 @@ impl History {
         self.records.is_empty() && self.told.is_empty()
     }
 
-    fn take_all(&mut self, messages: MessageStream<'_>) {
+    /// Takes messages up to the first one that cannot be read. Returns the version of a recording of another version.
+    fn take_all(&mut self, messages: MessageStream<'_>) -> Option<u32> {
         for (count, message) in messages.enumerate() {
             let taken = match message {
-                Ok(message) => self.take(&message),
+                Ok(message) if is_ours(&message) => {
+                    let version = version_of(&message);
+                    if version != VERSION {
+                        return Some(version);
+                    }
+                    self.take(&message)
+                }
+                Ok(_) => Ok(()),
                 Err(error) => Err(error.to_string()),
             };
             if let Err(error) = taken {
@@ -300,57 +379,62 @@ impl History {
                 break;
             }
         }
+        None
     }
 
     /// The scenario's name is the session's, up to the `@`.
     fn first_name(&self) -> Option<String> {
-        let prepared = |(_, record): &&(_, Value)| record["record"] == "prepared";
-        let id = self.records.iter().find(prepared)?.1["scripts"][0]["request_id"].as_str()?.to_owned();
+        let id = self.promises().next()?.1.scripts.first()?.request_id.as_str();
         Some(id.split(['@', '/']).next()?.to_owned())
     }
 
     fn take(&mut self, message: &mcap::Message<'_>) -> Result<(), String> {
         let topic = message.channel.topic.as_str();
-        if !topic.starts_with("/mission/") && !topic.starts_with("/robots/") {
-            return Ok(());
-        }
-        let value = serde_json::from_slice::<Value>(&message.data);
-        let value = value.map_err(|error| format!("a message on {topic} is damaged: {error}"))?;
         let at = Timestamp::from_nanos(i64::try_from(message.log_time).unwrap_or(i64::MAX));
+        let damaged = |error| format!("a message on {topic} is damaged: {error}");
         match topic {
-            "/mission/decisions" => self.records.push((at, value)),
-            "/mission/progress" => self.told.push((at, value)),
-            topic => self.take_of_robot(topic, at, &value),
+            "/mission/decisions" => {
+                self.records.push((at, serde_json::from_slice(&message.data).map_err(damaged)?));
+            }
+            "/mission/progress" => {
+                self.told.push((at, serde_json::from_slice(&message.data).map_err(damaged)?));
+            }
+            topic => self.take_of_robot(topic, at, &message.data).map_err(damaged)?,
         }
         Ok(())
     }
 
-    fn take_of_robot(&mut self, topic: &str, at: Timestamp<Server>, value: &Value) {
+    fn take_of_robot(
+        &mut self,
+        topic: &str,
+        at: Timestamp<Server>,
+        data: &[u8],
+    ) -> Result<(), serde_json::Error> {
         if !self.routes.contains_key(topic) {
             let route = self.route(topic);
             self.routes.insert(topic.to_owned(), route);
         }
         let Some(Route { robot, device, kind }) = self.routes.get(topic).and_then(Option::as_ref) else {
-            return;
+            return Ok(());
         };
         let robot = &mut self.robots[*robot];
         match kind {
-            Kind::Request => robot.is_asked(at, value),
-            Kind::Response => robot.says(at, value),
+            Kind::Request => robot.is_asked(at, &serde_json::from_slice(data)?),
+            Kind::Response => robot.says(at, serde_json::from_slice(data)?),
             Kind::Clock => {
-                let figures = value["offset_ms"].as_f64().zip(value["delay_ms"].as_f64());
-                robot.clock.extend(figures.map(|(offset, delay)| (at, offset, delay)));
+                let ClockOffset { offset, delay } = serde_json::from_slice(data)?;
+                robot.clock.push((at, offset.as_millis_f64(), delay.as_millis_f64()));
             }
-            Kind::Planned => robot.plans(device.clone(), at, value),
+            Kind::Planned => robot.plans(device.clone(), at, serde_json::from_slice(data)?),
             Kind::Reported => {
-                let reported = robot.reported.entry(device.clone()).or_default();
-                let point = value["value"].as_f64().map(|value| (at, value));
-                reported.extend(point);
-                if value["status"] == "Provide" {
-                    robot.readings.entry(device.clone()).or_default().extend(point);
+                let reported: ReportedValue = serde_json::from_slice(data)?;
+                robot.reported.entry(device.clone()).or_default().push((at, reported.value));
+                if reported.status == Status::Provide {
+                    robot.readings.entry(device.clone()).or_default().push((at, reported.value));
                 }
             }
         }
+        Ok(())
     }
 
     fn route(&mut self, topic: &str) -> Option<Route> {
@@ -392,61 +476,105 @@ impl KnownRobot {
     }
 
     /// It is asked something that it may answer with its times.
-    fn is_asked(&mut self, at: Timestamp<Server>, request: &Value) {
-        for (question, _) in QUESTIONS {
-            if let Ok(own) = Timestamp::deserialize(&request[question]["timestamp"]) {
-                self.open.entry((question, own)).or_default().push_back(at);
-            }
+    fn is_asked(&mut self, at: Timestamp<Server>, request: &Message) {
+        let question = match request {
+            Message::AvailabilityRequest(request) => (Question::Availability, request.timestamp),
+            Message::Inquiry(inquiry) => (Question::Inquiry, inquiry.timestamp),
+            _ => return,
+        };
+        if let (kind, Some(own)) = question {
+            self.open.entry((kind, own)).or_default().push_back(at);
         }
     }
 
-    /// It describes itself, or answers a question with its times. A question that waited on this machine counts from when it
-    /// left, but no later than surely so.
-    fn says(&mut self, at: Timestamp<Server>, response: &Value) {
-        for (question, answer) in QUESTIONS {
-            let answer = &response[answer];
-            let Ok(own) = Timestamp::deserialize(&answer["originate_timestamp"]) else { continue };
-            let Entry::Occupied(mut open) = self.open.entry((question, own)) else { continue };
-            let sent = open.get_mut().pop_front().map(|noted| own.max(noted + -NOTED_WITHIN));
-            if open.get().is_empty() {
-                open.remove();
+    /// It describes itself, or answers a question with its times.
+    fn says(&mut self, at: Timestamp<Server>, response: Message) {
+        match response {
+            Message::AvailabilityResponse(answer) => {
+                let times = (answer.receive_timestamp, answer.timestamp);
+                self.answers(Question::Availability, answer.originate_timestamp, times, at);
             }
-            let robot_received = Timestamp::deserialize(&answer["receive_timestamp"]).ok();
-            let robot_sent = Timestamp::deserialize(&answer["timestamp"]).ok();
-            let times = sent.zip(robot_received.zip(robot_sent));
-            self.exchanges.extend(times.map(|(sent, (robot_received, robot_sent))| Exchange {
-                sent,
-                robot_received,
-                robot_sent,
-                received: at,
-            }));
-        }
-        let block = &response["initialization_block"];
-        if let Ok(block) = InitializationBlock::deserialize(block) {
-            self.init = Some(block);
+            Message::InquiryResponse(answer) => {
+                let times = (answer.receive_timestamp, answer.timestamp);
+                self.answers(Question::Inquiry, answer.originate_timestamp, times, at);
+            }
+            Message::InitializationBlock(block) => self.init = Some(block),
+            _ => {}
         }
     }
 
-    fn plans(&mut self, device: String, due: Timestamp<Server>, step: &Value) {
-        let Some(value) = step["value"].as_f64() else { return };
-        let request = promised_name(step["request_id"].as_str().unwrap_or_default()).to_owned();
-        let control = step["control_type"].as_str().unwrap_or_default().to_owned();
-        self.planned.entry((device, request)).or_default().push(PlannedStep { due, value, control });
+    /// A question that waited on this machine counts from when it left, but no later than surely so.
+    fn answers(
+        &mut self,
+        question: Question,
+        own: Option<Timestamp<Server>>,
+        (robot_received, robot_sent): (Timestamp<Robot>, Timestamp<Robot>),
+        received: Timestamp<Server>,
+    ) {
+        let Some(own) = own else { return };
+        let Entry::Occupied(mut open) = self.open.entry((question, own)) else { return };
+        let sent = open.get_mut().pop_front().map(|noted| own.max(noted + -NOTED_WITHIN));
+        if open.get().is_empty() {
+            open.remove();
+        }
+        let exchange = |sent| Exchange { sent, robot_received, robot_sent, received };
+        self.exchanges.extend(sent.map(exchange));
     }
+
+    fn plans(&mut self, device: String, due: Timestamp<Server>, step: PlannedValue) {
+        let request = step.request_id.as_ref().map_or("", RequestId::as_str);
+        let request = promised_name(request).to_owned();
+        let PlannedValue { value, control_type, .. } = step;
+        self.planned.entry((device, request)).or_default().push(PlannedStep { due, value, control_type });
+    }
+}
+
+/// Whether Downbeat writes to this topic.
+fn is_ours(message: &mcap::Message<'_>) -> bool {
+    ["/mission/", "/robots/"].iter().any(|prefix| message.channel.topic.starts_with(prefix))
+}
+
+/// 0 if the recording names none.
+fn version_of(message: &mcap::Message<'_>) -> u32 {
+    let version = message.channel.metadata.get(VERSION_KEY);
+    version.and_then(|version| version.parse().ok()).unwrap_or_default()
 }
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
+
+    /// A recording that contains the end of a mission, with this metadata.
+    fn recording(path: &Path, metadata: &BTreeMap<String, String>) {
+        let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+        let channel_id = writer.add_channel(0, "/mission/decisions", "json", metadata).unwrap();
+        let header = mcap::records::MessageHeader { channel_id, sequence: 0, log_time: 0, publish_time: 0 };
+        let record = serde_json::to_vec(&Record::Ended { outcome: Outcome::Done }).unwrap();
+        writer.write_to_known_channel(&header, &record).unwrap();
+        writer.finish().unwrap();
+    }
+
+    #[test]
+    fn a_recording_of_another_version_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("show.mcap");
+        let version = |version: u32| [(VERSION_KEY.to_owned(), version.to_string())].into();
+        recording(&path, &version(VERSION));
+        assert_eq!(History::read(&path).unwrap().outcome(), Some(&Outcome::Done));
+        for (metadata, version) in [(version(VERSION + 1), VERSION + 1), (BTreeMap::new(), 0)] {
+            recording(&path, &metadata);
+            let error = History::read(&path).unwrap_err();
+            assert!(matches!(error, NoHistory::OtherVersion { found, .. } if found == version), "{error}");
+        }
+    }
 
     #[test]
     fn a_script_that_was_sent_again_under_another_name_is_planned_once() {
         let mut robot = KnownRobot::new("r".parse().unwrap(), None);
         for name in ["s/1/0/0/0", "s/1/0/0/0+1", "s/1/0/0/0+2"] {
-            let step = json!({"value": 1, "control_type": "position", "request_id": name});
-            robot.plans("d".to_owned(), Timestamp::from_nanos(5), &step);
+            let request_id = Some(name.parse().unwrap());
+            let step = PlannedValue { value: 1.0, control_type: ControlType::Position, request_id };
+            robot.plans("d".to_owned(), Timestamp::from_nanos(5), step);
         }
         let planned: Vec<_> = robot.planned.into_keys().collect();
         assert_eq!(planned, [("d".to_owned(), "s/1/0/0/0".to_owned())]);

@@ -1,8 +1,7 @@
 //! A robot's clock, from its exchanges and from what was promised to it.
 
 use serde::Serialize;
-use serde_json::Value;
-use urrcp::{Server, Span, Timestamp};
+use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::line::{ClockLine, counts_in};
 use crate::history::{Exchange, History};
@@ -122,23 +121,14 @@ pub(super) struct Told {
 }
 
 impl Told {
-    pub(super) fn of(history: &History, robot: &str) -> Self {
-        let promised = history.of_kind("prepared").flat_map(|(_, record)| listed(&record["scripts"]));
-        let own = promised.filter(|script| script["robot"] == robot);
+    pub(super) fn of(history: &History, robot: &RobotId) -> Self {
+        let promised = history.promises().flat_map(|(_, promise)| &promise.scripts);
         let shifts: Vec<Span> =
-            own.filter_map(|script| script["shift_ms"].as_f64()).map(Span::from_millis_f64).collect();
+            promised.filter(|script| script.robot == *robot).map(|script| script.shift).collect();
         let added = shifts.iter().find(|shift| **shift != Span::ZERO);
-        let reports =
-            history.of_kind("act_ended").flat_map(|(_, record)| listed(&record["report"]["robots"]));
-        let devices = reports.filter(|row| row["robot"] == robot).flat_map(|row| listed(&row["devices"]));
-        let errors = devices.filter_map(|device| device["start_error_ms"].as_f64());
-        Self {
-            shift: added.or(shifts.first()).copied(),
-            start_error: errors.map(|error| Span::from_millis_f64(error.abs())).max(),
-        }
+        let rows = history.ended_acts().flat_map(|act| &act.report.robots);
+        let devices = rows.filter(|row| row.robot == *robot).flat_map(|row| &row.devices);
+        let errors = devices.filter_map(|device| device.start_error);
+        Self { shift: added.or(shifts.first()).copied(), start_error: errors.map(Span::abs).max() }
     }
-}
-
-fn listed(value: &Value) -> impl Iterator<Item = &Value> {
-    value.as_array().into_iter().flatten()
 }

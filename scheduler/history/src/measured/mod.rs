@@ -109,7 +109,8 @@ impl Measured {
 
 /// The first and the last instant of a file.
 fn bounds(history: &History) -> (Timestamp<Server>, Timestamp<Server>) {
-    let written = history.records.iter().chain(&history.told).map(|(at, _)| *at);
+    let records = history.records.iter().map(|(at, _)| *at);
+    let written = records.chain(history.told.iter().map(|(at, _)| *at));
     let exchanges = history.robots.iter().flat_map(|robot| &robot.exchanges);
     let all = written.chain(exchanges.flat_map(|exchange| [exchange.sent, exchange.received]));
     let (first, last) = all.fold((None, None), |(first, last): (Option<_>, Option<_>), at| {
@@ -124,11 +125,11 @@ impl RobotMeasured {
         let mut exchanges: Vec<Exchange> = robot.exchanges.clone();
         exchanges.sort_by_key(|exchange| (exchange.sent, exchange.received));
         let line = ClockLine::fit(&exchanges);
-        let told = Told::of(history, robot.id.as_str());
+        let told = Told::of(history, &robot.id);
         Self {
             robot: robot.id.clone(),
             link: LinkMeasured::of(&exchanges, line.as_ref()),
-            breaks: told::breaks(history, robot.id.as_str(), bounds),
+            breaks: told::breaks(history, &robot.id, bounds),
             clock: ClockMeasured::of(&exchanges, line.as_ref(), told, bounds.0),
         }
     }

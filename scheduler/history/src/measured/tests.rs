@@ -1,11 +1,13 @@
 //! Recordings whose truth is known: what is measured comes close to it.
 
 use fastrand::Rng;
-use serde_json::json;
 use urrcp::{Robot, Server, Span, Timestamp};
 
 use super::*;
+use crate::test_records::{prepared, script};
+use downbeat_mission::{LeadTime, Progress, PromisedScript, Record};
 use downbeat_scripts::Delay;
+use urrcp::Command;
 
 const BEGAN: Timestamp<Server> = Timestamp::from_nanos(1_800_000_000_000_000_000);
 
@@ -249,8 +251,7 @@ fn every_kind_of_measurement_is_a_world_that_is_read() {
     for truth in worlds {
         let mut history = truth.history(7);
         text_of(&history, "show.mcap");
-        let scripts = json!([{"robot": "r", "shift_ms": 1.0}]);
-        history.records.push((BEGAN, json!({"record": "prepared", "scripts": scripts})));
+        history.records.push((BEGAN, shifted(&[1.0])));
         assert_eq!(text_of(&history, "show.mcap"), text_of(&history.clone(), "show.mcap"));
     }
 }
@@ -263,23 +264,42 @@ fn few_exchanges_tell_no_drift() {
     near(clock.offset, 7.0, 4.0);
 }
 
+/// An act whose scripts have these offsets, in milliseconds.
+fn shifted(millis: &[f64]) -> Record {
+    let hash = Command::ReadSensor.content_hash();
+    let shifted = |millis| PromisedScript { shift: Span::from_millis_f64(millis), ..script("s", hash) };
+    prepared(0, millis.iter().copied().map(shifted).collect())
+}
+
 /// What the mission decided and told.
 fn told(history: &mut History) {
     let at = |ms| BEGAN + Span::from_millis(ms);
-    history.records.push((
-        at(0),
-        json!({"record": "prepared", "scripts": [{"robot": "r", "shift_ms": 120.0}, {"robot": "r", "shift_ms": 120.1}]}),
-    ));
+    history.records.push((at(0), shifted(&[120.0, 120.1])));
+    let robot = || "r".parse().unwrap();
+    let waiting = |act: &str, awaits: &str| Progress::Waiting {
+        act: act.to_owned(),
+        awaits: awaits.to_owned(),
+        at: None,
+    };
+    let preparing = |act: &str| Progress::Preparing {
+        act: act.to_owned(),
+        timestamp: BEGAN,
+        start: BEGAN,
+        lead: LeadTime { prepare: Span::ZERO, lease: Span::ZERO, margin: Span::ZERO },
+        skew: None,
+        slowest: None,
+    };
+    let lost = || Progress::LinkLost { robot: robot(), reason: "reset".to_owned(), until: None };
     let told = [
-        (0, json!({"progress": "waiting", "act": "one", "awaits": "the operator's go, for 1 min at most"})),
-        (2_500, json!({"progress": "preparing", "act": "one"})),
-        (4_000, json!({"progress": "link_lost", "robot": "r", "reason": "reset"})),
-        (4_800, json!({"progress": "reattached", "robot": "r"})),
-        (5_000, json!({"progress": "waiting", "act": "two", "awaits": "`r/range` above 1"})),
-        (5_500, json!({"progress": "preparing", "act": "two"})),
-        (6_000, json!({"progress": "waiting", "act": "three", "awaits": "the operator's go"})),
-        (9_000, json!({"progress": "link_lost", "robot": "r", "reason": "reset"})),
-        (10_500, json!({"progress": "at_rest"})),
+        (0, waiting("one", "the operator's go, for 1 min at most")),
+        (2_500, preparing("one")),
+        (4_000, lost()),
+        (4_800, Progress::Reattached { robot: robot() }),
+        (5_000, waiting("two", "`r/range` above 1")),
+        (5_500, preparing("two")),
+        (6_000, waiting("three", "the operator's go")),
+        (9_000, lost()),
+        (10_500, Progress::AtHome),
     ];
     history.told.extend(told.map(|(ms, value)| (at(ms), value)));
     let readings = [(1_000, 2.0), (2_000, 2.0), (3_000, 0.4)].map(|(ms, value)| (at(ms), value));
@@ -379,9 +399,7 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
         let truth =
             Truth { there: constant, back: constant, offset: Span::from_millis(offset), ..Truth::default() };
         let mut history = truth.history(1);
-        history
-            .records
-            .push((BEGAN, json!({"record": "prepared", "scripts": [{"robot": "r", "shift_ms": 0.0}]})));
+        history.records.push((BEGAN, shifted(&[0.0])));
         text_of(&history, "show.mcap")
     };
     assert!(ntp(3).contains("would not be\n  r: {error: 5ms}\n"), "{}", ntp(3));

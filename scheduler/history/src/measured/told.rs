@@ -1,7 +1,8 @@
 //! What the operator was told of links, sensors and waits.
 
+use downbeat_mission::Progress;
 use serde::Serialize;
-use urrcp::{ControlType, Server, Span, Timestamp};
+use urrcp::{ControlType, RobotId, Server, Span, Timestamp};
 
 use crate::history::{History, KnownRobot};
 
@@ -47,18 +48,19 @@ pub struct OperatorMeasured {
 
 pub(super) fn breaks(
     history: &History,
-    robot: &str,
+    robot: &RobotId,
     (began, ended): (Timestamp<Server>, Timestamp<Server>),
 ) -> Vec<Break> {
     let mut breaks: Vec<Break> = Vec::new();
-    let own = history.told.iter().filter(|(_, told)| told["robot"] == robot);
-    for (at, told) in own {
+    for (at, told) in &history.told {
         let open = breaks.last_mut().filter(|last| !last.back);
-        match (told["progress"].as_str(), open) {
-            (Some("link_lost"), None) => {
+        match (told, open) {
+            (Progress::LinkLost { robot: of, .. }, None) if of == robot => {
                 breaks.push(Break { at: *at - began, lasted: ended - *at, back: false });
             }
-            (Some("reattached"), Some(open)) => (open.lasted, open.back) = (*at - (began + open.at), true),
+            (Progress::Reattached { robot: of }, Some(open)) if of == robot => {
+                (open.lasted, open.back) = (*at - (began + open.at), true);
+            }
             _ => {}
         }
     }
@@ -93,14 +95,13 @@ pub(super) fn operator(history: &History) -> OperatorMeasured {
     let mut measured = OperatorMeasured::default();
     let mut waiting: Option<(&str, Timestamp<Server>)> = None;
     for (at, told) in &history.told {
-        let act = told["act"].as_str().unwrap_or_default();
-        match told["progress"].as_str() {
-            Some("waiting") if told["awaits"].as_str().is_some_and(|awaits| awaits.starts_with(OPERATOR)) => {
+        match told {
+            Progress::Waiting { act, awaits, .. } if awaits.starts_with(OPERATOR) => {
                 measured.unanswered += usize::from(waiting.is_some());
                 waiting = Some((act, *at));
             }
-            Some("preparing") => {
-                let own = waiting.take_if(|(name, _)| *name == act);
+            Progress::Preparing { act, .. } => {
+                let own = waiting.take_if(|(name, _)| name == act);
                 measured.waits.extend(own.map(|(_, since)| *at - since));
             }
             _ => {}

@@ -1,83 +1,131 @@
 //! What happened, in words: what the operator was told, or what the journal says where nobody knows what was told.
 
-use serde_json::Value;
+use downbeat_mission::report::ActFate;
+use downbeat_mission::{Progress, Record};
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::document::MissionEvent;
 use super::planned::Places;
 use super::played::{Epoch, Told};
+use crate::history::Happened;
 
-/// The keys that say what something is: of what the operator was told, and of the journal.
-const KINDS: [&str; 2] = ["progress", "record"];
-
-/// What was told as JSON, as recordings have it.
-pub(super) fn values(told: &[Told]) -> Vec<(Timestamp<Server>, Value)> {
-    told.iter().filter_map(|(at, progress)| Some((*at, serde_json::to_value(progress).ok()?))).collect()
+/// The events of a mission from the progress that was reported to the operator.
+pub(super) fn of_told(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
+    of_happened(told.iter().map(|(at, told)| (*at, Happened::Told(told))), places, epoch)
 }
 
-pub(super) fn of_values(
-    values: &[(Timestamp<Server>, Value)],
+pub(super) fn of_happened<'a>(
+    happened: impl Iterator<Item = (Timestamp<Server>, Happened<'a>)>,
     places: &Places,
     epoch: Epoch,
 ) -> Vec<MissionEvent> {
-    let event = |(at, value): &(Timestamp<Server>, Value)| {
-        let kind = KINDS.iter().find_map(|key| value[key].as_str())?;
-        let text = sentence(kind, value)?;
-        let robot = value["robot"].as_str().and_then(|id| id.parse::<RobotId>().ok());
-        let robot = robot.and_then(|robot| places.robot(&robot));
-        Some(MissionEvent { at: epoch.millis(*at), kind: kind.to_owned(), robot, text })
+    let event = |(at, happened)| {
+        let (kind, robot, text) = match happened {
+            Happened::Told(progress) => told(progress)?,
+            Happened::Recorded(record) => recorded(record)?,
+        };
+        let robot = robot.and_then(|robot| places.robot(robot));
+        Some(MissionEvent { at: epoch.millis(at), kind: kind.to_owned(), robot, text })
     };
-    values.iter().filter_map(event).collect()
+    happened.filter_map(event).collect()
 }
 
-/// Nothing for what happens often and is on the page otherwise.
-fn sentence(kind: &str, value: &Value) -> Option<String> {
-    let text = |key: &str| value[key].as_str().unwrap_or_default();
-    let act = || match (value["act"].as_str(), value["number"].as_u64()) {
-        (Some(name), _) => name.to_owned(),
-        (None, Some(number)) => format!("act {}", number + 1),
-        (None, None) => "an act".to_owned(),
-    };
-    Some(match kind {
-        "begun" => "the mission has begun".to_owned(),
-        "connected" => "all robots are connected".to_owned(),
-        "greeted" | "checked" => "all robots are checked".to_owned(),
-        "waiting" => format!("{} waits for {}", act(), text("awaits")),
-        "preparing" | "prepared" => format!("{} is sent", act()),
-        "accepted" => "has accepted all its scripts".to_owned(),
-        "decided" => format!("{} is decided: all robots have accepted", act()),
-        "committed" if value["record"].is_string() => format!("the commitment of {} is written down", act()),
-        "committed" => format!("{} is committed: every lease reaches over its start", act()),
-        "finished" => "has ended all its scripts".to_owned(),
-        "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),
-        "act_skipped" => format!("{} is not played: {}", act(), text("fate").replace('_', " ")),
-        "going_home" => format!("{} moves the robots at rest to their default positions", act()),
-        "at_home" => "no device has to move to its default position".to_owned(),
-        "approaching" => {
-            format!("{} moves the robots at rest to the first positions of {}", act(), text("to"))
+/// The kind of an event, its robot, and its text.
+type Event<'a> = (&'static str, Option<&'a RobotId>, String);
+
+/// `None` for events that are frequent, and that the page shows elsewhere.
+fn told(progress: &Progress) -> Option<Event<'_>> {
+    let of_mission = |kind, text: String| Some((kind, None, text));
+    match progress {
+        Progress::Connected { .. } => of_mission("connected", "all robots are connected".to_owned()),
+        Progress::Greeted { .. } => of_mission("greeted", CHECKED.to_owned()),
+        Progress::Waiting { act, awaits, .. } => of_mission("waiting", format!("{act} waits for {awaits}")),
+        Progress::Preparing { act, .. } => of_mission("preparing", sent(act)),
+        Progress::Accepted { robot } => {
+            Some(("accepted", Some(robot), "has accepted all its scripts".to_owned()))
         }
-        "not_home" => format!("the robots stay where they are: {}", text("reason")),
-        "not_approached" => format!("{} is not played: {}", act(), text("reason")),
-        "act_ended" => {
-            let name = value["report"]["act"].as_str().map_or_else(act, str::to_owned);
-            if value["again"] == true { withdrawn(&name) } else { format!("{name} has ended") }
+        Progress::Decided { act, .. } => of_mission("decided", decided(act)),
+        Progress::Committed { act, .. } => {
+            of_mission("committed", format!("{act} is committed: every lease reaches over its start"))
         }
-        "act_withdrawn" => withdrawn(&act()),
-        "failed" => text("text").to_owned(),
-        "link_lost" => format!("its link is lost: {}", text("reason")),
-        "reattached" => "is back on its link".to_owned(),
-        "dropped" => "is left out from here on".to_owned(),
-        "ntp_lost" => "the NTP server does not answer".to_owned(),
-        "ntp_back" => "the NTP server answers again".to_owned(),
-        "journal_written_again" => "the journal was removed or replaced, and is written again".to_owned(),
-        "journal_lost" => text("reason").to_owned(),
-        "stopping" => match value["reason"].as_str() {
-            Some(reason) => format!("everything is being stopped: {reason}"),
-            None => "everything is being stopped".to_owned(),
-        },
-        "ended" => "the mission has ended".to_owned(),
-        _ => return None,
-    })
+        Progress::Finished { robot, .. } => {
+            Some(("finished", Some(robot), "has ended all its scripts".to_owned()))
+        }
+        Progress::AtRest { robot } => Some(("at_rest", Some(robot), AT_REST.to_owned())),
+        Progress::ActSkipped { act, fate } => of_mission("act_skipped", skipped(act, fate)),
+        Progress::ActEnded { act } => of_mission("act_ended", format!("{act} has ended")),
+        Progress::ActWithdrawn { act } => of_mission("act_withdrawn", withdrawn(act)),
+        Progress::GoingHome { act, .. } => {
+            of_mission("going_home", format!("{act} moves the robots at rest to their default positions"))
+        }
+        Progress::AtHome => of_mission("at_home", "no device has to move to its default position".to_owned()),
+        Progress::Approaching { act, to, .. } => of_mission(
+            "approaching",
+            format!("{act} moves the robots at rest to the first positions of {to}"),
+        ),
+        Progress::NotHome { reason } => {
+            of_mission("not_home", format!("the robots stay where they are: {reason}"))
+        }
+        Progress::NotApproached { act, reason } => {
+            of_mission("not_approached", format!("{act} is not played: {reason}"))
+        }
+        Progress::Failed(failure) => Some(("failed", Some(&failure.robot), failure.kind.to_string())),
+        Progress::LinkLost { robot, reason, .. } => {
+            Some(("link_lost", Some(robot), format!("its link is lost: {reason}")))
+        }
+        Progress::Reattached { robot } => Some(("reattached", Some(robot), "is back on its link".to_owned())),
+        Progress::Dropped { robot } => Some(("dropped", Some(robot), LEFT_OUT.to_owned())),
+        Progress::NtpLost { .. } => of_mission("ntp_lost", "the NTP server does not answer".to_owned()),
+        Progress::NtpBack { .. } => of_mission("ntp_back", "the NTP server answers again".to_owned()),
+        Progress::JournalWrittenAgain => of_mission(
+            "journal_written_again",
+            "the journal was removed or replaced, and is written again".to_owned(),
+        ),
+        Progress::JournalLost { reason } => of_mission("journal_lost", reason.clone()),
+        Progress::Stopping { reason, .. } => of_mission("stopping", format!("{STOPPING}: {reason}")),
+        Progress::Started { .. } | Progress::Heard { .. } | Progress::Reading { .. } => None,
+    }
+}
+
+/// `None` for records that the page does not show.
+fn recorded(record: &Record) -> Option<Event<'_>> {
+    let of_mission = |kind, text: String| Some((kind, None, text));
+    let named = |number: u32| format!("act {}", number + 1);
+    match record {
+        Record::Begun => of_mission("begun", "the mission has begun".to_owned()),
+        Record::Checked => of_mission("checked", CHECKED.to_owned()),
+        Record::Prepared(promise) => of_mission("prepared", sent(&named(promise.number))),
+        Record::Decided { number, .. } => of_mission("decided", decided(&named(*number))),
+        Record::Committed { number } => {
+            of_mission("committed", format!("the commitment of {} is written down", named(*number)))
+        }
+        Record::StopConfirmed { robot } => Some(("stop_confirmed", Some(robot), AT_REST.to_owned())),
+        Record::ActSkipped(over) => of_mission("act_skipped", skipped("an act", &over.fate)),
+        Record::ActEnded { report, again: true, .. } => of_mission("act_ended", withdrawn(&report.act)),
+        Record::ActEnded { report, .. } => of_mission("act_ended", format!("{} has ended", report.act)),
+        Record::Failed(failure) => Some(("failed", Some(&failure.robot), failure.kind.to_string())),
+        Record::Dropped { robot } => Some(("dropped", Some(robot), LEFT_OUT.to_owned())),
+        Record::Stopping { .. } => of_mission("stopping", STOPPING.to_owned()),
+        Record::Ended { .. } => of_mission("ended", "the mission has ended".to_owned()),
+        Record::Go { .. } | Record::Lapsing { .. } | Record::Translated { .. } => None,
+    }
+}
+
+const CHECKED: &str = "all robots are checked";
+const AT_REST: &str = "has confirmed its stop";
+const LEFT_OUT: &str = "is left out from here on";
+const STOPPING: &str = "everything is being stopped";
+
+fn sent(act: &str) -> String {
+    format!("{act} is sent")
+}
+
+fn decided(act: &str) -> String {
+    format!("{act} is decided: all robots have accepted")
+}
+
+fn skipped(act: &str, fate: &ActFate) -> String {
+    format!("{act} is {fate}")
 }
 
 fn withdrawn(act: &str) -> String {
@@ -86,30 +134,41 @@ fn withdrawn(act: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use serde_json::json;
+    use std::sync::Arc;
 
-    fn told(value: Value) -> Option<String> {
-        let events = of_values(
-            &[(Timestamp::from_nanos(0), value)],
-            &Places::default(),
-            Epoch(Timestamp::from_nanos(0)),
-        );
+    use downbeat_mission::{Failure, FailureKind, LeadTime};
+    use urrcp::Span;
+
+    use super::*;
+    use crate::test_records::prepared;
+
+    const BEGIN: Timestamp<Server> = Timestamp::from_nanos(0);
+
+    fn text(happened: Happened<'_>) -> Option<String> {
+        let events = of_happened(std::iter::once((BEGIN, happened)), &Places::default(), Epoch(BEGIN));
         events.into_iter().next().map(|event| event.text)
     }
 
     #[test]
-    fn what_was_told_and_what_the_journal_says_read_alike() {
+    fn progress_and_records_read_alike() {
         let sent = Some("act 2 is sent".to_owned());
-        assert_eq!(told(json!({"record": "prepared", "number": 1, "act": 1})), sent);
-        assert_eq!(told(json!({"progress": "preparing", "act": "act 2"})), sent);
-        assert_eq!(
-            told(json!({"progress": "failed", "robot": "r", "text": "silent"})),
-            Some("silent".to_owned())
-        );
-        assert_eq!(told(json!({"progress": "heard", "robot": "r"})), None);
-        let approach = json!({"progress": "approaching", "act": "approach", "to": "bow"});
+        let lead = LeadTime { prepare: Span::ZERO, lease: Span::ZERO, margin: Span::ZERO };
+        let (act, timestamp, start, skew, slowest) = ("act 2".to_owned(), BEGIN, BEGIN, None, None);
+        let preparing = Progress::Preparing { act, timestamp, start, lead, skew, slowest };
+        assert_eq!(text(Happened::Recorded(&prepared(1, Vec::new()))), sent);
+        assert_eq!(text(Happened::Told(&preparing)), sent);
+        let kind = FailureKind::WrongVersion { version: "2".to_owned() };
+        let failure = Failure { robot: "r".parse().unwrap(), kind };
+        let why = Some(failure.kind.to_string());
+        assert_eq!(text(Happened::Told(&Progress::Failed(failure.clone()))), why);
+        assert_eq!(text(Happened::Recorded(&Record::Failed(failure))), why);
+        let robot = "r".parse().unwrap();
+        assert_eq!(text(Happened::Told(&Progress::Started { robot, error: None })), None);
+        let (act, to, choreography) = ("approach".to_owned(), "bow".to_owned(), Arc::default());
         let moves = "approach moves the robots at rest to the first positions of bow";
-        assert_eq!(told(approach).as_deref(), Some(moves));
+        assert_eq!(
+            text(Happened::Told(&Progress::Approaching { act, to, choreography })).as_deref(),
+            Some(moves)
+        );
     }
 }

@@ -116,8 +116,7 @@ impl Rehearsed<'_> {
         let of_mission = downbeat_runtime::fleet::robots_in(fleet, choreography);
         let places = planned::places(&of_mission);
         let epoch = Epoch(report.acts.first().map_or(dry_run::BEGIN, |act| act.start));
-        let values = events::values(told);
-        let acts = played::acts(played, &values, choreography, &places, epoch);
+        let acts = played::acts(played, told, choreography, &places, epoch);
         let begins = told.first().map(|(at, _)| epoch.millis(*at));
         let ends = told.last().map(|(at, _)| epoch.millis(*at));
         let from = begins.into_iter().chain(acts.iter().filter_map(|act| act.sent)).fold(0.0, f64::min);
@@ -137,7 +136,7 @@ impl Rehearsed<'_> {
             groups: planned::groups(fleet, &places),
             plans: planned::plans(choreography, outline, &places, columns),
             acts,
-            events: events::of_values(&values, &places, epoch),
+            events: events::of_told(told, &places, epoch),
             findings: planned::findings(findings, outline),
             set: played::set(played, choreography, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),

@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::Choreography;
-use serde_json::Value;
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
 use super::planned::Places;
-use crate::history::{Fate, over};
+use crate::history::{Fate, Happened, over};
 use downbeat_mission::Progress;
 use downbeat_mission::report::{ActReport, ActRobot, Report};
 use downbeat_rehearsal::dry_run::{self, act_of};
@@ -31,7 +30,7 @@ impl Epoch {
 
 pub(super) fn acts(
     played: &dry_run::Played,
-    told: &[(Timestamp<Server>, Value)],
+    told: &[Told],
     choreography: &Choreography,
     places: &Places,
     epoch: Epoch,
@@ -41,8 +40,8 @@ pub(super) fn acts(
         let plan = choreography.acts.iter().position(|planned| planned.is_named(&act.act));
         let duration = plan.map_or(0.0, |plan| choreography.acts[plan].duration().as_millis_f64());
         let told = &told[told.partition_point(|(at, _)| *at < act.timestamp)..];
-        let report = serde_json::to_value(act).ok();
-        let over = over(told, &act.act, act.number, act.timestamp);
+        let happened = told.iter().map(|(at, told)| (*at, Happened::Told(told)));
+        let over = over(happened, &act.act, act.number, act.timestamp);
         let phases = Phases::of(told, &act.act, act.start);
         acts.push(Played {
             name: act.act.clone(),
@@ -55,7 +54,7 @@ pub(super) fn acts(
             committed: phases.committed.map(|at| epoch.millis(at)),
             no_return: phases.no_return.map(|at| epoch.millis(at)),
             lease: phases.leases_end.map(|at| epoch.millis(at)),
-            fate: Fate::of(report.as_ref()),
+            fate: Fate::of(Some(act)),
             over: over.map(|at| epoch.millis(at)),
             robots: robots(act, played, told, (places, epoch)),
         });
@@ -74,32 +73,32 @@ pub(super) struct Phases {
 
 impl Phases {
     /// By what was told since an act was sent.
-    pub(super) fn of(told: &[(Timestamp<Server>, Value)], name: &str, start: Timestamp<Server>) -> Self {
-        let of_act = |kind: &'static str| {
-            told.iter().filter(move |(_, told)| told["progress"] == kind && told["act"] == name)
-        };
-        let Some((decided, told)) =
-            of_act("decided").find(|(_, told)| instant(&told["start"]) == Some(start))
-        else {
-            return Self::default();
+    pub(super) fn of(told: &[Told], name: &str, planned: Timestamp<Server>) -> Self {
+        let decided = told.iter().find_map(|(at, told)| match told {
+            Progress::Decided { act, start, no_return, leases_end, .. }
+                if act == name && *start == planned =>
+            {
+                Some((*at, *no_return, *leases_end))
+            }
+            _ => None,
+        });
+        let Some((decided, no_return, leases_end)) = decided else { return Self::default() };
+        let committed = |(at, told): &&Told| {
+            *at >= decided && matches!(told, Progress::Committed { act, .. } if act == name)
         };
         Self {
-            decided: Some(*decided),
-            committed: of_act("committed").find(|(at, _)| at >= decided).map(|(at, _)| *at),
-            no_return: instant(&told["no_return"]),
-            leases_end: instant(&told["leases_end"]),
+            decided: Some(decided),
+            committed: told.iter().find(committed).map(|(at, _)| *at),
+            no_return: Some(no_return),
+            leases_end: Some(leases_end),
         }
     }
-}
-
-pub(super) fn instant(value: &Value) -> Option<Timestamp<Server>> {
-    serde_json::from_value(value.clone()).ok()
 }
 
 fn robots(
     act: &ActReport,
     played: &dry_run::Played,
-    told: &[(Timestamp<Server>, Value)],
+    told: &[Told],
     (places, epoch): (&Places, Epoch),
 ) -> Vec<PlayedRobot> {
     let robot = |of_act: &ActRobot| {
@@ -120,14 +119,8 @@ fn started(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
 }
 
 /// When a robot was told to have ended all its scripts of an act.
-pub(super) fn finished(
-    told: &[(Timestamp<Server>, Value)],
-    robot: &RobotId,
-    number: u32,
-) -> Option<Timestamp<Server>> {
-    let of_robot = |told: &Value| {
-        told["progress"] == "finished" && told["robot"] == robot.as_str() && told["number"] == number
-    };
+pub(super) fn finished(told: &[Told], robot: &RobotId, number: u32) -> Option<Timestamp<Server>> {
+    let of_robot = |told: &Progress| matches!(told, Progress::Finished { robot: of, number: act } if of == robot && *act == number);
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
 

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::Value;
+use downbeat_mission::report::ActReport;
+use downbeat_mission::{Progress, Promise, Record};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::columns::Columns;
@@ -11,7 +12,7 @@ use super::document::{
 };
 use super::events;
 use super::planned::{self, Places};
-use super::played::{Epoch, Phases, finished, instant};
+use super::played::{Epoch, Phases, Told, finished};
 use super::written::Written;
 use crate::history::{Fate, History, HistorySource, KnownRobot, PlannedStep, over};
 use downbeat_rehearsal::dry_run::act_of;
@@ -28,11 +29,10 @@ impl History {
             None => self.described(),
         };
         let epoch = self.epoch();
-        let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();
+        let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
         let acts: Vec<Played> =
             sent.iter().enumerate().map(|(plan, act)| self.played(act, plan, &places, epoch)).collect();
-        let told = if self.told.is_empty() { &self.records } else { &self.told };
-        let events = events::of_values(told, &places, epoch);
+        let events = events::of_happened(self.happened(), &places, epoch);
         let times =
             events.iter().map(|event| event.at).chain(acts.iter().flat_map(|act| [act.start, act.end]));
         let times: Vec<f64> = times.chain(acts.iter().filter_map(|act| act.sent)).collect();
@@ -48,7 +48,7 @@ impl History {
             epoch: epoch.0.to_string(),
             from: times.iter().copied().fold(0.0, f64::min),
             to: times.iter().copied().fold(0.0, f64::max),
-            report: Some(self.report()),
+            report: serde_json::to_value(self.report()).ok(),
             sources: written.map(|written| planned::sources(written.outline)).unwrap_or_default(),
             groups: written.map(|written| planned::groups(written.fleet, &places)).unwrap_or_default(),
             plans: self.plans(written, &sent, &acts, (&places, columns)),
@@ -73,7 +73,7 @@ impl History {
     /// What was sent in each act, for the robots and devices of another mission.
     pub(super) fn plans_among(&self, places: &Places, columns: &mut Columns) -> Vec<Plan> {
         let epoch = self.epoch();
-        let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();
+        let sent: Vec<Sent> = self.promises().map(|(_, promise)| Sent::of(promise)).collect();
         let acts: Vec<Played> =
             sent.iter().enumerate().map(|(plan, act)| self.played(act, plan, places, epoch)).collect();
         self.plans(None, &sent, &acts, (places, columns))
@@ -92,14 +92,13 @@ impl History {
     fn plans(
         &self,
         written: Option<&Written<'_>>,
-        sent: &[Sent],
+        sent: &[Sent<'_>],
         acts: &[Played],
         (places, columns): (&Places, &mut Columns),
     ) -> Vec<Plan> {
-        let records = self.of_kind("prepared").map(|(_, record)| record);
         let mut plans = Vec::with_capacity(sent.len());
-        for ((act, played), record) in sent.iter().zip(acts).zip(records) {
-            let plan = written.and_then(|written| written.plan(record, places, columns));
+        for (act, played) in sent.iter().zip(acts) {
+            let plan = written.and_then(|written| written.plan(act.promise, places, columns));
             plans.push(plan.unwrap_or_else(|| self.plan(act, played, places, columns)));
         }
         plans
@@ -107,33 +106,34 @@ impl History {
 
     /// The planned start of the first act; before anything was sent, the first thing that is known.
     fn epoch(&self) -> Epoch {
-        let start = self.of_kind("prepared").find_map(|(_, record)| instant(&record["start"]));
-        let first = self.records.first().or_else(|| self.told.first()).map(|(at, _)| *at);
+        let start = self.promises().next().map(|(_, promise)| promise.start);
+        let records = self.records.iter().map(|(at, _)| *at);
+        let first = records.chain(self.told.iter().map(|(at, _)| *at)).next();
         Epoch(start.or(first).unwrap_or(Timestamp::from_nanos(0)))
     }
 
-    fn played(&self, act: &Sent, plan: usize, places: &Places, epoch: Epoch) -> Played {
-        let written = |kind: &'static str| {
-            let of_act = self.of_kind(kind).find(|(_, record)| record["number"] == act.number);
-            of_act.map(|(at, _)| *at)
-        };
-        let report = self.report_of(act.number);
-        let name = self.name_of(act.number, act.timestamp);
-        let phases = Phases::of(&self.told, &name, act.start);
-        let told = if self.told.is_empty() { &self.records } else { &self.told };
+    fn played(&self, act: &Sent<'_>, plan: usize, places: &Places, epoch: Epoch) -> Played {
+        let Promise { number, timestamp, start, .. } = *act.promise;
+        let decided =
+            |record: &Record| matches!(record, Record::Decided { number: act, .. } if *act == number);
+        let committed =
+            |record: &Record| matches!(record, Record::Committed { number: act } if *act == number);
+        let report = self.report_of(number);
+        let name = self.name_of(act.promise);
+        let phases = Phases::of(&self.told, &name, start);
         // The commitment is written down before it is made: where it is known when that was, this counts.
-        let committed = if self.told.is_empty() { written("committed") } else { phases.committed };
-        let over = over(told, &name, act.number, act.timestamp);
+        let committed = if self.told.is_empty() { self.recorded(committed) } else { phases.committed };
+        let over = over(self.happened(), &name, number, timestamp);
         let robots = robots(act, report, &self.told, (places, epoch));
         let at = |instant: Option<Timestamp<Server>>| instant.map(|instant| epoch.millis(instant));
         Played {
             name,
-            number: act.number,
+            number,
             plan: Some(plan),
-            start: epoch.millis(act.start),
-            end: epoch.millis(act.start + act.duration),
-            sent: at(Some(act.timestamp)),
-            decided: at(phases.decided.or_else(|| written("decided"))),
+            start: epoch.millis(start),
+            end: epoch.millis(start + act.duration),
+            sent: at(Some(timestamp)),
+            decided: at(phases.decided.or_else(|| self.recorded(decided))),
             committed: at(committed),
             no_return: at(phases.no_return),
             lease: at(phases.leases_end),
@@ -143,23 +143,32 @@ impl History {
         }
     }
 
+    /// When the first record of this kind was written.
+    fn recorded(&self, is: impl Fn(&Record) -> bool) -> Option<Timestamp<Server>> {
+        self.records.iter().find(|(_, record)| is(record)).map(|(at, _)| *at)
+    }
+
     /// The report of the act of this number.
-    fn report_of(&self, number: u32) -> Option<&Value> {
-        let reports = self.of_kind("act_ended").map(|(_, record)| &record["report"]);
-        reports.filter(|report| report["number"] == number).last()
+    fn report_of(&self, number: u32) -> Option<&ActReport> {
+        self.ended_acts().map(|act| act.report).rfind(|report| report.number == number)
     }
 
-    /// The name of the act with this number and sending timestamp: from its report or, without one, from the progress that was
-    /// reported to the operator.
-    pub(super) fn name_of(&self, number: u32, timestamp: Timestamp<Server>) -> String {
-        let sent =
-            |told: &Value| told["progress"] == "preparing" && instant(&told["timestamp"]) == Some(timestamp);
-        let told = || self.told.iter().map(|(_, told)| told).find(|told| sent(told));
-        let name = self.report_of(number).or_else(told).and_then(|named| named["act"].as_str());
-        name.map_or_else(|| format!("act {}", number + 1), str::to_owned)
+    /// The name of an act: from its report or, without one, from the progress that was reported to the operator.
+    pub(super) fn name_of(&self, promise: &Promise) -> String {
+        let name = self.report_of(promise.number).map(|report| report.act.as_str());
+        let name = name.or_else(|| self.told_name(promise.timestamp));
+        name.map_or_else(|| format!("act {}", promise.number + 1), str::to_owned)
     }
 
-    fn plan(&self, act: &Sent, played: &Played, places: &Places, columns: &mut Columns) -> Plan {
+    /// The name of the act with this sending timestamp, by the progress that was reported to the operator.
+    pub(crate) fn told_name(&self, sent: Timestamp<Server>) -> Option<&str> {
+        self.told.iter().find_map(|(_, told)| match told {
+            Progress::Preparing { act, timestamp, .. } if *timestamp == sent => Some(act.as_str()),
+            _ => None,
+        })
+    }
+
+    fn plan(&self, act: &Sent<'_>, played: &Played, places: &Places, columns: &mut Columns) -> Plan {
         let mut lanes: Vec<Lane> = Vec::new();
         for robot in &self.robots {
             let mut of_robot = lanes_of(robot, act, places, columns);
@@ -209,42 +218,27 @@ impl History {
 }
 
 /// An act that was sent.
-struct Sent {
-    number: u32,
-    timestamp: Timestamp<Server>,
-    start: Timestamp<Server>,
+struct Sent<'a> {
+    promise: &'a Promise,
     duration: Span,
     robots: Vec<RobotId>,
     /// What was added for the clock of each robot.
-    shifts: BTreeMap<String, Span>,
+    shifts: BTreeMap<RobotId, Span>,
 }
 
-impl Sent {
-    fn of(record: &Value) -> Option<Self> {
-        let scripts = record["scripts"].as_array()?;
-        let ends = scripts
-            .iter()
-            .filter_map(|script| Some(millis(&script["start"])? + millis(&script["duration_ms"])?));
+impl<'a> Sent<'a> {
+    fn of(promise: &'a Promise) -> Self {
+        let ends = promise.scripts.iter().map(|script| script.start.span() + script.duration);
         let mut robots: Vec<RobotId> = Vec::new();
         let mut shifts = BTreeMap::new();
-        for script in scripts {
-            let Some(robot) = script["robot"].as_str() else { continue };
-            shifts.insert(robot.to_owned(), millis(&script["shift_ms"]).unwrap_or_default());
-            robots.extend(robot.parse().ok().filter(|robot| !robots.contains(robot)));
+        for script in &promise.scripts {
+            shifts.insert(script.robot.clone(), script.shift);
+            if !robots.contains(&script.robot) {
+                robots.push(script.robot.clone());
+            }
         }
-        Some(Self {
-            number: u32::try_from(record["number"].as_u64()?).ok()?,
-            timestamp: instant(&record["timestamp"])?,
-            start: instant(&record["start"])?,
-            duration: ends.max().unwrap_or_default(),
-            robots,
-            shifts,
-        })
+        Self { promise, duration: ends.max().unwrap_or_default(), robots, shifts }
     }
-}
-
-fn millis(value: &Value) -> Option<Span> {
-    value.as_f64().map(Span::from_millis_f64)
 }
 
 /// A robot with the devices that it described, and further ones that were driven.
@@ -274,12 +268,12 @@ impl Described {
     }
 }
 
-fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+fn lanes_of(robot: &KnownRobot, act: &Sent<'_>, places: &Places, columns: &mut Columns) -> Vec<Lane> {
     let mut lanes: Vec<Lane> = Vec::new();
     let Some(place) = places.robot(&robot.id) else { return lanes };
-    let shift = act.shifts.get(robot.id.as_str()).copied().unwrap_or_default();
+    let shift = act.shifts.get(&robot.id).copied().unwrap_or_default();
     for ((device, request), steps) in &robot.planned {
-        if act_of(request) != Some(act.number) {
+        if act_of(request) != Some(act.promise.number) {
             continue;
         }
         let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else { continue };
@@ -290,16 +284,16 @@ fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Colum
         let Some(first) = steps.first() else { continue };
         let points = steps.iter().map(|step| ((step.due - first.due).as_millis_f64(), step.value));
         let script = Script {
-            start: (first.due - shift - act.start).as_millis_f64(),
+            start: (first.due - shift - act.promise.start).as_millis_f64(),
             steps: columns.series(&points.collect()),
         };
-        let control = &first.control;
-        match lanes.iter_mut().find(|lane| lane.device == device && lane.control == *control) {
+        let control = first.control_type.to_string();
+        match lanes.iter_mut().find(|lane| lane.device == device && lane.control == control) {
             Some(lane) => lane.scripts.push(script),
             None => lanes.push(Lane {
                 robot: place,
                 device,
-                control: control.clone(),
+                control,
                 value: 0,
                 worst_error: 0.0,
                 worst_at: 0.0,
@@ -315,23 +309,20 @@ fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Colum
 }
 
 fn robots(
-    act: &Sent,
-    report: Option<&Value>,
-    told: &[(Timestamp<Server>, Value)],
+    act: &Sent<'_>,
+    report: Option<&ActReport>,
+    told: &[Told],
     (places, epoch): (&Places, Epoch),
 ) -> Vec<PlayedRobot> {
-    let rows = report.and_then(|report| report["robots"].as_array());
     let robot = |id: &RobotId| {
-        let row = rows.and_then(|rows| rows.iter().find(|row| row["robot"] == id.as_str()));
-        let scripts = row.and_then(|row| row["devices"].as_array()).into_iter().flatten();
-        let starts = scripts.filter_map(|script| {
-            Some(instant(&script["planned_start"])? + millis(&script["start_error_ms"])?)
-        });
+        let row = report.and_then(|report| report.robots.iter().find(|row| row.robot == *id));
+        let scripts = row.into_iter().flat_map(|row| &row.devices);
+        let starts = scripts.filter_map(|script| Some(script.planned_start? + script.start_error?));
         Some(PlayedRobot {
             robot: places.robot(id)?,
-            left_out: row.is_some_and(|row| row["left_out"] == true),
+            left_out: row.is_some_and(|row| row.left_out),
             started: starts.min().map(|at| epoch.millis(at)),
-            ended: finished(told, id, act.number).map(|at| epoch.millis(at)),
+            ended: finished(told, id, act.promise.number).map(|at| epoch.millis(at)),
         })
     };
     act.robots.iter().filter_map(robot).collect()

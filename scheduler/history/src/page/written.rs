@@ -2,14 +2,13 @@
 
 use std::collections::HashSet;
 
+use downbeat_mission::Promise;
 use downbeat_scripts::{Act, Approach, Choreography, Finding, Fleet, Outline};
-use serde_json::Value;
-use urrcp::Command;
+use urrcp::{Command, ContentHash, DeviceId, RobotId};
 
 use super::columns::Columns;
 use super::document::Plan;
 use super::planned::{self, Places};
-use super::played::instant;
 use crate::history::History;
 
 /// A scenario as it compiles, next to its files.
@@ -32,8 +31,8 @@ pub struct Written<'a> {
      played at another speed"
 )]
 pub struct OtherScenario {
-    robot: String,
-    device: String,
+    robot: RobotId,
+    device: DeviceId,
 }
 
 impl Written<'_> {
@@ -43,51 +42,47 @@ impl Written<'_> {
     /// # Errors
     /// [`OtherScenario`] names the first script of an act that is not.
     pub fn check(&self, history: &History) -> Result<(), OtherScenario> {
-        let approached = |record: &Value| {
-            let number = record["number"].as_u64().and_then(|number| u32::try_from(number).ok());
-            let named = number.zip(instant(&record["timestamp"]));
-            named.is_some_and(|(number, at)| Approach::may_be_named(&history.name_of(number, at)))
+        let approached = |promise: &Promise| Approach::may_be_named(&history.name_of(promise));
+        let mut promises = history.promises().map(|(_, promise)| promise);
+        let Some(foreign) = promises.find(|promise| self.act(promise).is_none() && !approached(promise))
+        else {
+            return Ok(());
         };
-        let mut prepared = history.of_kind("prepared");
-        let foreign = prepared.find(|(_, record)| self.act(record).is_none() && !approached(record));
-        let Some((_, record)) = foreign else { return Ok(()) };
         let own: HashSet<_> = self.choreography.acts.iter().flat_map(scripts).collect();
-        let all = promised(record);
+        let all = promised(foreign);
         let other = all.iter().find(|script| !own.contains(*script)).or(all.first());
-        let (robot, device, _) = other.cloned().unwrap_or_default();
-        Err(OtherScenario { robot, device })
+        other.map_or(Ok(()), |(robot, device, _)| {
+            Err(OtherScenario { robot: robot.clone(), device: device.clone() })
+        })
     }
 
     /// The act whose scripts were promised.
-    fn act(&self, record: &Value) -> Option<&Act> {
-        let promised = promised(record);
+    fn act(&self, promise: &Promise) -> Option<&Act> {
+        let promised = promised(promise);
         self.choreography.acts.iter().find(|act| {
             let own: HashSet<_> = scripts(act).collect();
             promised.iter().all(|script| own.contains(script))
         })
     }
 
-    pub(super) fn plan(&self, record: &Value, places: &Places, columns: &mut Columns) -> Option<Plan> {
-        self.act(record).map(|act| planned::plan_of(act, self.outline, places, columns))
+    pub(super) fn plan(&self, promise: &Promise, places: &Places, columns: &mut Columns) -> Option<Plan> {
+        self.act(promise).map(|act| planned::plan_of(act, self.outline, places, columns))
     }
 }
 
 /// Robot, device and the hash of its content.
-type Script = (String, String, String);
+type Script = (RobotId, DeviceId, ContentHash);
 
 fn scripts(act: &Act) -> impl Iterator<Item = Script> + '_ {
     act.plan.robots.iter().flat_map(|robot| {
         robot.scripts.iter().map(|script| {
             let hash = Command::Script(script.script.clone()).content_hash();
-            (robot.robot.to_string(), script.device.to_string(), hash.to_string())
+            (robot.robot.clone(), script.device.clone(), hash)
         })
     })
 }
 
-fn promised(record: &Value) -> Vec<Script> {
-    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
-    let scripts = record["scripts"].as_array().into_iter().flatten();
-    scripts
-        .map(|script| (text(&script["robot"]), text(&script["device"]), text(&script["content_hash"])))
-        .collect()
+fn promised(promise: &Promise) -> Vec<Script> {
+    let scripts = promise.scripts.iter();
+    scripts.map(|script| (script.robot.clone(), script.device.clone(), script.content_hash)).collect()
 }

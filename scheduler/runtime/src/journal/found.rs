@@ -5,14 +5,12 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
 use super::private::{self, How, NotPrivate};
-use super::read::bytes_of;
+use super::read::{begin_of, bytes_of};
 use super::{Contents, Opened, Unreadable, lock, read};
-use downbeat_mission::whole;
+use downbeat_mission::{Record, sound};
 
 /// A mission that left a folder.
 #[derive(Clone, Debug)]
@@ -45,7 +43,7 @@ pub enum Life {
 pub struct Missions {
     /// Those that can be read, the newest last.
     pub found: Vec<Found>,
-    /// Journals with lines of which the first one is damaged: it is unknown whose they are.
+    /// Journals whose first line is damaged or of another version: their robots are not known.
     pub damaged: Vec<PathBuf>,
     /// Folders and journals that are not for this user alone. Nothing in them is read.
     pub refused: Vec<NotPrivate>,
@@ -101,10 +99,7 @@ impl Found {
         let mut reader = BufReader::new(&file);
         reader.read_until(b'\n', &mut first)?;
         let size = file.metadata()?.len();
-        let begun = whole(&first).and_then(|line| {
-            Some((Opened::deserialize(&line).ok()?, Timestamp::deserialize(&line["at"]).ok()?))
-        });
-        let Some((opened, opened_at)) = begun else {
+        let Ok((opened, opened_at)) = begin_of(&first) else {
             // Cut off while it began: nothing had been sent yet, unless it is there and hears words.
             let hears = running && folder.join("control").exists();
             return if size == first.len() as u64 && !hears {
@@ -134,8 +129,8 @@ impl Found {
 #[must_use]
 pub fn has_begun(folder: &Path) -> bool {
     let journal = bytes_of(&folder.join("journal")).unwrap_or_default();
-    let mut records = journal.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
-    records.any(|line| line["record"].as_str() == Some("checked"))
+    let mut records = journal.split_inclusive(|byte| *byte == b'\n').filter_map(record);
+    records.any(|record| matches!(record, Record::Checked))
 }
 
 /// So many bytes at the end of a journal are looked at: that a mission has ended is one of its last lines, and a short one.
@@ -148,8 +143,11 @@ fn has_ended(mut file: &File, begin: u64, size: u64) -> io::Result<bool> {
     file.read_to_end(&mut tail)?;
     // Where that falls into a line, the rest of it is no whole one.
     let lines = tail.split_inclusive(|byte| *byte == b'\n');
-    let ended = |line: Value| line["record"].as_str() == Some("ended");
-    Ok(lines.filter_map(whole).any(ended))
+    Ok(lines.filter_map(record).any(|record| matches!(record, Record::Ended { .. })))
+}
+
+fn record(line: &[u8]) -> Option<Record> {
+    serde_json::from_slice(sound(line)?).ok()
 }
 
 /// Ended missions whose folders are kept at most.

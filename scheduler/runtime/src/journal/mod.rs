@@ -26,6 +26,9 @@ pub use private::NotPrivate;
 pub use read::{Contents, Records, Unreadable, read, records};
 pub use writer::{News, WAITING_MAX, Writer, append_all};
 
+/// The version of journals and recordings. Programs read only files of their own version.
+pub const VERSION: u32 = 1;
+
 /// The first line: the session, the robots and the plan. It has all that a stop needs, because files may change while a
 /// mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -199,7 +202,7 @@ impl<D: Disk> Journal<D> {
             if whole < bytes.len() {
                 disk.truncate(whole as u64)?;
             }
-            Ok(Contents::of_bytes(&bytes))
+            Ok(Contents::of_bytes(&bytes).ok())
         };
         match cut() {
             Ok(contents) => Ok(Self { disk, path, contents, appended: 0, on_disk: 0, broken: None }),
@@ -220,10 +223,11 @@ impl<D: Disk> Journal<D> {
         #[derive(Serialize)]
         struct Begin<'a> {
             record: &'static str,
+            version: u32,
             #[serde(flatten)]
             opened: &'a Opened,
         }
-        let line = dated_line(at, &Begin { record: "opened", opened });
+        let line = dated_line(at, &Begin { record: "opened", version: VERSION, opened });
         let written = line.and_then(|line| self.disk.append(&line)).and_then(|()| self.disk.sync());
         written.map_err(|error| JournalError { path: self.path.clone(), error })
     }

@@ -4,12 +4,11 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
-use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
 use super::private::{self, How};
-use super::{Opened, OpenedRobot};
-use downbeat_mission::{Kept, Left, Torn, whole};
+use super::{Opened, OpenedRobot, VERSION};
+use downbeat_mission::{Kept, Left, Record, Torn, sound, whole};
 
 /// A journal that does not even say whose it is.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +27,44 @@ pub enum Unreadable {
         /// Which file.
         path: PathBuf,
     },
+    /// Another version of Downbeat has written it.
+    #[error("{} is a journal of version {found}, expected version {VERSION}; use the Downbeat that wrote it", path.display())]
+    OtherVersion {
+        /// Which file.
+        path: PathBuf,
+        /// Its version.
+        found: u32,
+    },
+}
+
+/// A first line that cannot be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum BadBegin {
+    Damaged,
+    OtherVersion(u32),
+}
+
+impl BadBegin {
+    fn of(self, path: &Path) -> Unreadable {
+        let path = path.to_path_buf();
+        match self {
+            Self::Damaged => Unreadable::NoBegin { path },
+            Self::OtherVersion(found) => Unreadable::OtherVersion { path, found },
+        }
+    }
+}
+
+/// Reads the first line of a journal, and when it was written.
+pub(super) fn begin_of(line: &[u8]) -> Result<(Opened, Timestamp<Server>), BadBegin> {
+    let line = whole(line).ok_or(BadBegin::Damaged)?;
+    let version = line["version"].as_u64().and_then(|version| u32::try_from(version).ok());
+    let version = version.ok_or(BadBegin::Damaged)?;
+    if version != VERSION {
+        return Err(BadBegin::OtherVersion(version));
+    }
+    let opened_at = Timestamp::deserialize(&line["at"]);
+    let opened_at = opened_at.map_err(|_| BadBegin::Damaged)?;
+    Ok((Opened::deserialize(line).map_err(|_| BadBegin::Damaged)?, opened_at))
 }
 
 /// The contents of a journal.
@@ -42,11 +79,11 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Reads the bytes of a journal; `None` if the first line is not whole.
-    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
-        let first = whole(bytes.split_inclusive(|byte| *byte == b'\n').next()?)?;
-        let opened_at = Timestamp::deserialize(&first["at"]).ok()?;
-        Some(Self { opened: Opened::deserialize(&first).ok()?, opened_at, kept: Kept::of_bytes(bytes) })
+    /// Reads the bytes of a journal.
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Result<Self, BadBegin> {
+        let first = bytes.split_inclusive(|byte| *byte == b'\n').next().unwrap_or_default();
+        let (opened, opened_at) = begin_of(first)?;
+        Ok(Self { opened, opened_at, kept: Kept::of_bytes(bytes) })
     }
 
     /// What the mission left on its robots.
@@ -64,7 +101,7 @@ impl Contents {
 /// [`Unreadable`] where not even the first line is whole.
 pub fn read(path: &Path) -> Result<Contents, Unreadable> {
     let bytes = bytes_of(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
-    Contents::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
+    Contents::of_bytes(&bytes).map_err(|bad| bad.of(path))
 }
 
 /// The bytes of a journal in the state folder.
@@ -81,7 +118,7 @@ pub struct Records {
     /// Its first line.
     pub opened: Opened,
     /// Its further lines, up to where it stops being whole.
-    pub all: Vec<(Timestamp<Server>, Value)>,
+    pub all: Vec<(Timestamp<Server>, Record)>,
     /// Where that is.
     pub torn: Option<Torn>,
 }
@@ -89,12 +126,17 @@ pub struct Records {
 /// The lines of a journal whose bytes these are, up to the first one that is not whole. `path` is for error messages.
 ///
 /// # Errors
-/// [`Unreadable::NoBegin`] where not even the first line is whole.
+/// [`Unreadable`] where not even the first line is whole.
 pub fn records(bytes: &[u8], path: &Path) -> Result<Records, Unreadable> {
-    let contents =
-        Contents::of_bytes(bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })?;
+    #[derive(Deserialize)]
+    struct Dated {
+        at: Timestamp<Server>,
+        #[serde(flatten)]
+        record: Record,
+    }
+    let contents = Contents::of_bytes(bytes).map_err(|bad| bad.of(path))?;
     let lines =
-        bytes[..contents.kept.whole()].split_inclusive(|byte| *byte == b'\n').skip(1).filter_map(whole);
-    let dated = |line: Value| Some((Timestamp::deserialize(&line["at"]).ok()?, line));
-    Ok(Records { opened: contents.opened, all: lines.filter_map(dated).collect(), torn: contents.kept.torn })
+        bytes[..contents.kept.whole()].split_inclusive(|byte| *byte == b'\n').skip(1).filter_map(sound);
+    let record = |line| serde_json::from_slice(line).ok().map(|Dated { at, record }| (at, record));
+    Ok(Records { opened: contents.opened, all: lines.filter_map(record).collect(), torn: contents.kept.torn })
 }

@@ -90,7 +90,7 @@ fn a_mission_that_ended_is_known_as_such() {
     let path = written(folder.path());
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
-    assert_eq!(read(&path).unwrap().kept.outcome, Some(serde_json::json!("done")));
+    assert_eq!(read(&path).unwrap().kept.outcome, Some(Outcome::Done));
 }
 
 fn promised_script(robot: &str, device: &str, running: Option<urrcp::Millis>) -> PromisedScript {
@@ -162,27 +162,38 @@ fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
     assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
 }
 
+/// The line of the act 0, with as much of its report as a journal's reader needs.
+fn ended_line(fate: ActFate, flaws: ActFlaws, again: bool) -> Vec<u8> {
+    #[derive(serde::Serialize)]
+    struct Ended {
+        record: &'static str,
+        report: serde_json::Value,
+        #[serde(flatten)]
+        flaws: ActFlaws,
+        #[serde(flatten)]
+        over: ActOver,
+        again: bool,
+    }
+    let (report, over) = (serde_json::json!({"number": 0}), ActOver { act: 0, fate });
+    dated_line(at(9), &Ended { record: "act_ended", report, flaws, over, again }).unwrap()
+}
+
 #[test]
 fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended() {
     let folder = tempfile::tempdir().unwrap();
     let path = written(folder.path());
     let mut bytes = std::fs::read(&path).unwrap();
-    let sound = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}});
-    let mut flawed = sound.clone();
-    flawed["unaccounted"] = "arm".split(' ').collect();
-    flawed["out_of_tolerance"] = serde_json::json!({"spread_ms": 12.5, "tolerance_ms": 10});
-    flawed["steps_late"] = serde_json::json!({"late_ms": 225, "tolerance_ms": 10});
-    for ended in [sound, flawed] {
-        bytes.extend(line(&ended).unwrap());
-    }
-    std::fs::write(&path, bytes).unwrap();
-    let kept = read(&path).unwrap().kept;
     let spread = Span::from_micros(12_500);
     let expected = ActFlaws {
         unaccounted: vec![RobotId::new("arm").unwrap()],
         out_of_tolerance: Some(OutOfTolerance { spread, tolerance: Span::from_millis(10) }),
         steps_late: Some(StepsLate { late: Span::from_millis(225), tolerance: Span::from_millis(10) }),
     };
+    for flaws in [ActFlaws::default(), expected.clone()] {
+        bytes.extend(ended_line(ActFate::Played, flaws, false));
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let kept = read(&path).unwrap().kept;
     assert_eq!((kept.ended_acts, kept.flaws, kept.torn), (2, vec![expected], None));
 }
 
@@ -193,12 +204,8 @@ fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played
     let mut bytes = std::fs::read(&path).unwrap();
     let timed_out = ActFate::TimedOut { awaited: "the operator's go".into(), within: Span::from_millis(5) };
     let skipped = ActOver { act: 1, fate: timed_out };
-    let played = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "played"});
-    let mut line_of_skipped = serde_json::to_value(Record::ActSkipped(skipped.clone())).unwrap();
-    line_of_skipped["at"] = serde_json::to_value(at(10)).unwrap();
-    for record in [played, line_of_skipped] {
-        bytes.extend(line(&record).unwrap());
-    }
+    bytes.extend(ended_line(ActFate::Played, ActFlaws::default(), false));
+    bytes.extend(dated_line(at(10), &Record::ActSkipped(skipped.clone())).unwrap());
     std::fs::write(&path, bytes).unwrap();
     assert_eq!(read(&path).unwrap().kept.course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
 }
@@ -439,7 +446,7 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
         assert_eq!(kept.torn.is_some(), survive > 0 && survive < at_risk);
         journal.append(at(3), &Record::Ended { outcome: Outcome::Stopped }).unwrap();
         let again = on(journal.into_disk());
-        assert_eq!(again.contents().unwrap().kept.outcome, Some(serde_json::json!("stopped")));
+        assert_eq!(again.contents().unwrap().kept.outcome, Some(Outcome::Stopped));
         if survive == at_risk {
             return;
         }
@@ -594,8 +601,9 @@ fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() 
     let told = |bytes: &[u8]| records(bytes, &path).unwrap();
     let whole = told(&bytes);
     let kinds = |records: &Records| -> Vec<(i64, String)> {
-        let kind = |(at, line): &(Timestamp<Server>, serde_json::Value)| {
-            (at.as_nanos() / 1_000_000, line["record"].as_str().unwrap().to_owned())
+        let kind = |(at, record): &(Timestamp<Server>, Record)| {
+            let written = serde_json::to_value(record).unwrap();
+            (at.as_nanos() / 1_000_000, written["record"].as_str().unwrap().to_owned())
         };
         records.all.iter().map(kind).collect()
     };
@@ -607,6 +615,26 @@ fn the_lines_of_a_journal_are_told_with_their_times_up_to_where_it_is_damaged() 
     assert_eq!(kinds(&damaged), expected[..2]);
     assert_eq!(damaged.torn.map(|torn| (torn.line, torn.whole_after)), Some((4, 0)));
     assert!(matches!(records(b"", &path), Err(Unreadable::NoBegin { .. })));
+}
+
+#[test]
+fn a_journal_of_another_version_is_not_read() {
+    let state = tempfile::tempdir().unwrap();
+    let path = written(&state.path().join("a"));
+    let text = std::fs::read_to_string(&path).unwrap();
+    let (first, others) = text.split_once('\n').unwrap();
+    let mut opened: serde_json::Value = serde_json::from_str(&first[9..]).unwrap();
+    assert_eq!(opened["version"], VERSION);
+    opened["version"] = (VERSION + 1).into();
+    let first = String::from_utf8(line(&opened).unwrap()).unwrap();
+    std::fs::write(&path, first + others).unwrap();
+    let error = read(&path).unwrap_err().to_string();
+    assert!(
+        error.ends_with("is a journal of version 2, expected version 1; use the Downbeat that wrote it"),
+        "{error}"
+    );
+    let missions = Missions::of(state.path()).unwrap();
+    assert_eq!((missions.found.len(), missions.damaged), (0, vec![path]));
 }
 
 #[test]
@@ -701,24 +729,15 @@ fn a_mission_whose_act_was_withdrawn_and_prepared_again_can_be_resumed() {
     assert!(journal.sync().is_ok());
     let path = folder.path().join("journal");
     let mut bytes = std::fs::read(&path).unwrap();
-    let mut append = |record: serde_json::Value| {
-        bytes.extend(line(&record).unwrap());
+    let mut append = |line: Vec<u8>| {
+        bytes.extend(line);
         std::fs::write(&path, &bytes).unwrap();
         read(&path).unwrap().kept
     };
-    let withdrawn = append(serde_json::json!({
-        "at": at(3), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "withdrawn", "again": true,
-    }));
+    let withdrawn = append(ended_line(ActFate::Withdrawn, ActFlaws::default(), true));
     assert_eq!(withdrawn.fate(), Fate::Withdraw("no act was under way"));
-    append(serde_json::to_value(Dated { at: at(4), record: prepared(1) }).unwrap());
-    let again = append(serde_json::to_value(Dated { at: at(5), record: decided(1) }).unwrap());
+    append(dated_line(at(4), &prepared(1)).unwrap());
+    let again = append(dated_line(at(5), &decided(1)).unwrap());
     assert_eq!(again.fate(), Fate::Resume);
     assert_eq!((again.ended_acts, again.course.len()), (0, 0), "the attempt is no act that has ended");
-}
-
-#[derive(serde::Serialize)]
-struct Dated {
-    at: Timestamp<Server>,
-    #[serde(flatten)]
-    record: Record,
 }

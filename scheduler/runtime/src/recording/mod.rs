@@ -3,7 +3,7 @@
 
 mod recorder;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -11,12 +11,14 @@ use std::path::{Path, PathBuf};
 use downbeat_scripts::{Attempt, Refusal};
 use mcap::records::MessageHeader;
 use mcap::{McapError, WriteOptions, Writer};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use urrcp::{
-    Command, ControlRequest, ControlResponse, Message, Robot, RobotId, Server, Span, StatusValue, Timestamp,
+    Command, ControlRequest, ControlResponse, ControlType, Message, RequestId, Robot, RobotId, Server, Span,
+    Status, StatusValue, Timestamp,
 };
 
+use crate::journal::VERSION;
 use downbeat_mission::clock::ClockSample;
 use downbeat_mission::session;
 use downbeat_mission::{Progress, Record};
@@ -113,6 +115,42 @@ impl Kind {
     }
 }
 
+/// The key of a channel's metadata that contains the [version](crate::journal::VERSION) of the recording.
+pub const VERSION_KEY: &str = "downbeat_version";
+
+/// A value of a script, at the time at which it is due.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlannedValue {
+    /// In the device's unit.
+    pub value: f64,
+    /// The type of control.
+    pub control_type: ControlType,
+    /// The request that contained the script.
+    pub request_id: Option<RequestId>,
+}
+
+/// A value that a robot reported of a device.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReportedValue {
+    /// In the device's unit.
+    pub value: f64,
+    /// `Provide` for the reading of a sensor.
+    pub status: Status,
+    /// The request that the robot answered.
+    pub request_id: Option<RequestId>,
+}
+
+/// A measurement of a robot's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClockOffset {
+    /// Robot minus server.
+    #[serde(rename = "offset_ms")]
+    pub offset: Span,
+    /// The round trip, without the robot's own time.
+    #[serde(rename = "delay_ms")]
+    pub delay: Span,
+}
+
 impl Recording {
     /// Begins a file.
     ///
@@ -151,8 +189,11 @@ impl Recording {
         let (Command::Script(script), Some(start)) = (&request.command, request.starts_at()) else { return };
         let topic = format!("/robots/{robot}/{}/planned", request.device_id);
         for step in script.steps() {
-            let value = json!({"value": step.setpoint.value, "control_type": step.setpoint.control_type,
-                "request_id": request.request_id});
+            let value = PlannedValue {
+                value: step.setpoint.value,
+                control_type: step.setpoint.control_type,
+                request_id: request.request_id.clone(),
+            };
             self.put(&topic, Kind::Value, start + step.offset.span(), at, &value);
         }
     }
@@ -183,13 +224,14 @@ impl Recording {
     ) {
         let Some(sent) = sent else { return };
         let sample = ClockSample::from_exchange(sent, received, answered, at);
-        let value = json!({"offset_ms": sample.offset, "delay_ms": sample.delay});
+        let value = ClockOffset { offset: sample.offset, delay: sample.delay };
         self.put(&format!("/robots/{robot}/clock"), Kind::Clock, at, at, &value);
     }
 
     fn reported(&mut self, at: Timestamp<Server>, robot: &RobotId, response: &ControlResponse) {
         let StatusValue::Number(value) = response.status_value else { return };
-        let value = json!({"value": value, "status": response.status, "request_id": response.request_id});
+        let value =
+            ReportedValue { value, status: response.status.clone(), request_id: response.request_id.clone() };
         self.put(&format!("/robots/{robot}/{}/reported", response.device_id), Kind::Value, at, at, &value);
     }
 
@@ -232,7 +274,8 @@ impl Recording {
             None => {
                 let schema = kind.schema().to_string();
                 let schema = self.writer.add_schema(kind.name(), "jsonschema", schema.as_bytes())?;
-                let id = self.writer.add_channel(schema, topic, "json", &BTreeMap::new())?;
+                let version = [(VERSION_KEY.to_owned(), VERSION.to_string())].into();
+                let id = self.writer.add_channel(schema, topic, "json", &version)?;
                 self.channels.insert(topic.to_owned(), id);
                 id
             }

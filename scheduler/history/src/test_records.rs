@@ -1,0 +1,80 @@
+//! Records of missions, for tests.
+
+use downbeat_mission::report::{ActFate, ActReport, DeviceReport, DeviceState};
+use downbeat_mission::{ActFlaws, ActOver, LeadTime, Promise, PromisedScript, Record};
+use urrcp::{ContentHash, Millis, Span, Timestamp};
+
+/// A script of `r/d`.
+pub(crate) fn script(request: &str, content_hash: ContentHash) -> PromisedScript {
+    PromisedScript {
+        robot: "r".parse().unwrap(),
+        device: "d".parse().unwrap(),
+        request_id: request.parse().unwrap(),
+        content_hash,
+        shift: Span::ZERO,
+        start: Millis::default(),
+        duration: Span::ZERO,
+        running: None,
+    }
+}
+
+/// An act that is sent at the beginning of 1970.
+pub(crate) fn prepared(number: u32, scripts: Vec<PromisedScript>) -> Record {
+    Record::Prepared(Promise {
+        number,
+        act: number as usize,
+        timestamp: Timestamp::from_nanos(0),
+        start: Timestamp::from_nanos(0),
+        lease: Span::ZERO,
+        prepared_again: 0,
+        scripts,
+    })
+}
+
+/// An act that was played.
+pub(crate) fn ended(report: ActReport) -> Record {
+    Record::ActEnded {
+        over: ActOver { act: report.number as usize, fate: ActFate::Played },
+        report: Box::new(report),
+        flaws: ActFlaws::default(),
+        again: false,
+    }
+}
+
+/// The report of an act without robots.
+pub(crate) fn report(act: &str, number: u32) -> ActReport {
+    ActReport {
+        act: act.to_owned(),
+        number,
+        timestamp: Timestamp::from_nanos(0),
+        start: Timestamp::from_nanos(0),
+        lead: LeadTime { prepare: Span::ZERO, lease: Span::ZERO, margin: Span::ZERO },
+        slowest: None,
+        gap: None,
+        skew: None,
+        spread: None,
+        margin_left: None,
+        window: None,
+        doubt: Span::ZERO,
+        prepared_again: 0,
+        readings: Vec::new(),
+        motions: Vec::new(),
+        motion_spread: None,
+        robots: Vec::new(),
+    }
+}
+
+/// A script that has not begun.
+pub(crate) fn device(id: &str, state: DeviceState) -> DeviceReport {
+    DeviceReport {
+        device: id.parse().unwrap(),
+        state,
+        planned_start: None,
+        started_at: None,
+        start_error: None,
+        steps_done: 0,
+        steps_planned: 3,
+        late_steps: 0,
+        late_max: None,
+    }
+}
