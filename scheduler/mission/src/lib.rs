@@ -87,7 +87,7 @@ use act::Act;
 use clock::NtpState;
 pub use requests::may_be_for_a_stop;
 use robot_state::RobotState;
-pub use robot_state::{Rest, Totals};
+pub use robot_state::{Rest, Standing, Totals};
 
 /// Where the mission stands. Timers of each phase are in its file.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -49,9 +49,11 @@ pub(crate) struct Lost {
 }
 
 /// Whether a robot takes part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
-pub(crate) enum Standing {
+pub enum Standing {
+    /// It takes part.
     In,
     /// Not there when the mission began; may join at the next act.
     Absent,

@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use downbeat_scripts::shown;
 use rustix::process::Pid;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
 use urrcp::{RobotId, Server, SessionId, Timestamp};
@@ -20,7 +22,8 @@ use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::fleet::StartPrograms;
 use crate::journal::{Contents, Found, Life};
 use crate::mission::Rest;
-use crate::report::Withdrawal;
+use crate::mission::{Failure, Standing};
+use crate::report::{StopState, Withdrawal, WithdrawnRobot};
 use crate::run::control::{self, Ending, Unheard};
 use crate::run::desk::Presented;
 use crate::show::TAKEN_OVER;
@@ -74,11 +77,24 @@ struct Stopped {
     /// Of a direct stop: when it began.
     begun: Option<Timestamp<Server>>,
     /// Otherwise why it was not stopped.
-    report: Result<Value, String>,
+    report: Result<Ended, String>,
     inside: Vec<Inside>,
     /// Robots that have not confirmed, of a mission that counts as ended all the same.
     forgotten: Vec<RobotId>,
     exit: Exit,
+}
+
+/// The report of a mission that has ended.
+struct Ended {
+    report: Withdrawal,
+    /// All of it.
+    document: Value,
+}
+
+impl Ended {
+    fn of(report: &str) -> Result<Self, serde_json::Error> {
+        Ok(Self { report: serde_json::from_str(report)?, document: serde_json::from_str(report)? })
+    }
 }
 
 pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
@@ -246,19 +262,30 @@ const ENDS_WITHIN: Duration = Duration::from_secs(2);
 /// The interval at which the command checks whether the process has ended.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
+/// The parts of a report that say how robots came to rest. The report of a direct stop has neither `home` nor `standing`.
+#[derive(Deserialize)]
+struct Rested {
+    robots: Vec<RestedRobot>,
+    home: Option<IgnoredAny>,
+}
+
+#[derive(Deserialize)]
+struct RestedRobot {
+    standing: Option<Standing>,
+    stop: StopState,
+}
+
 /// Whether robots came to rest in the other way, although this stop is the operator's latest one.
 fn leaves_undone(ending: &Ending, rest: Rest) -> bool {
     let other = match rest {
-        Rest::InPlace => "home",
-        Rest::Home => "confirmed",
+        Rest::InPlace => StopState::Home,
+        Rest::Home => StopState::Confirmed,
     };
-    let report: Value = serde_json::from_str(&ending.report).unwrap_or_default();
-    let mut robots = report["robots"].as_array().into_iter().flatten();
+    let Ok(report) = serde_json::from_str::<Rested>(&ending.report) else { return true };
     // The mission has tried to plan the way home.
-    let is_home = rest == Rest::Home && !report["home"].is_null();
-    !ending.superseded
-        && !is_home
-        && robots.any(|robot| robot["standing"] != "out" && robot["stop"]["state"] == other)
+    let is_home = rest == Rest::Home && report.home.is_some();
+    let rests_otherwise = |robot: &RestedRobot| robot.standing != Some(Standing::Out) && robot.stop == other;
+    !ending.superseded && !is_home && report.robots.iter().any(rests_otherwise)
 }
 
 /// Evaluates the report of a mission that has ended. If it did not carry out this stop, stops its robots directly.
@@ -363,18 +390,11 @@ fn holder(found: &Found) -> Option<Pid> {
 impl Stopped {
     /// The mission has stopped itself and says so.
     fn by_itself(mission: SessionId, report: &str) -> Self {
-        let report: Result<Value, String> = serde_json::from_str(report).map_err(|error| error.to_string());
-        let unconfirmed = report.as_ref().map_or(true, |report| {
-            let mut robots = report["robots"].as_array().into_iter().flatten();
-            let not_at_rest = report["not_at_rest"].as_array().is_some_and(|robots| !robots.is_empty());
-            let unconfirmed = |robot: &Value| {
-                robot["stop"]["state"] == "unconfirmed" || robot["stop"]["state"] == "taken_over"
-            };
-            not_at_rest || robots.any(unconfirmed)
-        });
-        let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
-        not_at_rest.filter_map(Value::as_str).for_each(console::error);
-        let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
+        let report = Ended::of(report).map_err(|error| error.to_string());
+        let not_at_rest = report.iter().flat_map(|ended| &ended.report.not_at_rest);
+        not_at_rest.for_each(|reason| console::error(reason));
+        let confirmed = report.as_ref().is_ok_and(|ended| !ended.report.is_unconfirmed());
+        let exit = if confirmed { Exit::Done } else { Exit::Unconfirmed };
         Self { mission, begun: None, report, inside: Vec::new(), forgotten: Vec::new(), exit }
     }
 
@@ -382,8 +402,9 @@ impl Stopped {
         match withdrawn {
             Ok(withdrawn) => {
                 let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
-                let report = serde_json::to_value(Withdrawal::from(&withdrawn.report))
-                    .map_err(|error| error.to_string());
+                let report = Withdrawal::from(&withdrawn.report);
+                let document = serde_json::to_value(&report).map_err(|error| error.to_string());
+                let report = document.map(|document| Ended { report, document });
                 let (begun, forgotten) = (Some(withdrawn.begun), withdrawn.forgotten);
                 Self { mission, begun, report, inside: withdrawn.inside, forgotten, exit }
             }
@@ -404,11 +425,11 @@ impl Stopped {
         if shown == Shown::Several {
             lines.push_str(&format!("{}:\n", shown::shown(self.mission.as_str())));
         }
-        let robots = self.report.iter().filter_map(|report| report["robots"].as_array()).flatten();
+        let robots = self.report.iter().flat_map(|ended| &ended.report.robots);
         robots.for_each(|robot| {
             lines.push_str(&format!("{indent}{}\n", shown::shown(&robot_line(robot, self.begun))))
         });
-        let failures = self.report.iter().filter_map(|report| report["failures"].as_array()).flatten();
+        let failures = self.report.iter().flat_map(|ended| &ended.report.failures);
         failures.for_each(|failure| {
             lines.push_str(&format!("{indent}{}\n", shown::shown(&failure_line(failure))))
         });
@@ -429,7 +450,7 @@ impl Stopped {
 
     fn document(&self, shown: Shown) -> Value {
         let mut report = match &self.report {
-            Ok(report) => report.clone(),
+            Ok(ended) => ended.document.clone(),
             Err(reason) => json!({"error": reason}),
         };
         if !self.inside.is_empty() {
@@ -446,27 +467,26 @@ impl Stopped {
 }
 
 /// `begun`: when a direct stop began, of a mission whose leases may have run out long before.
-fn robot_line(robot: &Value, begun: Option<Timestamp<Server>>) -> String {
-    let name = robot["robot"].as_str().unwrap_or_default();
-    match robot["stop"]["state"].as_str() {
-        Some("confirmed") => format!("{name}: stop confirmed"),
-        Some("home") => format!("{name}: default state confirmed"),
-        Some("unconfirmed") => match serde_json::from_value(robot["stop"]["lease_ends"].clone()).ok() {
-            Some(ends) => {
-                let verb = if begun.is_some_and(|begun| ends < begun) { "ended" } else { "ends" };
-                format!("{name}: stop NOT confirmed; its lease {verb} at {}", time_of_day(ends))
-            }
-            None => format!("{name}: stop NOT confirmed, and it runs without a lease"),
-        },
-        Some("taken_over") => format!("{name}: {TAKEN_OVER}"),
-        _ => format!("{name}: nothing had been sent to it"),
+fn robot_line(robot: &WithdrawnRobot, begun: Option<Timestamp<Server>>) -> String {
+    let name = &robot.robot;
+    match robot.stop {
+        StopState::Confirmed => format!("{name}: stop confirmed"),
+        StopState::Home => format!("{name}: default state confirmed"),
+        StopState::Unconfirmed { lease_ends: Some(ends) } => {
+            let verb = if begun.is_some_and(|begun| ends < begun) { "ended" } else { "ends" };
+            format!("{name}: stop NOT confirmed; its lease {verb} at {}", time_of_day(ends))
+        }
+        StopState::Unconfirmed { lease_ends: None } => {
+            format!("{name}: stop NOT confirmed, and it runs without a lease")
+        }
+        StopState::TakenOver => format!("{name}: {TAKEN_OVER}"),
+        StopState::NotSent => format!("{name}: nothing had been sent to it"),
     }
 }
 
 /// Why a robot has not confirmed, or has failed the mission before.
-fn failure_line(failure: &Value) -> String {
-    let text = |key: &str| failure[key].as_str().unwrap_or_default();
-    format!("{}: {}", text("robot"), text("text"))
+fn failure_line(failure: &Failure) -> String {
+    format!("{}: {}", failure.robot, failure.kind)
 }
 
 fn forgotten_line(robots: &[RobotId]) -> String {

@@ -7,7 +7,7 @@ mod withdrawal;
 
 use std::path::PathBuf;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::{ClockReading, NtpState};
@@ -16,7 +16,7 @@ use crate::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Greeting, Outcome};
 use crate::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight, TransferReport};
 pub use wake_up::HostWakeUp;
-pub use withdrawal::Withdrawal;
+pub use withdrawal::{Withdrawal, WithdrawnRobot};
 
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");
@@ -95,8 +95,8 @@ pub struct Report {
 pub struct RobotReport {
     /// Id of the robot.
     pub robot: RobotId,
-    /// `in`, `absent` or `out`.
-    pub standing: &'static str,
+    /// Whether it takes part.
+    pub standing: Standing,
     /// It accepted all its scripts.
     pub accepted: bool,
     /// Scripts that it said it had started.
@@ -150,7 +150,7 @@ pub struct Recorded {
 }
 
 /// What became of the stop of a robot.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum StopState {
@@ -242,11 +242,7 @@ fn robot_report(robot: &RobotState, trusts_files: bool) -> RobotReport {
     let totals = &robot.totals;
     RobotReport {
         robot: robot.id.clone(),
-        standing: match robot.standing {
-            Standing::In => "in",
-            Standing::Absent => "absent",
-            Standing::Out => "out",
-        },
+        standing: robot.standing,
         accepted: totals.scripts > 0 && totals.accepted == totals.scripts,
         started: totals.started,
         scripts: totals.scripts,

@@ -15,7 +15,7 @@ use urrcp::{
 
 use super::{Audience, BEGIN, Cut, Played, Rehearsal, play};
 use downbeat_mission::report::Outcome;
-use downbeat_mission::{Greeting, Mission, MissionOptions, Participant, Progress};
+use downbeat_mission::{Greeting, Mission, MissionOptions, Participant, Progress, Standing};
 
 const ARM: &str = r#"{"id": "arm", "api_version": "1", "reports": true, "devices": [
   {"id": "shoulder", "name": "shoulder", "default_value": 0, "available_control_types": {
@@ -200,7 +200,8 @@ fn without_a_robot_that_refuses_the_others_go_on() {
     assert_eq!(played.report.outcome, Outcome::DoneWithout);
     assert_eq!(moved(&played.logs), 5);
     let standings: Vec<_> = played.report.robots.iter().map(|robot| robot.standing).collect();
-    assert_eq!(standings, ["in", "in", "in", "out", "in", "in"]);
+    let taking_part = Standing::In;
+    assert_eq!(standings, [taking_part, taking_part, taking_part, Standing::Out, taking_part, taking_part]);
 }
 
 #[test]

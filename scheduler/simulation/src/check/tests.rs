@@ -8,7 +8,7 @@ use crate::braking::Braking;
 use crate::draw::{FAMILIES, Hands, RATES, TIMES};
 use crate::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
 use downbeat_mission::report::StopState;
-use downbeat_mission::{Outcome, Progress, Record};
+use downbeat_mission::{Outcome, Progress, Record, Standing};
 use downbeat_rehearsal::dry_run::BEGIN;
 
 /// The first seed of missions like this.
@@ -519,7 +519,7 @@ fn an_outcome_or_a_fate_that_is_not_so_is_found() {
     finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = downbeat_mission::ActFate::Withdrawn);
     finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = downbeat_mission::ActFate::NotReached);
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].stop = StopState::Confirmed);
-    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].standing = "out");
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].standing = Standing::Out);
     finds('g', |ran| ran.report.as_mut().unwrap().acts[0].robots[0].left_out = true);
 }
 

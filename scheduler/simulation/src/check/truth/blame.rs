@@ -9,7 +9,7 @@ use crate::check::movements::jumps_from_the_beginning;
 use crate::draw::{BEGINS_AT, shows_within};
 use crate::trajectory::JUMP;
 use crate::{Happened, Network};
-use downbeat_mission::{FailureKind, Progress};
+use downbeat_mission::{FailureKind, Progress, Standing};
 
 impl Said<'_> {
     pub(super) fn blame(&self, wrong: &mut Vec<String>) {
@@ -25,7 +25,7 @@ impl Said<'_> {
                 wrong.push(format!("r{robot} was left out without a reason in the report"));
             }
         }
-        for row in self.report.robots.iter().filter(|row| row.standing == "out") {
+        for row in self.report.robots.iter().filter(|row| row.standing == Standing::Out) {
             let failed = self.report.failures.iter().any(|failure| failure.robot == row.robot);
             if !failed {
                 wrong.push(format!("{} is out, and the report does not say why", row.robot));

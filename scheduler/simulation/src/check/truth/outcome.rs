@@ -8,7 +8,7 @@ use crate::Happened;
 use crate::check::facts::{SentAct, SentScript};
 use crate::check::situation::off_its_plan;
 use downbeat_mission::report::RobotReport;
-use downbeat_mission::{ActFate, Outcome, Progress, Record};
+use downbeat_mission::{ActFate, Outcome, Progress, Record, Standing};
 
 /// What the mission may not know of a clock that it measures, apart from the round trip: at the bound of its drift, for a minute.
 const CLOCK_ERROR: Span = Span::from_millis(6);
@@ -35,10 +35,10 @@ impl Said<'_> {
             }
         }
         self.none_drifted(wrong);
-        let ill = |row: &&RobotReport| row.standing != "in" || row.unaccounted > 0;
+        let ill = |row: &&RobotReport| row.standing != Standing::In || row.unaccounted > 0;
         if let Some(row) = self.report.robots.iter().find(ill) {
             wrong.push(format!(
-                "done, and {} is {} with {} unknown",
+                "done, and {} is {:?} with {} unknown",
                 row.robot, row.standing, row.unaccounted
             ));
         }
@@ -210,7 +210,8 @@ impl Said<'_> {
             let there = |robot: usize| {
                 self.facts.drawn().robots[robot].there_from == Span::ZERO && !came_later(robot)
             };
-            row.is_none_or(|row| row.standing == "in") && self.facts.index_of(robot).is_some_and(there)
+            row.is_none_or(|row| row.standing == Standing::In)
+                && self.facts.index_of(robot).is_some_and(there)
         };
         !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
