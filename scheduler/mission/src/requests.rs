@@ -188,7 +188,7 @@ impl Mission {
         for (robot, message) in std::mem::take(&mut self.deferred) {
             let is_script =
                 matches!(&message, Message::ControlRequest(it) if it.time_offset_to_start.is_some());
-            if !is_script || !self.robots[robot].owes_its_times() {
+            if !is_script || self.robots[robot].may_be_sent_scripts() {
                 self.send(now, robot, message);
             }
         }

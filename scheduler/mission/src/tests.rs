@@ -323,6 +323,25 @@ fn a_robot_whose_stop_is_not_confirmed_is_sent_no_script_that_the_next_act_wants
     }
 }
 
+#[test]
+fn a_script_that_waited_for_the_commitment_is_not_sent_behind_the_stop_of_its_robot() {
+    for (is_stopped, sends) in [(true, 0), (false, 1)] {
+        let mut mission = begins_at_once(Everything);
+        let sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let script = sent.into_iter().find_map(|action| match action {
+            Action::Send { message: message @ Message::ControlRequest(_), .. } => Some(message),
+            _ => None,
+        });
+        if is_stopped {
+            mission.stop_robot(at(1), 0, Rest::InPlace);
+        }
+        mission.actions.clear();
+        mission.deferred = vec![(0, script.unwrap())];
+        mission.send_deferred(at(2));
+        assert_eq!(scripts_in(&mission.actions).len(), sends, "stopped: {is_stopped}");
+    }
+}
+
 /// Two acts: `r0` alone plays the first one, `r1` the second one.
 fn one_after_the_other() -> Mission {
     let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
