@@ -28,6 +28,7 @@ mod fates;
 pub mod figures;
 mod greet;
 mod identity;
+mod invariants;
 mod kept;
 mod latency;
 mod lateness;
@@ -320,6 +321,7 @@ impl Mission {
             }
             Event::JournalLost { reason } => self.journal_lost(now, reason),
         }
+        self.check(now);
         std::mem::take(&mut self.actions)
     }
 
@@ -348,6 +350,7 @@ impl Mission {
             Phase::Ended => {}
         }
         self.lateness.asks(now, self.next_wakeup());
+        self.check(now);
         std::mem::take(&mut self.actions)
     }
 

@@ -94,6 +94,8 @@ pub struct MissionOptions {
     /// Plans acts after a stop. Without it, each robot goes to its default positions on its own, and the act after a failure
     /// begins only if its robots have come to rest at their first positions.
     pub transfer: Option<Arc<dyn PlanTransfer>>,
+    /// Checks after every event what must hold of the mission, and panics where it does not. By default, only programs that are not optimized do.
+    pub check_invariants: bool,
 }
 
 /// The starts at fixed times: by the operator, or by acts that wait for a time.
@@ -152,6 +154,7 @@ impl Default for MissionOptions {
             preflight_only: false,
             zone: Zone::UTC,
             transfer: None,
+            check_invariants: cfg!(debug_assertions),
         }
     }
 }

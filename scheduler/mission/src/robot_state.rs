@@ -1,5 +1,7 @@
 //! What the mission knows of one robot: its link, its clock, what it was asked, and its stop.
 
+mod invariants;
+
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 
 use serde::{Deserialize, Serialize};

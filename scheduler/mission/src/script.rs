@@ -1,5 +1,7 @@
 //! One script of one device on its way: planned, sent, held, running, ended, or unknown.
 
+mod invariants;
+
 use downbeat_plan::DeviceScript;
 use urrcp::{
     Command, ContentHash, ControlError, ControlResponse, ErrorCode, Interpolation, Millis, RequestId,

@@ -52,6 +52,8 @@ pub struct Ran {
     pub watched_until: Timestamp<Server>,
     /// The mission never came to an end.
     pub hung: bool,
+    /// The statement about the mission that did not hold, if any.
+    pub broken: Option<String>,
 }
 
 /// A line of a trace.
@@ -116,6 +118,7 @@ pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();
     let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
     if sent
+        && ran.broken.is_none()
         && !ran.drawn.faults.is_empty()
         && !ran.hung
         && let Some(last) = ran.last_to_compare()

@@ -266,6 +266,8 @@ impl Found {
 
 fn main() -> ExitCode {
     let args = Args::parse();
+    // Statements that do not hold are violations, which are printed with their seeds.
+    std::panic::set_hook(Box::new(|_| {}));
     if let Some(seed) = args.trace {
         say!("{}", simulation::trace(&simulation::run_verbosely(seed)).trim_end());
         return ExitCode::SUCCESS;

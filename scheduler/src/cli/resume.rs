@@ -187,6 +187,7 @@ impl<'a> Resumption<'a> {
             fixed: self.found.opened.fixed,
             zone: ZONE,
             transfer: Some(fleet::transfer(&self.fleet)),
+            check_invariants: false,
             ..MissionOptions::default()
         };
         let participants = fleet::participants(&robots);

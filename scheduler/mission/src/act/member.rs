@@ -32,7 +32,7 @@ pub(crate) struct Member {
     pub(super) clock_steps: Option<u32>,
     scripts: Vec<Script>,
     /// One for each device, in order of their scripts.
-    chains: Vec<Chain>,
+    pub(super) chains: Vec<Chain>,
     /// When it was last asked for reports that were overdue.
     pub(super) asked: Option<Timestamp<Server>>,
     /// When it was first asked for its newest overdue report.
@@ -46,13 +46,13 @@ type Group = (bool, Option<Span>);
 /// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
 /// under way and not at all that ever were or will be.
 #[derive(Clone, Copy, Debug)]
-struct Chain {
-    first: usize,
+pub(super) struct Chain {
+    pub(super) first: usize,
     /// Those before it have completed.
-    completed: usize,
+    pub(super) completed: usize,
     /// Those from here on were never sent.
-    unsent: usize,
-    end: usize,
+    pub(super) unsent: usize,
+    pub(super) end: usize,
 }
 
 impl Member {

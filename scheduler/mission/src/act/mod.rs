@@ -6,6 +6,7 @@
 mod approaching;
 mod drift;
 mod elsewhere;
+mod invariants;
 mod member;
 mod motions;
 mod playing;

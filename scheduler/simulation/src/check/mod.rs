@@ -94,7 +94,7 @@ pub struct Verdict {
 
 impl Verdict {
     /// What the invariants are called, and in short what they say.
-    pub const INVARIANTS: [(char, &str); 9] = [
+    pub const INVARIANTS: [(char, &str); 10] = [
         ('a', "all or none"),
         ('b', "nothing late, nothing twice"),
         ('c', "rest after a stop and beyond a lease"),
@@ -103,6 +103,7 @@ impl Verdict {
         ('f', "starts within the skew budget"),
         ('g', "reports that are true"),
         ('h', "silence, gaps and stops in time"),
+        ('i', "statements that hold inside the mission"),
         ('m', "no movement without a reason"),
     ];
 
@@ -119,6 +120,10 @@ impl Ran {
     /// Holds the invariants against what happened.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
+        if let Some(broken) = &self.broken {
+            let violation = Violation { invariant: 'i', what: broken.clone() };
+            return Verdict { violations: vec![violation], ..Verdict::default() };
+        }
         let facts = Facts::of(self);
         let mut verdict = Verdict::default();
         all_or_none::check(&facts, &mut verdict);

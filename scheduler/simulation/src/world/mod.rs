@@ -9,8 +9,10 @@ mod robots;
 mod scheduler;
 mod transfer;
 
+use std::any::Any;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use downbeat_robot::LinkId;
@@ -165,6 +167,7 @@ fn options(drawn: &Drawn) -> MissionOptions {
         transfer: drawn
             .plans_transfers
             .then(|| Arc::new(transfer::Planner::of(drawn)) as Arc<dyn PlanTransfer>),
+        check_invariants: true,
         ..MissionOptions::default()
     }
 }
@@ -193,8 +196,17 @@ fn play_world(mut world: World) -> Ran {
     let mission = Mission::new(drawn.choreography.clone(), participants(drawn), options(drawn), BEGIN).ok();
     let mut report = None;
     let mut next = mission;
+    let mut broken = None;
     while let Some(mut mission) = next.take() {
-        report = at_once(drive(&mut mission, &mut world));
+        // After a statement that does not hold, the mission is not used again.
+        let driven = catch_unwind(AssertUnwindSafe(|| at_once(drive(&mut mission, &mut world))));
+        match driven {
+            Ok(reported) => report = reported,
+            Err(panic) => {
+                broken = Some(text_of(&*panic));
+                break;
+            }
+        }
         if world.hung {
             let (wakeup, due) = (mission.next_wakeup(), mission.due());
             let robots: Vec<_> =
@@ -206,7 +218,7 @@ fn play_world(mut world: World) -> Ran {
             next = world.taken_up();
         }
     }
-    if !world.is_promised {
+    if !world.is_promised && broken.is_none() {
         world.aftermath();
     }
     for robot in &mut world.robots {
@@ -228,8 +240,14 @@ fn play_world(mut world: World) -> Ran {
         history: world.history,
         watched_until: world.now,
         hung: world.hung,
+        broken,
         drawn: world.drawn,
     }
+}
+
+fn text_of(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref().copied());
+    text.unwrap_or("a statement does not hold").to_owned()
 }
 
 impl World {

@@ -1,0 +1,58 @@
+//! What must hold of a robot between two events.
+
+use urrcp::{Server, Timestamp};
+
+use super::{Link, OPEN_MAX, Questions, RobotState, Standing, Stop};
+
+impl RobotState {
+    /// Panics if a statement about the robot does not hold at `now`.
+    pub(crate) fn check(&self, now: Timestamp<Server>) {
+        let id = &self.id;
+        self.questions.check();
+        assert_eq!(
+            self.readings.len(),
+            self.settings.require.len(),
+            "{id}: each requirement has one reading"
+        );
+        if self.standing == Standing::Out {
+            assert!(self.has_failed(), "{id}: only a robot that has failed is left out");
+        }
+        if let Link::Lost(lost) = &self.link {
+            assert!(lost.since <= lost.failed, "{id}: a link breaks before it fails again");
+        }
+        match &self.stop {
+            Stop::Sent(sent) => {
+                assert!(sent.at <= now, "{id}: a stop was sent in the past");
+                let asked = sent.unconfirmed.values().all(|device| self.touched.contains(device));
+                assert!(asked, "{id}: only devices that were sent anything are stopped");
+                assert!(!self.at_rest, "{id}: a robot rests once it has confirmed its stop");
+            }
+            Stop::None | Stop::Confirmed(_) => {}
+        }
+        if self.introduced {
+            assert!(self.block.is_some(), "{id}: a robot that introduced itself has a block");
+        }
+        if self.positions_asked.is_some() {
+            assert!(self.block.is_some(), "{id}: positions are those of devices that are known");
+        }
+        let totals = &self.totals;
+        assert!(totals.sent <= totals.scripts, "{id}: no more scripts are sent than planned");
+        assert!(totals.started <= totals.scripts, "{id}: no more scripts start than are planned");
+        assert!(totals.accepted <= totals.scripts, "{id}: no more scripts are accepted than planned");
+        assert!(totals.failed <= totals.scripts, "{id}: no more scripts fail than are planned");
+        assert!(
+            totals.unaccounted <= totals.scripts,
+            "{id}: no more scripts are unaccounted for than planned"
+        );
+    }
+}
+
+impl Questions {
+    fn check(&self) {
+        assert!(self.open.len() <= OPEN_MAX, "few questions are remembered");
+        assert!(self.open.iter().is_sorted(), "questions are asked in order of time");
+        let oldest = self.open.front().copied();
+        assert!(oldest.is_none_or(|open| self.answered < Some(open)), "an answered question is not open");
+        assert!(self.last_asked() >= self.answered, "only a question that was asked is answered");
+    }
+}

@@ -1,0 +1,89 @@
+//! What must hold of a script between two events.
+
+use urrcp::RobotId;
+
+use super::{Ending, Script, ScriptState};
+
+impl Script {
+    /// Whether no other process can have sent it.
+    pub(crate) const fn is_of_this_process(&self) -> bool {
+        !self.perhaps_sent
+    }
+
+    /// Panics if a statement about the script does not hold.
+    pub(crate) fn check(&self, robot: &RobotId) {
+        let device = &self.plan.device;
+        let of = format_args!("{robot}/{device}: {self:?}");
+        match &self.state {
+            ScriptState::Planned => {
+                assert!(
+                    !self.has_begun() || self.perhaps_sent,
+                    "a script that was not sent has not begun: {of}"
+                );
+            }
+            ScriptState::Sent => {
+                assert!(self.sent_at.is_some(), "a request that is on its way was sent: {of}")
+            }
+            ScriptState::Held => {
+                assert!(self.accepted, "a robot holds only what it has accepted: {of}");
+                assert!(self.was_ever_sent(), "a robot holds only what it was sent: {of}");
+            }
+            ScriptState::Running => {
+                assert!(self.accepted, "a script that runs was accepted: {of}");
+                assert!(self.was_ever_sent(), "a script that runs was sent: {of}");
+            }
+            ScriptState::Ended(Ending::Completed) => {
+                assert!(!self.discredited, "a robot whose word does not count has completed nothing: {of}");
+            }
+            ScriptState::Ended(Ending::Failed(_)) | ScriptState::Unknown => {}
+        }
+        self.check_times(robot);
+        self.check_word(robot);
+    }
+
+    fn check_times(&self, robot: &RobotId) {
+        let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
+        assert!(self.first_sent_at <= self.sent_at, "a script is sent first before it is sent again: {of}");
+        assert_eq!(self.first_sent_at.is_some(), self.sent_at.is_some(), "a script was sent or not: {of}");
+        assert!(self.starts >= self.plan.start.span(), "a script starts no earlier than it begins: {of}");
+        assert!(
+            self.running.shortest <= self.running.longest || self.running.longest.is_none(),
+            "leases have bounds: {of}"
+        );
+    }
+
+    /// What the robot said of it.
+    fn check_word(&self, robot: &RobotId) {
+        let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
+        if self.discredited {
+            let failed = matches!(self.state, ScriptState::Ended(Ending::Failed(_)));
+            assert!(failed, "a script of which the robot says what cannot be true has failed: {of}");
+            assert!(self.started_at.is_none(), "its start is not known: {of}");
+        }
+        assert!(
+            self.steps_done <= self.steps_planned() || self.discredited,
+            "no more steps are done than planned: {of}"
+        );
+        assert!(
+            self.late_steps <= self.steps_done || self.discredited,
+            "only steps that were done were late: {of}"
+        );
+        if self.accepted_at.is_some() {
+            assert!(self.accepted, "a robot that said when it holds a script has accepted it: {of}");
+        }
+        if self.held_at.is_some() {
+            assert!(self.accepted, "a robot that holds a script has accepted it: {of}");
+            assert!(self.reported_at >= self.held_at, "`held` is a report: {of}");
+        }
+        if self.lost {
+            let known = matches!(self.state, ScriptState::Unknown | ScriptState::Ended(_));
+            assert!(known, "a script that its robot has lost does not run: {of}");
+        }
+        if self.request_id.is_some() {
+            assert!(self.promised_id.is_some(), "the journal knows every request: {of}");
+        }
+        if self.refusals == 0 {
+            assert_eq!(self.request_id, self.promised_id, "only a refused request gets another name: {of}");
+        }
+    }
+}
