@@ -1,4 +1,5 @@
-// The document that the page shows. `scheduler/history/src/page/` writes it; both sides change together, with `version`.
+// The document that the page shows. `scheduler/history/src/page/` writes it; both sides change together, with `version`. A test
+// compares the documents of the real program with these types.
 //
 // The page holds it as base64 of gzip of: the length of the JSON in bytes (unsigned 32 bits, little-endian), the JSON in UTF-8
 // (a `Mission`), then the columns that the JSON points into. All times are milliseconds by the server's clock.
@@ -32,7 +33,7 @@ export interface Mission {
   /** From when to when something is known. */
   from: number; to: number;
   /** Why the file behind the page is not whole, for people; `null`: it is whole. */
-  cut_off?: string | null;
+  cut_off: string | null;
   /** What `--format json` of the same command prints; `null` where it is not known. `data/report.ts` reads it: it may have any shape. */
   report: Report | null;
   /** Files that the mission was made of, for the lines of cues and findings. */
@@ -156,7 +157,7 @@ export interface Lane {
   /** Index into `Robot.devices`. */
   device: number;
   /** Which of several values of a step, counted from 0. */
-  value?: number;
+  value: number;
   control: "position" | "speed" | "acceleration" | string;
   /** Largest difference between the steps and the movement as written, in the device's unit, and when that is. */
   worst_error: number; worst_at: number;
@@ -184,9 +185,9 @@ export interface Played {
    * What became of it. "withdrawn": nothing of it began; "unknown": a robot has not said how it went on; "open": its end is not
    * known.
    */
-  fate?: Fate;
+  fate: Fate;
   /** When it ended, was stopped or was withdrawn, if that is known. */
-  over?: number | null;
+  over: number | null;
   robots: { robot: number; left_out: boolean; started: number | null; ended: number | null }[];
 }
 

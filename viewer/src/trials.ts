@@ -35,7 +35,7 @@ export interface Trials {
   robots: TriedRobot[];
   weakest_robot: string | null;
   weakest_link: string | null;
-  requirements?: Requirement[];
+  requirements: Requirement[];
 }
 
 /** Of the spread: `counts[i]` missions from `i * width_ms` up to, and without, `(i + 1) * width_ms`. */

@@ -1,4 +1,4 @@
-//! What the page shows, as it reads it: `viewer/src/mission.ts` is the other side of these types.
+//! What the page shows, as it reads it: `viewer/src/mission.ts` is the other side of these types, and a test of the viewer compares both.
 
 use downbeat_scripts::WrittenRelation;
 use serde::Serialize;
