@@ -39,6 +39,9 @@ impl Mission {
             self.read(now, robot, sensor, Reading::Requirement(index));
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
+            // An earlier link may have lost the answers.
+            self.robots[robot].forget_positions();
+            self.read_positions(now, robot);
             self.ask_positions(now, robot);
         }
     }
@@ -103,7 +106,6 @@ impl Mission {
             self.fail(now, robot, FailureKind::Unfit { reason });
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
-            self.read_positions(now, robot);
             self.greeting_progress(now);
         }
     }

@@ -451,6 +451,7 @@ impl RobotState {
         self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
         self.exchanges.begin_again();
+        self.reads.clear();
         self.positions_asked = None;
     }
 

@@ -7,6 +7,7 @@ mod greeting;
 mod hostile;
 mod lost;
 mod played;
+mod readings;
 mod resumed;
 mod stops;
 mod table;
