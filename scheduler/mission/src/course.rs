@@ -96,7 +96,7 @@ impl Mission {
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be waited for.
                     if matches!(what, Reading::Wait(_) | Reading::Motion(..)) {
-                        self.robots[robot].reads.retain(|_, waits| *waits != what);
+                        self.robots[robot].reads.forget(|waits| *waits == what);
                     }
                     self.read(now, robot, sensor, what);
                 }

@@ -136,15 +136,13 @@ impl Mission {
 
     pub(super) fn read(&mut self, now: Timestamp<Server>, robot: usize, sensor: DeviceId, what: Reading) {
         let session = self.options.session_name().map_or("", |session| session.as_str());
-        if self.robots[robot].reads.len() >= READS_MAX {
-            self.robots[robot].reads.retain(|_, what| !matches!(what, Reading::Wait(_)));
-        }
+        self.robots[robot].reads.make_room();
         let count = self.robots[robot].reads.len();
         let id = RequestId::new(format!("read/{session}/{}/{robot}/{count}", now.as_nanos() / 1_000)).ok();
-        let mut request = ControlRequest::immediate(sensor, Command::ReadSensor);
+        let mut request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         request.request_id.clone_from(&id);
         request.session = self.options.session_on_the_wire();
-        id.map(|id| self.robots[robot].reads.insert(id, what));
+        id.into_iter().for_each(|id| self.robots[robot].reads.ask(id, sensor.clone(), what.clone()));
         self.send(now, robot, Message::ControlRequest(request));
     }
 
@@ -155,8 +153,7 @@ impl Mission {
         robot: usize,
         response: &ControlResponse,
     ) -> bool {
-        let Some(id) = &response.request_id else { return false };
-        let Some(what) = self.robots[robot].reads.remove(id) else { return false };
+        let Some(what) = self.robots[robot].reads.take_answered(response) else { return false };
         let value = match response.status_value {
             StatusValue::Number(value) if response.status == Status::Provide => Some(value),
             _ => None,
@@ -385,7 +382,7 @@ impl Mission {
         self.leave_to_others();
         let full = self.options.greeting == Greeting::Full;
         for index in 0..self.robots.len() {
-            self.robots[index].reads.retain(|_, what| !matches!(what, Reading::Shown(_)));
+            self.robots[index].reads.forget(|what| matches!(what, Reading::Shown(_)));
             let robot = &self.robots[index];
             let awaited = match robot.link {
                 _ if robot.has_failed() || robot.standing != Standing::In => continue,
@@ -395,7 +392,9 @@ impl Mission {
                 Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
                     "further availability responses"
                 }
-                Link::Up { .. } if full && !robot.reads.is_empty() => "readings of its sensors",
+                Link::Up { .. } if full && robot.reads.awaited().next().is_some() => {
+                    "readings of its sensors"
+                }
                 Link::Up { .. } if full && robot.positions_owed > 0 => "positions of its devices",
                 Link::Up { .. } => continue,
             };
@@ -451,8 +450,6 @@ impl Mission {
 const NOT_STRICT_ENOUGH: &str = "the scenario requires `all_or_none: strict`, and the robot does not declare `pending_until` and `inquiry`";
 /// Encodings of one robot that are listed.
 const ENCODINGS_SHOWN: usize = 8;
-/// Readings that a robot owes at most: of what an act waits for, the newest count.
-const READS_MAX: usize = 1_024;
 
 /// Faults of one robot that are listed; one with another unit would bury the others.
 const UNFIT_SHOWN: usize = 12;

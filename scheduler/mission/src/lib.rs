@@ -42,6 +42,7 @@ mod outcome;
 mod poses;
 pub(crate) mod preflight;
 mod prepare;
+mod reads;
 pub(crate) mod record;
 mod refill_time;
 pub mod report;

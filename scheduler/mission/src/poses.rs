@@ -48,12 +48,12 @@ impl RobotState {
 
     /// Whether the robot has answered all questions for readings and positions of its devices.
     pub(super) fn has_shown_its_pose(&self) -> bool {
-        self.reads.is_empty() && self.positions_owed == 0
+        self.reads.awaited().next().is_none() && self.positions_owed == 0
     }
 
     /// Whether the robot has not answered all questions for the positions of its devices.
     fn owes_positions(&self) -> bool {
-        self.positions_owed > 0 || self.reads.values().any(|what| matches!(what, Reading::Position(_)))
+        self.positions_owed > 0 || self.reads.awaited().any(|what| matches!(what, Reading::Position(_)))
     }
 
     /// Whether the robot can be asked for the position of a device: by an inquiry, or else by its sensor.
@@ -83,7 +83,7 @@ impl RobotState {
 
     /// Discards the known positions of its devices, and the answers that it owes.
     pub(super) fn forget_positions(&mut self) {
-        self.reads.retain(|_, what| !matches!(what, Reading::Position(_)));
+        self.reads.forget(|what| matches!(what, Reading::Position(_)));
         self.positions.clear();
         self.commanded.clear();
     }

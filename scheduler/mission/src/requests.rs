@@ -62,7 +62,9 @@ impl Mission {
             self.ask_how_far_it_came(now, robot);
             return self.stop_progress(now);
         }
-        if self.reading_taken(now, robot, response) {
+        // Without a name, a refusal may be of a reading or of a script.
+        let may_be_a_reading = unnamed.is_none() || response.status == Status::Provide;
+        if may_be_a_reading && self.reading_taken(now, robot, response) {
             return self.goes_on(now);
         }
         let script = match &response.request_id {
@@ -302,6 +304,7 @@ pub(super) fn open_without_name(
                 || *state == ScriptState::Running && !script.has_started()
         }
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
+        Status::Provide => false,
         // What it has accepted fails without a word.
         _ if says == Says::Answers => *state == ScriptState::Sent,
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),

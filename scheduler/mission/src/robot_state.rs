@@ -14,6 +14,7 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::latency::LatencyDiffers;
+use super::reads::OwedReadings;
 use super::requests::may_be_for_a_stop;
 use super::script::{Ending, Script, ScriptRef, ScriptState};
 use super::seize::Ownership;
@@ -286,7 +287,7 @@ pub(crate) struct RobotState {
     pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
     /// Why a device gave no reading, as the robot says it.
     pub(crate) unread: BTreeMap<DeviceId, String>,
-    pub(crate) reads: HashMap<RequestId, Reading>,
+    pub(crate) reads: OwedReadings,
     /// The requests that it was sent, by their names.
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
     /// Devices that this mission has sent anything that moves.
@@ -362,7 +363,7 @@ impl RobotState {
             positions_owed: 0,
             shown: Vec::new(),
             unread: BTreeMap::new(),
-            reads: HashMap::new(),
+            reads: OwedReadings::default(),
             requests: HashMap::new(),
             touched: BTreeSet::new(),
             at_rest: false,

@@ -187,11 +187,11 @@ fn only_a_robot_that_was_taken_and_stands_elsewhere_is_read_again_one_reading_at
         mission.robots[0].ownership = ownership.clone();
         mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(1), 0);
-        assert_eq!(mission.robots[0].reads.len(), reads, "{ownership:?} at {stands}");
+        assert_eq!(mission.robots[0].reads.awaited().count(), reads, "{ownership:?} at {stands}");
         assert_eq!(mission.robots[0].positions.len(), 1 - reads);
         mission.robots[0].positions = vec![("a".parse().unwrap(), stands)];
         mission.follow_on_its_way(at(2), 0);
-        assert_eq!(mission.robots[0].reads.len(), reads, "its answer is awaited");
+        assert_eq!(mission.robots[0].reads.awaited().count(), reads, "its answer is awaited");
     }
 }
 
@@ -746,7 +746,7 @@ fn of_ever_more_readings_those_that_acts_have_waited_for_are_forgotten() {
     }
     assert_eq!(mission.robots[0].reads.len(), 1_024);
     mission.read(at(2_000), 0, sensor, Reading::Wait(1));
-    let left: Vec<_> = mission.robots[0].reads.values().collect();
+    let left: Vec<_> = mission.robots[0].reads.awaited().collect();
     assert!(left.len() == 2 && left.contains(&&Reading::Requirement(0)) && left.contains(&&Reading::Wait(1)));
 }
 
@@ -765,7 +765,7 @@ fn a_preflight_reads_the_devices_of_the_first_act_and_shows_those_that_nothing_d
         let range = SensorRange::Above(50.0);
         mission.robots[0].settings.require = vec![Requirement { sensor: "c".parse().unwrap(), range }];
         mission.read_positions(at(0), 0);
-        let reads: Vec<_> = mission.robots[0].reads.values().cloned().collect();
+        let reads: Vec<_> = mission.robots[0].reads.awaited().cloned().collect();
         assert!(reads.contains(&Reading::Position("a".parse().unwrap())), "{reads:?}");
         let told = reads.iter().filter_map(|read| match read {
             Reading::Shown(device) => Some(device.as_str()),

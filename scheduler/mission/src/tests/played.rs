@@ -33,6 +33,8 @@ pub(super) struct Played {
     pub(super) slows: Option<(Timestamp<Server>, f64)>,
     /// Whether robots state the positions of all devices in each answer to an inquiry.
     pub(super) states_all: bool,
+    /// Whether the control responses of robots leave out the names of requests.
+    pub(super) leaves_out_names: bool,
     /// The times by which the clocks of robots are ahead of the server's.
     pub(super) ahead: HashMap<usize, Span>,
     pub(super) told: Vec<Progress>,
@@ -71,6 +73,7 @@ impl Played {
             positions: HashMap::new(),
             slows: None,
             states_all: false,
+            leaves_out_names: false,
             ahead: HashMap::new(),
             told: Vec::new(),
             sent: Vec::new(),
@@ -249,7 +252,10 @@ impl Played {
         says(Status::Accepted, there)
     }
 
-    fn says(&mut self, at: Timestamp<Server>, robot: usize, message: Message) {
+    fn says(&mut self, at: Timestamp<Server>, robot: usize, mut message: Message) {
+        if let Message::ControlResponse(response) = &mut message {
+            response.request_id.take_if(|_| self.leaves_out_names);
+        }
         self.arrivals.push((at, Event::Received { robot, message }));
     }
 

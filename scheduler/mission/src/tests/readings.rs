@@ -1,4 +1,6 @@
-//! Readings of sensors: what becomes of questions on a link that breaks.
+//! Readings of sensors: to which questions answers without names belong, and what becomes of questions on a link that breaks.
+
+use std::collections::HashMap;
 
 use super::played::Played;
 use super::*;
@@ -20,6 +22,33 @@ fn has_a_sensor(tells: Tells) -> Played {
     let mut played = Played::linked(mission, &[0]);
     played.positions = [("a".parse().unwrap(), 45.0)].into();
     played
+}
+
+#[test]
+fn a_robot_that_leaves_out_the_names_of_requests_is_known_by_its_sensors() {
+    for tells in [Everything, Tells::Reports] {
+        for (stands_at, refused) in [(45.0, false), (0.0, true)] {
+            let mut played = has_a_sensor(tells);
+            played.leaves_out_names = true;
+            played.positions.insert("a".parse().unwrap(), stands_at);
+            played.run_until(at(2_000));
+            let failures: Vec<_> = played.mission.robots[0].failures.iter().collect();
+            let jumps = |failure: &&Failure| matches!(failure.kind, FailureKind::Position { .. });
+            assert_eq!(
+                (failures.len(), failures.iter().any(jumps)),
+                (usize::from(refused), refused),
+                "{failures:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_sensor_without_a_reading_is_not_awaited_although_the_refusal_names_no_request() {
+    let mut played = has_a_sensor(Tells::Reports);
+    (played.leaves_out_names, played.positions) = (true, HashMap::new());
+    played.run_until(at(2_000));
+    assert!(!played.mission.robots[0].has_failed(), "{:?}", played.mission.robots[0].failures);
 }
 
 #[test]

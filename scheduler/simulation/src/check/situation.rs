@@ -1,5 +1,6 @@
 //! Situations that missions of the simulation have to reach. A simulation that never reaches one of them shows nothing about it.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
 use downbeat_plan::Wait;
@@ -10,7 +11,7 @@ use super::DRIFT;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::braking::{acceleration, harder_at_limit, is_of};
 use crate::draw::{ClockChange, shows_within};
-use crate::{Happened, Ran};
+use crate::{Happened, Names, Ran};
 use downbeat_mission::{ClockMode, Failure, FailureKind, Progress};
 
 /// A situation of a device or a robot.
@@ -42,11 +43,13 @@ pub enum Situation {
     DriftsApart,
     /// A sensor shows that a device would jump, which moved before.
     RefusedBySensor,
+    /// Sensors show where the devices of a robot are that leaves out the names of requests, and it plays.
+    ReadWithoutNames,
 }
 
 impl Situation {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::SpeedSlows,
         Self::SpeedStops,
         Self::PositionSlows,
@@ -60,6 +63,7 @@ impl Situation {
         Self::WaitsForAnotherDay,
         Self::DriftsApart,
         Self::RefusedBySensor,
+        Self::ReadWithoutNames,
     ];
 }
 
@@ -77,6 +81,7 @@ impl fmt::Display for Situation {
             Self::AtSkippedTime => "an act starts when clocks skip its time of day",
             Self::WaitsForAnotherDay => "an act waits for a time of another day",
             Self::RefusedBySensor => "a sensor shows that a device would jump",
+            Self::ReadWithoutNames => "a robot without names is read and plays",
             Self::DriftsApart => "a clock drifts beyond the tolerance in an act",
             Self::LeaseEndsTurning => "a lease ends after a script, and the device turns",
         })
@@ -112,6 +117,14 @@ pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     };
     let failures = facts.ran.report.iter().flat_map(|report| report.failures.iter());
     met.extend(failures.filter(shown).map(|_| Situation::RefusedBySensor));
+    let is_read = |robot: &&usize| {
+        let drawn = &facts.drawn().robots[**robot];
+        drawn.names == Names::LeftOut
+            && drawn.block.devices.iter().any(|device| shows_within(device).is_some())
+    };
+    let committed = facts.acts.iter().filter(|act| act.committed.is_some());
+    let played: BTreeSet<usize> = committed.flat_map(SentAct::robots).collect();
+    met.extend(played.iter().filter(is_read).map(|_| Situation::ReadWithoutNames));
     met.extend(facts.acts.iter().filter(drifts).map(|_| Situation::DriftsApart));
     met
 }

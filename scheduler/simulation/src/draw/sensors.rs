@@ -7,7 +7,7 @@ use fastrand::Rng;
 use urrcp::{ControlType, Device, Interpolation, Span};
 
 use super::staged::instant;
-use super::{Drawn, Fault, Names, millis, one_in};
+use super::{Drawn, Fault, millis, one_in};
 use crate::{Stage, play};
 
 /// The noise of a sensor is this part of the error that its device declares.
@@ -23,8 +23,6 @@ pub(super) fn show_positions(rng: &mut Rng, mut drawn: Drawn) -> Drawn {
             let error = 0.5 + 2.5 * rng.f64();
             let Some(shown) = with_sensor(device, error).filter(|_| !one_in(rng, 4)) else { continue };
             *device = shown;
-            // Without names, the mission takes no reading for an answer.
-            robot.names = Names::Echoed;
             robot.settings.moves.push(Moves {
                 device: device.id.clone(),
                 latency: millis(rng, 0, 60),
@@ -80,11 +78,13 @@ pub(crate) fn shows_within(device: &Device) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::super::{FAMILIES, SENSORS, reached};
-    use crate::Situation::RefusedBySensor;
+    use crate::Situation::{ReadWithoutNames, RefusedBySensor};
 
     #[test]
     fn missions_know_positions_by_sensors_of_devices_that_move() {
         let reached = reached((SENSORS, 20_000), FAMILIES);
-        assert!(reached.get(&RefusedBySensor).is_some_and(|count| *count > 3), "{reached:?}");
+        for situation in [RefusedBySensor, ReadWithoutNames] {
+            assert!(reached.get(&situation).is_some_and(|count| *count > 3), "{reached:?}");
+        }
     }
 }

@@ -1,0 +1,117 @@
+//! The readings that a robot owes, in the order in which they were asked for.
+
+use urrcp::{ControlResponse, DeviceId, RequestId, Status};
+
+use super::robot_state::Reading;
+
+/// Of one robot.
+#[derive(Debug, Default)]
+pub(crate) struct OwedReadings(Vec<Owed>);
+
+#[derive(Debug)]
+struct Owed {
+    id: RequestId,
+    device: DeviceId,
+    /// `None`: its answer is no longer awaited. Without names, an answer that comes nevertheless must not count for a later question.
+    what: Option<Reading>,
+}
+
+/// Maximum number of readings that a robot owes. The oldest readings of what an act waits for are then discarded.
+const OWED_MAX: usize = 1_024;
+
+impl OwedReadings {
+    pub(crate) fn ask(&mut self, id: RequestId, device: DeviceId, what: Reading) {
+        self.0.push(Owed { id, device, what: Some(what) });
+    }
+
+    /// Makes room for another one.
+    pub(crate) fn make_room(&mut self) {
+        if self.0.len() >= OWED_MAX {
+            self.0.retain(|owed| !matches!(owed.what, None | Some(Reading::Wait(_))));
+        }
+    }
+
+    pub(crate) const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Takes the reading that a response answers: the one with its name, or else the oldest one of its device.
+    pub(crate) fn take_answered(&mut self, response: &ControlResponse) -> Option<Reading> {
+        let answers = matches!(response.status, Status::Provide | Status::Failed);
+        let is_meant = |owed: &Owed| match &response.request_id {
+            Some(id) => owed.id == *id,
+            None => answers && owed.device == response.device_id,
+        };
+        let place = self.0.iter().position(is_meant)?;
+        self.0.remove(place).what
+    }
+
+    /// Those whose answers are awaited.
+    pub(crate) fn awaited(&self) -> impl Iterator<Item = &Reading> {
+        self.0.iter().filter_map(|owed| owed.what.as_ref())
+    }
+
+    /// Awaits these no longer.
+    pub(crate) fn forget(&mut self, is_forgotten: impl Fn(&Reading) -> bool) {
+        for owed in &mut self.0 {
+            owed.what.take_if(|what| is_forgotten(what));
+        }
+    }
+
+    /// The link on which they were asked for is gone, and their answers with it.
+    pub(crate) fn clear(&mut self) {
+        self.0.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{Server, Timestamp};
+
+    use super::*;
+    use crate::bench::{at, response};
+
+    fn name(name: &str) -> RequestId {
+        RequestId::new(name).unwrap()
+    }
+
+    fn provides(device: &str, id: Option<&str>, status: Status) -> ControlResponse {
+        let said: Timestamp<Server> = at(1);
+        response(&device.parse().unwrap(), id.map(name).as_ref(), status, said)
+    }
+
+    /// Two readings of `a`, the first of which is forgotten, and one of `b`.
+    fn owed() -> OwedReadings {
+        let mut owed = OwedReadings::default();
+        for (id, device, act) in [("0", "a", 0), ("1", "b", 1), ("2", "a", 2)] {
+            owed.ask(name(id), device.parse().unwrap(), Reading::Wait(act));
+        }
+        owed.forget(|what| *what == Reading::Wait(0));
+        owed
+    }
+
+    #[test]
+    fn an_answer_without_a_name_belongs_to_the_oldest_reading_of_its_device_although_it_is_forgotten() {
+        let mut owed = owed();
+        let mut answered = |device| owed.take_answered(&provides(device, None, Status::Provide));
+        assert_eq!(answered("a"), None);
+        assert_eq!(answered("a"), Some(Reading::Wait(2)));
+        assert_eq!(answered("b"), Some(Reading::Wait(1)));
+        assert_eq!(answered("b"), None);
+    }
+
+    #[test]
+    fn an_answer_with_a_name_belongs_to_that_reading() {
+        let mut owed = owed();
+        assert_eq!(owed.take_answered(&provides("a", Some("2"), Status::Provide)), Some(Reading::Wait(2)));
+        assert_eq!(owed.take_answered(&provides("a", Some("3"), Status::Provide)), None);
+        assert_eq!(owed.awaited().collect::<Vec<_>>(), [&Reading::Wait(1)]);
+    }
+
+    #[test]
+    fn only_a_reading_or_a_refusal_answers_a_reading_without_a_name() {
+        let is_answered = |status: Status| owed().take_answered(&provides("b", None, status)).is_some();
+        assert!(is_answered(Status::Provide) && is_answered(Status::Failed));
+        assert!(!is_answered(Status::Accepted) && !is_answered(Status::Started) && !is_answered(Status::Ok));
+    }
+}
