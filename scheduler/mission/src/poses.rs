@@ -155,12 +155,13 @@ impl Mission {
     }
 
     /// Asks members of an act for the positions of their devices if the greeting has not checked them, and again as long as a device
-    /// slows down. Returns the time by which answers are due, if answers are still expected. A robot that joined late and does not
-    /// answer by then is absent again.
+    /// slows down. An act with a fixed start has to be sent by `send_by`. Returns the time by which answers are due, if answers are
+    /// still expected. A robot that joined late and does not answer by then is absent again.
     pub(super) fn await_positions(
         &mut self,
         now: Timestamp<Server>,
         index: usize,
+        send_by: Option<Timestamp<Server>>,
     ) -> Option<Timestamp<Server>> {
         let number = self.acts[index].number();
         let (mut due, mut silent) = (None, Vec::new());
@@ -171,7 +172,7 @@ impl Mission {
                     now,
                     Some((now, PositionsAsked { act: number, at: now, since: now, before: BTreeMap::new() })),
                 ),
-                Some(asked) => (asked.at, self.asked_again(now, index, robot, asked)),
+                Some(asked) => (asked.at, self.asked_again(now, index, (robot, asked), send_by)),
             };
             due = due.max(next.as_ref().map(|(when, _)| *when).filter(|when| now < *when));
             if let Some((_, question)) = next.filter(|(when, _)| *when <= now) {
@@ -208,34 +209,50 @@ impl Mission {
     }
 
     /// The next question to a robot that has answered, and when to ask it. `None` once every adrift device is where the previous
-    /// answer had it.
+    /// answer had it. If the next answer would come after `send_by`, it is enough that both answers had the device where the act
+    /// expects it: noise may be larger than the error that the device declares.
     fn asked_again(
         &self,
         now: Timestamp<Server>,
         index: usize,
-        robot: usize,
-        asked: PositionsAsked,
+        (robot, asked): (usize, PositionsAsked),
+        send_by: Option<Timestamp<Server>>,
     ) -> Option<(Timestamp<Server>, PositionsAsked)> {
         let state = &self.robots[robot];
         if state.owes_positions() || now >= asked.since + SLOWS_MAX {
             return None;
         }
-        let scripts = self.unplaced_of(&self.acts[index], robot);
-        let adrift = scripts.map(|script| &script.device).filter(|device| state.adrift.contains(*device));
-        let stated = adrift.filter_map(|device| Some((device.clone(), state.known_position(device)?)));
-        let stated: BTreeMap<DeviceId, f64> = stated.collect();
-        let rests = |(device, position): (&DeviceId, &f64)| {
-            asked.before.get(device).is_some_and(|before| state.is_same_position(device, *before, *position))
+        let act = &self.acts[index];
+        let scripts = || {
+            let scripts = self.unplaced_of(act, robot);
+            scripts.filter(|script| state.adrift.contains(&script.device))
         };
-        if stated.iter().all(rests) {
-            return None;
-        }
+        let stated = scripts().filter_map(|script| {
+            let device = script.device.clone();
+            Some((device, state.known_position(&script.device)?))
+        });
+        let stated: BTreeMap<DeviceId, f64> = stated.collect();
         let is_read = stated.keys().any(|device| state.positions.iter().any(|(read, _)| read == device));
         let at = match (is_read, asked.before.is_empty()) {
             (true, _) => now.max(asked.at + READ_AGAIN),
             (false, true) => now,
             (false, false) => now.max(asked.at + ASK_AGAIN),
         };
+        let answered_at = at + answers_within(state);
+        let is_last = send_by.is_some_and(|send_by| answered_at > send_by);
+        let rests = |script: &DeviceScript| {
+            let device = &script.device;
+            let Some(position) = stated.get(device) else { return true };
+            let Some(before) = asked.before.get(device) else { return false };
+            let is_expected = |expected: Expected| {
+                [before, position].iter().all(|at| (**at - expected.position).abs() <= expected.within)
+            };
+            state.is_same_position(device, *before, *position)
+                || is_last && self.expected_in(act, robot, script).is_none_or(is_expected)
+        };
+        if scripts().all(rests) {
+            return None;
+        }
         Some((at, PositionsAsked { at, before: stated, ..asked }))
     }
 

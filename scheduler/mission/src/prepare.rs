@@ -88,7 +88,8 @@ impl Mission {
         if let Some(until) = self.await_links(now, index, need.lead.total()) {
             return self.acts[index].look_again_at(Some(until));
         }
-        if let Some(due) = self.await_positions(now, index) {
+        let send_by = self.acts[index].start_to_keep(&self.options).map(|start| start - need.lead.total());
+        if let Some(due) = self.await_positions(now, index, send_by) {
             return self.acts[index].look_again_at(Some(due));
         }
         let jumping = self.unplaced_that_jump(index);

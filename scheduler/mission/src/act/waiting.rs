@@ -82,6 +82,11 @@ impl Act {
         self.fixed_target(options).map(instant_of)
     }
 
+    /// When an act with a fixed start begins: at that instant, or when the act before it has ended.
+    pub(crate) fn start_to_keep(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
+        self.fixed_start(options).and(self.target())
+    }
+
     pub(super) fn wait_wakeup(&self, waiting: &Waiting) -> Option<Timestamp<Server>> {
         let over = self.alone_since.zip(self.written().timeout).map(|(since, timeout)| since + timeout);
         over.into_iter().chain(waiting.poll).min()

@@ -31,6 +31,8 @@ pub(super) struct Played {
     pub(super) positions: HashMap<DeviceId, f64>,
     /// Until when devices slow down, and by how much they are away from their positions for each millisecond before that.
     pub(super) slows: Option<(Timestamp<Server>, f64)>,
+    /// By how much the positions of devices are off at most. They change all the time, and their sign does every second.
+    pub(super) jitters: f64,
     /// Whether robots state the positions of all devices in each answer to an inquiry.
     pub(super) states_all: bool,
     /// Whether the control responses of robots leave out the names of requests.
@@ -72,6 +74,7 @@ impl Played {
             mute: Vec::new(),
             positions: HashMap::new(),
             slows: None,
+            jitters: 0.0,
             states_all: false,
             leaves_out_names: false,
             ahead: HashMap::new(),
@@ -181,7 +184,10 @@ impl Played {
 
     fn position(&self, device: &DeviceId, when: Timestamp<Server>) -> Option<f64> {
         let away = self.slows.map_or(0.0, |(until, by)| (until - when).as_millis_f64().max(0.0) * by);
-        self.positions.get(device).map(|position| position + away)
+        let changes = 0.8 + 0.2 * Span::from_nanos(when.as_nanos() % 1_000_003).as_millis_f64();
+        let is_above = when.as_nanos() / 1_000_000_000 % 2 == 0;
+        let off = self.jitters * if is_above { changes } else { -changes };
+        self.positions.get(device).map(|position| position + away + off)
     }
 
     fn inquired(&self, robot: usize, inquiry: &Inquiry) -> InquiryResponse {

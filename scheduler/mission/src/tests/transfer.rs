@@ -323,6 +323,37 @@ fn robots_that_cannot_be_moved_there_do_not_jump_to_the_first_positions_of_the_a
     }
 }
 
+/// The robots take no inquiries from now on, and their devices have sensors.
+fn states_positions_by_sensors(played: &mut Played) {
+    for block in played.mission.robots.iter_mut().flat_map(|robot| &mut robot.block) {
+        block.inquiry = false;
+        for device in block.devices.iter_mut() {
+            *device = device.clone().with_sensor(urrcp::SensorParameters::new(0.0, 90.0).unwrap());
+        }
+    }
+}
+
+#[test]
+fn an_act_does_not_miss_its_time_because_a_position_never_rests() {
+    for by_sensor in [false, true] {
+        let mut played = stays_at(45.0);
+        if by_sensor {
+            states_positions_by_sensors(&mut played);
+        }
+        // Never at rest, and never too far from the first step of the act.
+        played.jitters = 1.5;
+        let start = played.now + ms(8_000);
+        stops_before_another_act(&mut played, Rest::InPlace);
+        Arc::make_mut(&mut played.mission.choreography).acts[1].wait = Wait::Instant(start);
+        let _outcome = played.run_to_the_end();
+        let starts = played.recorded.iter().filter_map(|record| match record {
+            Record::Prepared(promise) if promise.act == 1 => Some(promise.start - start),
+            _ => None,
+        });
+        assert_eq!(starts.collect::<Vec<_>>(), [Span::ZERO], "by sensor: {by_sensor}");
+    }
+}
+
 #[test]
 fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_act_after_a_failure() {
     // The first step of the act is at 45. At first, the device is close to it.
@@ -330,12 +361,8 @@ fn a_device_that_slows_down_is_asked_for_its_position_until_it_rests_before_the_
         [(false, 60.0, false), (false, 45.0, true), (true, 60.0, false), (true, 45.0, true)]
     {
         let mut played = stays_at(rests_at);
-        for block in played.mission.robots.iter_mut().filter(|_| by_sensor).flat_map(|robot| &mut robot.block)
-        {
-            block.inquiry = false;
-            for device in block.devices.iter_mut() {
-                *device = device.clone().with_sensor(urrcp::SensorParameters::new(0.0, 90.0).unwrap());
-            }
+        if by_sensor {
+            states_positions_by_sensors(&mut played);
         }
         played.slows = Some((played.now + ms(1_000), (44.9 - rests_at) / 1_000.0));
         fails_towards_another_act(&mut played, Rest::InPlace);
