@@ -2,7 +2,7 @@
 //! first positions of the act that follows a failure. The mission plans it from the positions that the robots state, and prepares,
 //! commits and watches it like any other act.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
 
@@ -71,7 +71,7 @@ pub(super) struct Transfer {
     /// The first uses of the devices of each robot, from the next act on.
     firsts: Vec<BTreeMap<DeviceId, (FirstUse, Option<f64>)>>,
     /// The positions that each robot stated last, by its index in the mission.
-    poses: HashMap<usize, Pose>,
+    poses: BTreeMap<usize, Pose>,
     /// Indices of the robots that have done all their steps on the way home.
     there: Vec<usize>,
     pub(super) home: Option<TransferReport>,
