@@ -1,7 +1,7 @@
 //! The world of a dry run: robots, links, what goes wrong in a trial, and a clock that jumps.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
+use std::collections::{BTreeSet, BinaryHeap, VecDeque};
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Fault, Outgoing, SimulatedRobot, True};
@@ -13,6 +13,7 @@ use super::link::{Link, Way};
 use super::operator::VirtualOperator;
 use super::spread::{ActStarts, TrueSpread};
 use super::{Audience, Cut, Logs};
+use crate::world::Agenda;
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Loss, Progress, Record};
 
@@ -61,12 +62,9 @@ pub(super) struct VirtualWorld<'a, A> {
     now: Timestamp<Server>,
     places: Vec<Place>,
     /// When each robot is next due, in order, and by robot. What `due` does not confirm is outdated.
-    agenda: BinaryHeap<Reverse<(Timestamp<Server>, usize)>>,
+    robots: BinaryHeap<Reverse<(Timestamp<Server>, usize)>>,
     due: Vec<Option<Timestamp<Server>>>,
-    /// In the order of time, and of those at one instant in that in which they came about.
-    items: BTreeMap<(Timestamp<Server>, u64), Item>,
-    /// Items so far.
-    count: u64,
+    agenda: Agenda<Item>,
     /// Incidents that wait for their act to be sent.
     awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
@@ -104,10 +102,9 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         let mut world = Self {
             now: begin,
             places: robots.into_iter().zip(links).map(place).collect(),
-            agenda: (0..count).map(|robot| Reverse((begin, robot))).collect(),
+            robots: (0..count).map(|robot| Reverse((begin, robot))).collect(),
             due: vec![Some(begin); count],
-            items: BTreeMap::new(),
-            count: 0,
+            agenda: Agenda::default(),
             awaiting: Vec::new(),
             arrived: VecDeque::new(),
             operator,
@@ -133,8 +130,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     fn put(&mut self, at: Timestamp<Server>, item: Item) {
-        self.items.insert((at.max(self.now), self.count), item);
-        self.count += 1;
+        self.agenda.put(at.max(self.now), item);
     }
 
     pub(super) const fn true_spread(&self) -> Option<Span> {
@@ -169,11 +165,11 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     /// The robot that is due first.
     fn first_due(&mut self) -> Option<(Timestamp<Server>, usize)> {
         loop {
-            let Reverse((at, robot)) = *self.agenda.peek()?;
+            let Reverse((at, robot)) = *self.robots.peek()?;
             if self.due[robot] == Some(at) {
                 return Some((at, robot));
             }
-            self.agenda.pop();
+            self.robots.pop();
         }
     }
 
@@ -184,7 +180,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     /// When something happens by itself.
     fn next_in_world(&mut self) -> Option<Timestamp<Server>> {
         let robots = self.first_due().map(|(at, _)| at);
-        let items = self.items.first_key_value().map(|((at, _), _)| *at);
+        let items = self.agenda.peek().map(|(at, _)| at);
         robots.into_iter().chain(items).min()
     }
 
@@ -199,10 +195,9 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     /// All robots do what is due, in the order of the mission; then comes what else happens, which may let them do more.
     fn step(&mut self) {
         self.advance_robots();
-        while let Some(entry) = self.items.first_entry().filter(|entry| entry.key().0 <= self.now) {
-            let item = entry.remove();
+        while let Some(item) = self.agenda.pop_due(self.now) {
             self.happen(item);
-            if self.items.first_key_value().is_none_or(|((at, _), _)| *at > self.now) {
+            if self.agenda.peek().is_none_or(|(at, _)| at > self.now) {
                 self.advance_robots();
             }
         }
@@ -390,7 +385,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         let next = next.map(|at| at.max(place.stalls_until));
         let known = std::mem::replace(&mut self.due[robot], next);
         if known != next {
-            self.agenda.extend(next.map(|at| Reverse((at, robot))));
+            self.robots.extend(next.map(|at| Reverse((at, robot))));
         }
     }
 

@@ -10,8 +10,6 @@ mod scheduler;
 mod transfer;
 
 use std::any::Any;
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -29,6 +27,7 @@ use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::session::Session;
 use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
+use downbeat_rehearsal::world::Agenda;
 
 /// A mission that lasts longer than this and twice what it plays and waits for hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);
@@ -98,40 +97,11 @@ enum Machine {
     Down,
 }
 
-/// What is due at an instant, and how many things were put down before it.
-struct Due {
-    at: Timestamp<Server>,
-    sequence: u64,
-    item: Item,
-}
-
-impl Ord for Due {
-    /// The largest of a heap comes first: the earliest, and of those the first that was put down.
-    fn cmp(&self, other: &Self) -> Ordering {
-        (other.at, other.sequence).cmp(&(self.at, self.sequence))
-    }
-}
-
-impl PartialOrd for Due {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Due {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other).is_eq()
-    }
-}
-
-impl Eq for Due {}
-
 struct World {
     drawn: Drawn,
     rng: Rng,
     now: Timestamp<Server>,
-    items: BinaryHeap<Due>,
-    sequence: u64,
+    agenda: Agenda<Item>,
     robots: Vec<RobotSide>,
     /// What a robot has just said; empty in between, and kept for its memory.
     said: Vec<Outgoing>,
@@ -257,8 +227,7 @@ impl World {
         let mut world = Self {
             rng: Rng::with_seed(drawn.seed ^ 0x5eed),
             now: BEGIN,
-            items: BinaryHeap::new(),
-            sequence: 0,
+            agenda: Agenda::default(),
             robots: drawn.robots.iter().map(RobotSide::new).collect(),
             said: Vec::new(),
             scheduler: Scheduler::new(&drawn),
@@ -289,8 +258,7 @@ impl World {
     }
 
     fn put(&mut self, at: Timestamp<Server>, item: Item) {
-        self.sequence += 1;
-        self.items.push(Due { at: at.max(self.now), sequence: self.sequence, item });
+        self.agenda.put(at.max(self.now), item);
     }
 
     fn note(&mut self, happened: Happened) {
@@ -300,11 +268,11 @@ impl World {
 
     /// When something next happens by itself, outside the mission.
     fn next_instant(&self) -> Option<Timestamp<Server>> {
-        let items = self.items.peek().map(|due| due.at);
         let robots = self.robots.iter().filter_map(|robot| {
             let at = robot.machine.as_ref()?.next_wakeup()?.assume_clock::<Server>();
             Some(at.max(robot.paused_until))
         });
+        let items = self.agenda.peek().map(|(at, _)| at);
         items.into_iter().chain(robots).chain(self.scheduler.wakes()).min()
     }
 
@@ -319,10 +287,8 @@ impl World {
     fn step(&mut self, at: Timestamp<Server>) {
         self.pass(at);
         self.advance_robots();
-        if self.items.peek().is_some_and(|due| due.at <= self.now)
-            && let Some(due) = self.items.pop()
-        {
-            self.happen(due.item);
+        if let Some(item) = self.agenda.pop_due(self.now) {
+            self.happen(item);
             self.advance_robots();
         }
     }

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, VecDeque};
 use downbeat_robot::LinkId;
 use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
-use super::{BEGIN, Due, Item, World, options, participants, session};
+use super::{BEGIN, Item, World, options, participants, session};
 use crate::{Drawn, Fault, Happened};
 use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
@@ -263,8 +263,8 @@ impl World {
 
     /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
-        let takes_up = |due: &Due| matches!(due.item, Item::Resume | Item::Fault(Fault::StopByJournal));
-        while self.items.iter().any(takes_up) {
+        let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
+        while self.agenda.items().any(takes_up) {
             let next = self.next_instant().filter(|_| !self.hung)?;
             self.step(next);
             if let Process::TakenUp(intention) = self.scheduler.process {

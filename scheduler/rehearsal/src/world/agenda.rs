@@ -1,0 +1,63 @@
+//! What happens in a virtual world, and in which order.
+
+use std::collections::BTreeMap;
+
+use urrcp::{Server, Timestamp};
+
+/// The items of a world, by the instants at which they are due. Those of one instant keep the order in which they were put.
+#[derive(Debug)]
+pub struct Agenda<T> {
+    items: BTreeMap<(Timestamp<Server>, u64), T>,
+    /// Items that were put so far.
+    count: u64,
+}
+
+impl<T> Agenda<T> {
+    /// Adds an item that is due at `at`.
+    pub fn put(&mut self, at: Timestamp<Server>, item: T) {
+        self.items.insert((at, self.count), item);
+        self.count += 1;
+    }
+
+    /// The next item, and when it is due.
+    #[must_use]
+    pub fn peek(&self) -> Option<(Timestamp<Server>, &T)> {
+        self.items.first_key_value().map(|((at, _), item)| (*at, item))
+    }
+
+    /// Removes the next item that is due at or before `now`.
+    pub fn pop_due(&mut self, now: Timestamp<Server>) -> Option<T> {
+        let first = self.items.first_entry()?;
+        (first.key().0 <= now).then(|| first.remove())
+    }
+
+    /// All items, in order.
+    pub fn items(&self) -> impl Iterator<Item = &T> {
+        self.items.values()
+    }
+}
+
+impl<T> Default for Agenda<T> {
+    fn default() -> Self {
+        Self { items: BTreeMap::new(), count: 0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::Span;
+
+    use super::Agenda;
+    use crate::dry_run::BEGIN;
+
+    #[test]
+    fn items_of_one_instant_keep_their_order_and_later_ones_wait() {
+        let mut agenda = Agenda::default();
+        let later = BEGIN + Span::from_millis(1);
+        for (at, item) in [(later, 'd'), (BEGIN, 'a'), (BEGIN, 'b'), (later, 'e'), (BEGIN, 'c')] {
+            agenda.put(at, item);
+        }
+        let due: String = std::iter::from_fn(|| agenda.pop_due(BEGIN)).collect();
+        assert_eq!((due.as_str(), agenda.peek()), ("abc", Some((later, &'d'))));
+    }
+}
