@@ -46,7 +46,7 @@ impl Link {
 
     /// When something arrives that is sent now; `None` where the connection is given up before.
     pub(super) fn arrival(&mut self, now: Timestamp<Server>, way: Way) -> Option<Timestamp<Server>> {
-        let arrives = self.passes(now, self.says.resent_after, RESENT_MAX)? + self.delay();
+        let arrives = self.passes(now, now, self.says.resent_after)? + self.delay();
         let last = &mut self.last[way as usize];
         *last = arrives.max(*last);
         Some(*last)
@@ -54,21 +54,20 @@ impl Link {
 
     /// When a connection stands that is begun now, as the scheduler sees it; `None`: not within that time.
     pub(super) fn connects(&mut self, now: Timestamp<Server>, within: Span) -> Option<Timestamp<Server>> {
-        let there = self.passes(now, FIRST_RESENT_AFTER, RESENT_MAX)? + self.delay();
-        let back = self.passes(there, FIRST_RESENT_AFTER, RESENT_MAX)? + self.delay();
+        let there = self.passes(now, now, FIRST_RESENT_AFTER)? + self.delay();
+        let back = self.passes(now, there, FIRST_RESENT_AFTER)? + self.delay();
         self.last = [back; 2];
         (back <= now + within).then_some(back)
     }
 
-    /// When something sent now is on its way and will not be lost.
+    /// When something sent at `at` is on its way and will not be lost.
     fn passes(
         &mut self,
         now: Timestamp<Server>,
-        resent_after: Span,
-        resent_max: u32,
+        mut at: Timestamp<Server>,
+        mut wait: Span,
     ) -> Option<Timestamp<Server>> {
-        let (mut at, mut wait) = (now, resent_after);
-        for _ in 0..=resent_max {
+        for _ in 0..=RESENT_MAX {
             let is_lost = self.says.loss > 0.0 && self.rng.f64() < self.says.loss;
             if !is_lost && !self.is_interrupted(now, at) {
                 return Some(at);
@@ -199,6 +198,15 @@ mod tests {
         assert_eq!(link.connects(BEGIN, Span::from_millis(3_000)), Some(BEGIN + Span::from_millis(1_004)));
         link.interrupt(BEGIN, Span::from_millis(60_000));
         assert_eq!(link.connects(BEGIN, Span::from_millis(3_000)), None);
+    }
+
+    #[test]
+    fn a_second_attempt_to_connect_does_not_pass_an_interruption_that_the_first_met() {
+        let within = Span::from_millis(3_000);
+        let mut link = Link::new(says(), Rng::with_seed(1), BEGIN);
+        link.interrupt(BEGIN, Span::from_millis(60_000));
+        assert_eq!(link.connects(BEGIN, within), None);
+        assert_eq!(link.connects(BEGIN + within, within), None);
     }
 
     #[test]
