@@ -4,8 +4,9 @@ use fastrand::Rng;
 use urrcp::Span;
 
 use super::check::{ActStarts, Starts};
-use super::draw::{Direction, Drawn, Fault, Network};
+use super::draw::{Drawn, Fault, Network};
 use downbeat_rehearsal::dry_run::BEGIN;
+use downbeat_rehearsal::world::Direction;
 
 /// How the word is passed on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -20,8 +20,9 @@ use braking::Braking;
 pub use check::{ActStarts, Cause, Excuse, Situation, Starts, Verdict, Violation};
 use downbeat_mission::report::Report;
 use downbeat_mission::{Progress, Record};
+pub use downbeat_rehearsal::world::Direction;
 pub use draw::{
-    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, FaultKind, Hands, Lie, Names, Network, draw,
+    Connections, Drawn, DrawnDisk, DrawnRobot, Fault, FaultKind, Hands, Lie, Names, Network, draw,
 };
 pub use shrink::{Shrunk, shrunk};
 pub use stage::{Stage, faults_met};

@@ -6,8 +6,21 @@ use downbeat_scripts::{
 use fastrand::Rng;
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
-use super::link::{Link, between};
+use crate::world::{Path, between};
 use downbeat_runtime::fleet::WIRED;
+
+/// The network to a robot, which draws from a stream of its own.
+#[derive(Clone, Debug)]
+pub(super) struct Link {
+    pub(super) path: Path,
+    pub(super) rng: Rng,
+}
+
+impl Link {
+    fn new(says: LinkWorld, mut rng: Rng, begin: Timestamp<Server>) -> Self {
+        Self { path: Path::new(says.into(), &mut rng, begin), rng }
+    }
+}
 
 /// Everything that differs from a perfect world. Each robot's link, each incident and the operator draw from streams of their own, so
 /// that none of them changes because another one draws more.

@@ -5,7 +5,6 @@
 //! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).
 
 mod circumstances;
-mod link;
 mod operator;
 mod spread;
 mod watch;
@@ -17,7 +16,6 @@ use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 pub(crate) use self::circumstances::{Circumstances, Stream, mixed};
-pub(crate) use self::link::between;
 use self::operator::VirtualOperator;
 pub use self::spread::ActStarts;
 pub use self::watch::Watched;

@@ -7,7 +7,7 @@ use fastrand::Rng;
 use urrcp::{Server, Span, Timestamp};
 
 use super::Cut;
-use super::link::between;
+use crate::world::between;
 use downbeat_mission::{Event, Progress, Rest};
 
 /// So long after an act has begun to wait, with nothing else playing, the operator says go; and again, as long as it waits.

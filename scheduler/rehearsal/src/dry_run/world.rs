@@ -8,12 +8,11 @@ use downbeat_robot::simulated::{Fault, Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId};
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
-use super::circumstances::{Circumstances, Drawn, Mishap};
-use super::link::{Link, Way};
+use super::circumstances::{Circumstances, Drawn, Link, Mishap};
 use super::operator::VirtualOperator;
 use super::spread::{ActStarts, TrueSpread};
 use super::{Audience, Cut, Logs};
-use crate::world::Agenda;
+use crate::world::{Agenda, Direction};
 use downbeat_mission::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use downbeat_mission::{Event, Loss, Progress, Record};
 
@@ -248,13 +247,14 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     fn begin_connection(&mut self, robot: usize, link: LinkNumber) {
-        match self.places[robot].link.as_mut().map(|path| path.connects(self.now, CONNECT_TIMEOUT)) {
-            None => self.happen(Item::Connected { robot, link }),
-            Some(Some(at)) => self.put(at, Item::Connected { robot, link }),
-            Some(None) => {
+        let (now, by) = (self.now, self.now + CONNECT_TIMEOUT);
+        let connects = |Link { path, rng }: &mut Link| path.connects(rng, now, by);
+        match self.places[robot].link.as_mut().map_or(Some(now), connects) {
+            Some(at) => self.put(at, Item::Connected { robot, link }),
+            None => {
                 let reason = format!("no answer within {CONNECT_TIMEOUT}");
                 let event = Box::new(Event::LinkDown { robot, loss: Loss::Unreachable, reason });
-                self.put(self.now + CONNECT_TIMEOUT, Item::AtScheduler { robot, link, event });
+                self.put(by, Item::AtScheduler { robot, link, event });
             }
         }
     }
@@ -301,8 +301,9 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
                 }
             }
             Mishap::LinkDown { lasts } => {
-                if let Some(path) = &mut self.places[robot].link {
-                    path.interrupt(now, lasts);
+                if let Some(link) = &mut self.places[robot].link {
+                    link.path.block(Direction::ToRobot, now + lasts);
+                    link.path.block(Direction::FromRobot, now + lasts);
                 }
             }
         }
@@ -355,20 +356,32 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
 
     /// Something from a robot sets out.
     fn send_back(&mut self, robot: usize, link: LinkNumber, event: Event) {
-        match self.places[robot].link.as_mut().map(|path| path.arrival(self.now, Way::FromRobot)) {
-            None => self.arrive(robot, link, event),
-            Some(Some(at)) => self.put(at, Item::AtScheduler { robot, link, event: Box::new(event) }),
-            Some(None) => self.give_up(robot, link),
+        let message = if let Event::Received { message, .. } = &event { Some(message) } else { None };
+        match self.travel(robot, Direction::FromRobot, message) {
+            Some(at) => self.put(at, Item::AtScheduler { robot, link, event: Box::new(event) }),
+            None => self.give_up(robot, link),
         }
     }
 
     /// Something to a robot sets out.
     fn send_there(&mut self, robot: usize, link: LinkNumber, input: Input) {
-        match self.places[robot].link.as_mut().map(|path| path.arrival(self.now, Way::ToRobot)) {
-            None => self.reach_robot(robot, link, input),
-            Some(Some(at)) => self.put(at, Item::AtRobot { robot, link, input: Box::new(input) }),
-            Some(None) => self.give_up(robot, link),
+        let message = if let Input::Message(message) = &input { Some(message) } else { None };
+        match self.travel(robot, Direction::ToRobot, message) {
+            Some(at) => self.put(at, Item::AtRobot { robot, link, input: Box::new(input) }),
+            None => self.give_up(robot, link),
         }
+    }
+
+    /// When something arrives that sets out now; `None`: the connection is given up.
+    fn travel(
+        &mut self,
+        robot: usize,
+        way: Direction,
+        message: Option<&Message>,
+    ) -> Option<Timestamp<Server>> {
+        let now = self.now;
+        let Some(Link { path, rng }) = &mut self.places[robot].link else { return Some(now) };
+        path.travel(rng, now, way, message).map(|travel| travel.arrives)
     }
 
     /// The systems at both ends find that nothing passes on a connection.

@@ -12,7 +12,8 @@ use downbeat_robot::simulated::Settings;
 use downbeat_scripts::{Choreography, ClockMode, Fleet, FleetRobot, World};
 use urrcp::{RobotId, Span};
 
-use crate::dry_run::{Audience, Circumstances, Logs, Played, Rehearsal, Stream, between, mixed};
+use crate::dry_run::{Audience, Circumstances, Logs, Played, Rehearsal, Stream, mixed};
+use crate::world::between;
 use downbeat_mission::{MissingParticipant, MissionOptions};
 use downbeat_runtime::fleet::{self, NoInit};
 

@@ -4,8 +4,8 @@ use fastrand::Rng;
 use urrcp::Span;
 
 use super::kind::FaultKind;
-use super::network::Direction;
 use super::{Drawn, millis, one_in};
+use downbeat_rehearsal::world::Direction;
 
 /// Something that goes wrong at an instant, counted from the beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]

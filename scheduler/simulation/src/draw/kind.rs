@@ -5,8 +5,8 @@ use std::fmt;
 use fastrand::Rng;
 
 use super::faults::draw_resumption;
-use super::network::Direction;
 use super::{Fault, millis, one_in};
+use downbeat_rehearsal::world::Direction;
 
 /// A kind of fault, without the robot that it concerns and its extent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -25,7 +25,7 @@ pub use faults::Fault;
 pub(crate) use fleet::stranger;
 pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
 pub use kind::FaultKind;
-pub use network::{Direction, DrawnDisk, Network};
+pub use network::{DrawnDisk, Network};
 pub(crate) use sensors::shows_within;
 pub use times::ClockChange;
 pub(crate) use times::zone;

@@ -19,15 +19,6 @@ pub enum Network {
     },
 }
 
-/// Which way a message goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// From the scheduler.
-    ToRobot,
-    /// To the scheduler.
-    FromRobot,
-}
-
 /// The disk of the scheduler's machine.
 #[derive(Clone, Copy, Debug)]
 pub struct DrawnDisk {

@@ -9,11 +9,11 @@ use downbeat_plan::{Choreography, DeviceScript, Way};
 use fastrand::Rng;
 use urrcp::{ControlType, Millis, Script, Server, Setpoint, Span, Step, StopCondition, Timestamp};
 
-use super::network::Direction;
 use super::{Drawn, Fault, Network, millis, one_in};
 use crate::{Happened, Ran, play};
 use downbeat_mission::{Progress, Promise, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
+use downbeat_rehearsal::world::Direction;
 
 /// Makes such a mission of what was drawn. One that never comes to its first decision stays as it is.
 pub(super) fn bring_together(rng: &mut Rng, drawn: Drawn) -> Drawn {

@@ -69,17 +69,15 @@ impl World {
         match fault {
             Fault::Partition { robot, lasts, breaks } => {
                 let side = &mut self.robots[robot];
-                side.blocked_until.iter_mut().for_each(|until| *until = (*until).max(now + lasts));
-                let end = side.blocked_until[0].max(side.blocked_until[1]);
+                let there = side.path.block(Direction::ToRobot, now + lasts);
+                let end = there.max(side.path.block(Direction::FromRobot, now + lasts));
                 if let Some(link) = side.link.filter(|_| breaks) {
                     self.put(end, Item::RobotLinkDown { robot, link });
                     self.link_breaks(robot, link, end, (Loss::Unreachable, "connection timed out"));
                 }
             }
             Fault::OneWay { robot, way, lasts } => {
-                let way = usize::from(way == Direction::FromRobot);
-                let until = &mut self.robots[robot].blocked_until[way];
-                *until = (*until).max(now + lasts);
+                self.robots[robot].path.block(way, now + lasts);
             }
             Fault::DeadLink { robot, lasts } => {
                 let side = &mut self.robots[robot];
@@ -95,9 +93,9 @@ impl World {
                 }
             }
             Fault::SlowLink { robot, bandwidth, lasts } => {
-                self.robots[robot].slow = Some((bandwidth, now + lasts));
+                self.robots[robot].path.slow = Some((bandwidth, now + lasts));
             }
-            Fault::Lag { robot, by, lasts } => self.robots[robot].lags = Some((by, now + lasts)),
+            Fault::Lag { robot, by, lasts } => self.robots[robot].path.lag = Some((by, now + lasts)),
             _ => {}
         }
     }

@@ -224,11 +224,13 @@ impl World {
     fn new(drawn: Drawn, verbose: bool) -> Self {
         let lasts = drawn.lasts();
         let seconds = usize::try_from(lasts.as_nanos() / 1_000_000_000).unwrap_or(0);
+        let mut rng = Rng::with_seed(drawn.seed ^ 0x5eed);
+        let side = |robot| RobotSide::new(robot, network::path(&drawn, robot, &mut rng));
         let mut world = Self {
-            rng: Rng::with_seed(drawn.seed ^ 0x5eed),
+            robots: drawn.robots.iter().map(side).collect(),
+            rng,
             now: BEGIN,
             agenda: Agenda::default(),
-            robots: drawn.robots.iter().map(RobotSide::new).collect(),
             said: Vec::new(),
             scheduler: Scheduler::new(&drawn),
             rounds: 0,

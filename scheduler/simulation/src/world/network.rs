@@ -1,58 +1,38 @@
 //! What becomes of messages on their way, and of links.
 
 use downbeat_robot::{Input, LinkId};
+use fastrand::Rng;
 use urrcp::{Command, ControlRequest, Inquiry, Message, Server, Span, Timestamp};
 
-use super::{CONNECT_FAILS, Item, Machine, World};
-use crate::{Connections, Happened, Lie, Network};
+use super::{BEGIN, CONNECT_FAILS, Item, Machine, World};
+use crate::{Connections, Direction, Drawn, DrawnRobot, Happened, Lie, Network};
+use downbeat_fleet::world::{Between, Delay, LinkWorld};
 use downbeat_mission::{Event, Loss};
+use downbeat_rehearsal::world::{Conditions, Path, Transport, Travel};
 
-/// About what messages have in bytes: each, each step of a script, each request that is named.
-const MESSAGE_BYTES: usize = 220;
-const STEP_BYTES: usize = 60;
-const NAME_BYTES: usize = 70;
-
-/// From the scheduler, and to it.
-const THERE: usize = 0;
-const BACK: usize = 1;
+/// The network to a robot. Partitions and other faults come on top.
+pub(super) fn path(drawn: &Drawn, robot: &DrawnRobot, rng: &mut Rng) -> Path {
+    let (least, largest) = drawn.delay;
+    let transport = match drawn.network {
+        Network::Stream => Transport::Held,
+        Network::Datagram { loss, double } => Transport::Datagram { loss, double },
+    };
+    let link = LinkWorld::with_delay(Delay::Between(Between { least, largest }));
+    let conditions = Conditions { link, transport, tail: Some(drawn.tail), bandwidth: robot.bandwidth };
+    Path::new(conditions, rng, BEGIN)
+}
 
 impl World {
     /// When a message arrives, or that it is lost.
-    fn travel(&mut self, robot: usize, way: usize, message: &Message) -> Option<Timestamp<Server>> {
-        let (least, largest) = self.drawn.delay;
-        let mut delay = Span::from_nanos(self.rng.i64(least.as_nanos()..=largest.as_nanos()));
-        if self.rng.f64() < self.drawn.tail {
-            delay += largest * self.rng.i64(1..=20);
-        }
-        let (usual, takes) = self.transmission(robot, message);
-        let side = &mut self.robots[robot];
-        if let Some((by, _)) = side.lags.filter(|(_, until)| self.now < *until) {
-            delay += by;
-        }
-        let arrival = match self.drawn.network {
-            Network::Stream => {
-                let sent = self.now.max(side.busy[way]) + takes;
-                side.busy[way] = sent;
-                // What a stream carries into a partition comes out of it at its end.
-                let arrival = (sent.max(side.blocked_until[way]) + delay).max(side.last[way]);
-                side.last[way] = arrival;
-                arrival
-            }
-            Network::Datagram { loss, .. } => {
-                if self.now < side.blocked_until[way] || self.rng.f64() < loss {
-                    self.note(Happened::Lost(robot));
-                    return None;
-                }
-                let sent = self.now.max(side.busy[way]) + takes;
-                side.busy[way] = sent;
-                sent + delay
-            }
+    fn travel(&mut self, robot: usize, way: Direction, message: &Message) -> Option<Timestamp<Server>> {
+        let path = &mut self.robots[robot].path;
+        let Some(travel) = path.travel(&mut self.rng, self.now, way, Some(message)) else {
+            self.note(Happened::Lost(robot));
+            return None;
         };
-        let travelled = arrival - self.now;
-        // Waiting behind other messages for a link as it usually is, is nothing that goes wrong.
-        let queued = if takes == usual && side.slow.is_none() { side.busy[way] - self.now } else { usual };
-        let queued = queued.max(Span::ZERO);
-        if travelled > largest + queued {
+        let Travel { arrives, queued } = travel;
+        let travelled = arrives - self.now;
+        if travelled > self.drawn.delay.1 + queued {
             self.note(Happened::Slow(robot, travelled));
         }
         if queued > Span::ZERO {
@@ -61,27 +41,19 @@ impl World {
         if queued > Span::ZERO && is_stop(message) {
             self.note(Happened::StopQueued(robot, queued));
         }
-        Some(arrival)
+        Some(arrives)
     }
 
-    /// How long it takes to put a message on the link, as it usually is and as it is now.
-    fn transmission(&self, robot: usize, message: &Message) -> (Span, Span) {
-        let usual = self.drawn.robots[robot].bandwidth;
-        let slow = self.robots[robot].slow.filter(|(_, until)| self.now < *until).map(|(slow, _)| slow);
-        if usual.is_none() && slow.is_none() {
-            return (Span::ZERO, Span::ZERO);
-        }
-        let bytes = i64::try_from(bytes_of(message)).unwrap_or(i64::MAX);
-        let takes = |bandwidth: u32| Span::from_nanos(bytes * 1_000_000_000 / i64::from(bandwidth.max(1)));
-        let usual = usual.map(takes).unwrap_or_default();
-        (usual, slow.map_or(usual, takes))
-    }
-
-    fn doubled(&mut self) -> bool {
-        match self.drawn.network {
-            Network::Stream => false,
-            Network::Datagram { double, .. } => self.rng.f64() < double,
-        }
+    /// When a message arrives; a datagram may arrive twice.
+    fn arrivals(
+        &mut self,
+        robot: usize,
+        way: Direction,
+        message: &Message,
+    ) -> impl Iterator<Item = Timestamp<Server>> + use<> {
+        let doubled = self.robots[robot].path.doubles(&mut self.rng);
+        let first = if doubled { self.travel(robot, way, message) } else { None };
+        first.into_iter().chain(self.travel(robot, way, message))
     }
 
     /// A message reaches the robot's machine, if that reads this connection.
@@ -120,17 +92,9 @@ impl World {
         if self.robots[robot].link != Some(link) || self.is_dead(robot, link) {
             return;
         }
-        let put = |world: &mut Self, at, message| {
-            let event = Box::new(Event::Received { robot, message });
-            world.put(at, Item::ToScheduler { robot, link, event });
-        };
-        if self.doubled()
-            && let Some(at) = self.travel(robot, BACK, &message)
-        {
-            put(self, at, message.clone());
-        }
-        if let Some(at) = self.travel(robot, BACK, &message) {
-            put(self, at, message);
+        for at in self.arrivals(robot, Direction::FromRobot, &message) {
+            let event = Box::new(Event::Received { robot, message: message.clone() });
+            self.put(at, Item::ToScheduler { robot, link, event });
         }
     }
 
@@ -141,13 +105,8 @@ impl World {
         if self.is_dead(robot, link) {
             return;
         }
-        if self.doubled()
-            && let Some(at) = self.travel(robot, THERE, &message)
-        {
+        for at in self.arrivals(robot, Direction::ToRobot, &message) {
             self.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
-        }
-        if let Some(at) = self.travel(robot, THERE, &message) {
-            self.put(at, Item::ToRobot { robot, link, message: Box::new(message) });
         }
     }
 
@@ -172,7 +131,7 @@ impl World {
             return;
         }
         let event = Box::new(Event::LinkDown { robot, loss, reason: reason.to_owned() });
-        let at = at.max(self.robots[robot].blocked_until[BACK]).max(self.robots[robot].last[BACK]);
+        let at = self.robots[robot].path.end_passes(at);
         self.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
 
@@ -196,7 +155,7 @@ impl World {
             side.dead.insert(link);
             return self.tell_on_link(robot, link, Event::LinkUp { robot });
         }
-        let reachable = side.blocked_until.iter().all(|until| self.now >= *until);
+        let reachable = side.path.blocked_until.iter().all(|until| self.now >= *until);
         if !reachable || side.machine.is_none() {
             let (loss, after) = match side.runs_on {
                 Machine::Up if reachable => (Loss::Refused, self.drawn.delay.1 * 2),
@@ -222,8 +181,7 @@ impl World {
         if let (Some(old), Some(machine)) = (side.link.replace(link), &mut side.machine) {
             machine.receive(now.assume_clock(), old, Input::LinkDown);
         }
-        side.last = [now; 2];
-        side.busy = [now; 2];
+        side.path.begin(now);
     }
 
     /// The robot sees that a connection has ended. It turns to one that waits.
@@ -250,24 +208,6 @@ impl World {
 fn is_stop(message: &Message) -> bool {
     let Message::ControlRequest(request) = message else { return false };
     matches!(&request.command, Command::Script(script) if script.is_empty())
-}
-
-fn bytes_of(message: &Message) -> usize {
-    let steps = |command: &Command| match command {
-        Command::Script(script) => script.steps().len(),
-        _ => 0,
-    };
-    let more = match message {
-        Message::ControlRequest(request) => STEP_BYTES * steps(&request.command),
-        Message::ControlResponse(response) => match &response.status_value {
-            urrcp::StatusValue::Script(script) => STEP_BYTES * script.steps().len(),
-            _ => 0,
-        },
-        Message::Inquiry(inquiry) => NAME_BYTES * inquiry.requests.len(),
-        Message::InquiryResponse(response) => 3 * NAME_BYTES * response.requests.len(),
-        _ => 0,
-    };
-    MESSAGE_BYTES + more
 }
 
 /// As much of a message as the checks need.

@@ -15,6 +15,7 @@ use super::{BEGIN, Item, Machine, World};
 use crate::braking::Braking;
 use crate::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 use downbeat_mission::Loss;
+use downbeat_rehearsal::world::Path;
 
 /// Hardware that only stops to answer is given up by its driver after this long.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
@@ -45,25 +46,16 @@ pub(super) struct RobotSide {
     /// A connection that it will read once that one has ended, and what has come on it.
     pub(super) waiting: Option<(LinkId, Vec<Message>)>,
     pub(super) paused_until: Timestamp<Server>,
-    /// Until when nothing passes there and back.
-    pub(super) blocked_until: [Timestamp<Server>; 2],
+    pub(super) path: Path,
     /// Until then connections stand and carry nothing.
     pub(super) dead_until: Timestamp<Server>,
     /// Connections that carry nothing any more.
     pub(super) dead: BTreeSet<LinkId>,
-    /// It carries only this many bytes a second until then.
-    pub(super) slow: Option<(u32, Timestamp<Server>)>,
-    /// Each message takes this much longer until then.
-    pub(super) lags: Option<(Span, Timestamp<Server>)>,
     pub(super) log: Vec<LogEntry>,
     /// How its devices came to rest.
     pub(super) brakings: Vec<Braking>,
     /// What another robot at its address did.
     pub(super) log_of_stranger: Vec<LogEntry>,
-    /// Last arrivals, so that a stream keeps its order: there and back.
-    pub(super) last: [Timestamp<Server>; 2],
-    /// Until when the link is busy with what was sent: there and back.
-    pub(super) busy: [Timestamp<Server>; 2],
     pub(super) clock_steps: Span,
     /// What its sensor reads from now on.
     pub(super) reading: Option<f64>,
@@ -73,7 +65,7 @@ pub(super) struct RobotSide {
 }
 
 impl RobotSide {
-    pub(super) fn new(drawn: &DrawnRobot) -> Self {
+    pub(super) fn new(drawn: &DrawnRobot, path: Path) -> Self {
         let there = drawn.there_from == Span::ZERO;
         Self {
             machine: there.then(|| machine(drawn, drawn.block.clone(), BEGIN)),
@@ -82,16 +74,12 @@ impl RobotSide {
             link: None,
             waiting: None,
             paused_until: BEGIN,
-            blocked_until: [BEGIN; 2],
+            path,
             dead_until: BEGIN,
             dead: BTreeSet::new(),
-            slow: None,
-            lags: None,
             log: Vec::new(),
             brakings: Vec::new(),
             log_of_stranger: Vec::new(),
-            last: [BEGIN; 2],
-            busy: [BEGIN; 2],
             clock_steps: Span::ZERO,
             reading: None,
             hardware_dead_since: None,

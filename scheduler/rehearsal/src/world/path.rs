@@ -1,0 +1,449 @@
+//! The network between the scheduler and a robot: when a message arrives, or that it never does.
+
+use std::collections::VecDeque;
+
+use downbeat_scripts::{Between, Delay, LinkWorld, QUANTILES};
+use fastrand::Rng;
+use urrcp::{Command, Message, Server, Span, StatusValue, Timestamp};
+
+/// Linux gives a connection up after this many retransmissions (`net.ipv4.tcp_retries2`).
+const RESENT_MAX: u32 = 15;
+/// The longest time after which Linux sends again (`TCP_RTO_MAX`).
+const RESENT_AFTER_MAX: Span = Span::from_millis(120_000);
+/// After this time the first packet of a connection is sent again (RFC 6298, section 2.1), twice as long after each further loss.
+const FIRST_RESENT_AFTER: Span = Span::from_millis(1_000);
+/// A message in the long tail takes up to this many times the largest delay longer.
+const TAIL_MAX: i64 = 20;
+
+/// Approximate sizes in bytes: each message, each step of a script, each request that is named.
+const MESSAGE_BYTES: usize = 220;
+const STEP_BYTES: usize = 60;
+const NAME_BYTES: usize = 70;
+
+/// Which way a message goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// From the scheduler.
+    ToRobot,
+    /// To the scheduler.
+    FromRobot,
+}
+
+/// How a network treats messages, the same each way.
+#[derive(Clone, Debug)]
+pub struct Conditions {
+    /// Delays and interruptions, and what TCP needs to know.
+    pub link: LinkWorld,
+    /// What becomes of a message that does not get through.
+    pub transport: Transport,
+    /// Probability that a message takes 1 to 20 times the largest delay longer; `None`: this is not drawn.
+    pub tail: Option<f64>,
+    /// Bytes a second; `None`: no limit.
+    pub bandwidth: Option<u32>,
+}
+
+/// What becomes of a message that does not get through.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Transport {
+    /// It is sent again after a timeout, twice as long after each further loss. Messages keep their order.
+    Tcp,
+    /// Nothing is lost, and all that waits passes at the very end of an interruption. Messages keep their order.
+    Held,
+    /// It is lost. Messages may overtake each other.
+    Datagram {
+        /// Probability that a message is lost.
+        loss: f64,
+        /// Probability that a message arrives twice.
+        double: f64,
+    },
+}
+
+impl From<LinkWorld> for Conditions {
+    fn from(link: LinkWorld) -> Self {
+        Self { link, transport: Transport::Tcp, tail: None, bandwidth: None }
+    }
+}
+
+/// The journey of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Travel {
+    /// When it arrives.
+    pub arrives: Timestamp<Server>,
+    /// How much of that it waits until a path in its usual state has carried this message and those before it.
+    pub queued: Span,
+}
+
+/// The way to one robot and back.
+#[derive(Clone, Debug)]
+pub struct Path {
+    conditions: Conditions,
+    /// For each kind of interruption when the next one begins.
+    next: Vec<Timestamp<Server>>,
+    /// When nothing passes, from and until, as far as that is drawn.
+    interrupted: VecDeque<(Timestamp<Server>, Timestamp<Server>)>,
+    /// Until when nothing passes each way, by faults.
+    pub blocked_until: [Timestamp<Server>; 2],
+    /// The bandwidth of the time until then.
+    pub slow: Option<(u32, Timestamp<Server>)>,
+    /// Until then, each message takes this much longer.
+    pub lag: Option<(Span, Timestamp<Server>)>,
+    /// Until when earlier messages occupy the path, each way.
+    busy: [Timestamp<Server>; 2],
+    /// The last arrivals each way on the connection that stands: a stream keeps the order.
+    last: [Timestamp<Server>; 2],
+}
+
+impl Path {
+    /// A path from `begin` on.
+    pub fn new(conditions: Conditions, rng: &mut Rng, begin: Timestamp<Server>) -> Self {
+        let kinds = conditions.link.interruptions.iter();
+        let next = kinds.map(|kind| begin + exponential(rng, kind.every)).collect();
+        let (interrupted, begin) = (VecDeque::new(), [begin; 2]);
+        Self {
+            conditions,
+            next,
+            interrupted,
+            blocked_until: begin,
+            slow: None,
+            lag: None,
+            busy: begin,
+            last: begin,
+        }
+    }
+
+    /// Nothing passes this way until then. Until when nothing passes, by this and earlier faults.
+    pub fn block(&mut self, way: Direction, until: Timestamp<Server>) -> Timestamp<Server> {
+        let blocked = &mut self.blocked_until[way as usize];
+        *blocked = until.max(*blocked);
+        *blocked
+    }
+
+    /// A connection begins, on which nothing is under way.
+    pub const fn begin(&mut self, at: Timestamp<Server>) {
+        (self.last, self.busy) = ([at; 2], [at; 2]);
+    }
+
+    /// What becomes of a message that is sent now, or of the end of a connection. `None`: a datagram is lost; TCP gives the
+    /// connection up.
+    pub fn travel(
+        &mut self,
+        rng: &mut Rng,
+        now: Timestamp<Server>,
+        way: Direction,
+        message: Option<&Message>,
+    ) -> Option<Travel> {
+        let at = way as usize;
+        let (usual, takes) = message.map(|message| self.transmission(now, message)).unwrap_or_default();
+        let sent = now.max(self.busy[at]) + takes;
+        let arrives = if let Transport::Datagram { loss, .. } = self.conditions.transport {
+            let delay = self.delay(rng, now);
+            if self.closed_until(rng, now, now, way).is_some() || rng.f64() < loss {
+                return None;
+            }
+            sent + delay
+        } else {
+            let passes = self.passes(rng, now, sent, way, self.conditions.link.resent_after)?;
+            self.last[at] = self.last[at].max(passes + self.delay(rng, now));
+            self.last[at]
+        };
+        self.busy[at] = sent;
+        // Waiting behind other messages for a path in its usual state is no fault.
+        let queued = if takes == usual && self.slow.is_none() { sent - now } else { usual };
+        Some(Travel { arrives, queued })
+    }
+
+    /// Whether a message that is sent now arrives twice.
+    pub fn doubles(&self, rng: &mut Rng) -> bool {
+        matches!(self.conditions.transport, Transport::Datagram { double, .. } if rng.f64() < double)
+    }
+
+    /// When a connection stands that is begun now, as the scheduler sees it; `None`: not by then.
+    pub fn connects(
+        &mut self,
+        rng: &mut Rng,
+        now: Timestamp<Server>,
+        by: Timestamp<Server>,
+    ) -> Option<Timestamp<Server>> {
+        let there =
+            self.passes(rng, now, now, Direction::ToRobot, FIRST_RESENT_AFTER)? + self.delay(rng, now);
+        let back =
+            self.passes(rng, now, there, Direction::FromRobot, FIRST_RESENT_AFTER)? + self.delay(rng, now);
+        self.last = [back; 2];
+        (back <= by).then_some(back)
+    }
+
+    /// When the end of a connection that the robot's system closes at `at` sets out: behind all that was sent before.
+    #[must_use]
+    pub fn end_passes(&self, at: Timestamp<Server>) -> Timestamp<Server> {
+        at.max(self.blocked_until[Direction::FromRobot as usize])
+            .max(self.last[Direction::FromRobot as usize])
+    }
+
+    /// How long it takes to put a message on the path, as it usually is and as it is now.
+    fn transmission(&self, now: Timestamp<Server>, message: &Message) -> (Span, Span) {
+        let usual = self.conditions.bandwidth;
+        let slow = self.slow.filter(|(_, until)| now < *until).map(|(slow, _)| slow);
+        if usual.is_none() && slow.is_none() {
+            return (Span::ZERO, Span::ZERO);
+        }
+        let bytes = i64::try_from(bytes_of(message)).unwrap_or(i64::MAX);
+        let takes = |bandwidth: u32| Span::from_nanos(bytes * 1_000_000_000 / i64::from(bandwidth.max(1)));
+        let usual = usual.map(takes).unwrap_or_default();
+        (usual, slow.map_or(usual, takes))
+    }
+
+    /// When a packet that is sent at `at` is on its way and will not be lost.
+    fn passes(
+        &mut self,
+        rng: &mut Rng,
+        now: Timestamp<Server>,
+        mut at: Timestamp<Server>,
+        way: Direction,
+        mut wait: Span,
+    ) -> Option<Timestamp<Server>> {
+        if self.conditions.transport != Transport::Tcp {
+            return Some(self.closed_until(rng, now, at, way).unwrap_or(at));
+        }
+        let loss = self.conditions.link.loss;
+        for _ in 0..=RESENT_MAX {
+            let is_lost = loss > 0.0 && rng.f64() < loss;
+            if !is_lost && self.closed_until(rng, now, at, way).is_none() {
+                return Some(at);
+            }
+            at = at + wait;
+            wait = (wait * 2).min(RESENT_AFTER_MAX);
+        }
+        None
+    }
+
+    /// Until when nothing passes that sets out at `at`, at `now` or later; `None`: it passes.
+    fn closed_until(
+        &mut self,
+        rng: &mut Rng,
+        now: Timestamp<Server>,
+        at: Timestamp<Server>,
+        way: Direction,
+    ) -> Option<Timestamp<Server>> {
+        for (kind, next) in self.conditions.link.interruptions.iter().zip(&mut self.next) {
+            while *next <= at {
+                let until = *next + between(rng, kind.lasts);
+                self.interrupted.push_back((*next, until));
+                *next = until.max(*next + exponential(rng, kind.every));
+            }
+        }
+        while self.interrupted.front().is_some_and(|(_, until)| *until < now) {
+            self.interrupted.pop_front();
+        }
+        let drawn = self.interrupted.iter().filter(|(from, until)| (*from..*until).contains(&at));
+        let blocked = Some(self.blocked_until[way as usize]).filter(|until| at < *until);
+        drawn.map(|(_, until)| *until).chain(blocked).max()
+    }
+
+    fn delay(&self, rng: &mut Rng, now: Timestamp<Server>) -> Span {
+        let Conditions { link, tail, .. } = &self.conditions;
+        let (mut delay, largest) = match &link.delay {
+            Delay::Between(bounds) => (between(rng, *bounds), bounds.largest),
+            Delay::Quantiles(quantiles) => (by_quantiles(quantiles, rng.f64()), quantiles[4]),
+        };
+        if link.jitter > Span::ZERO {
+            delay += exponential(rng, link.jitter);
+        }
+        if tail.is_some_and(|probability| rng.f64() < probability) {
+            delay += largest * rng.i64(1..=TAIL_MAX);
+        }
+        let lag = self.lag.filter(|(_, until)| now < *until);
+        delay + lag.map_or(Span::ZERO, |(by, _)| by)
+    }
+}
+
+/// Drawn uniformly.
+pub(crate) fn between(rng: &mut Rng, bounds: Between<Span>) -> Span {
+    Span::from_nanos(
+        rng.i64(bounds.least.as_nanos()..=bounds.largest.as_nanos().max(bounds.least.as_nanos())),
+    )
+}
+
+/// Drawn from the exponential distribution with this mean, by inversion.
+fn exponential(rng: &mut Rng, mean: Span) -> Span {
+    Span::from_millis_f64(-(1.0 - rng.f64()).ln() * mean.as_millis_f64())
+}
+
+/// What this share of all values does not exceed, linear between the quantiles.
+fn by_quantiles(quantiles: &[Span; 5], share: f64) -> Span {
+    let above = QUANTILES.iter().position(|known| *known > share).unwrap_or(QUANTILES.len() - 1);
+    let below = above.saturating_sub(1);
+    let part = (share - QUANTILES[below]) / (QUANTILES[above] - QUANTILES[below]);
+    let width = (quantiles[above] - quantiles[below]).as_millis_f64();
+    quantiles[below] + Span::from_millis_f64(width * part.clamp(0.0, 1.0))
+}
+
+fn bytes_of(message: &Message) -> usize {
+    let steps = |command: &Command| match command {
+        Command::Script(script) => script.steps().len(),
+        _ => 0,
+    };
+    let more = match message {
+        Message::ControlRequest(request) => STEP_BYTES * steps(&request.command),
+        Message::ControlResponse(response) => match &response.status_value {
+            StatusValue::Script(script) => STEP_BYTES * script.steps().len(),
+            _ => 0,
+        },
+        Message::Inquiry(inquiry) => NAME_BYTES * inquiry.requests.len(),
+        Message::InquiryResponse(response) => 3 * NAME_BYTES * response.requests.len(),
+        _ => 0,
+    };
+    MESSAGE_BYTES + more
+}
+
+#[cfg(test)]
+mod tests {
+    use downbeat_scripts::{Between, Delay, Interruptions, LinkWorld};
+    use fastrand::Rng;
+    use urrcp::{Server, Span, Timestamp};
+
+    use super::{Conditions, Direction, Path, Transport};
+    use crate::dry_run::BEGIN;
+
+    const DELAY: Span = Span::from_millis(2);
+
+    fn says() -> LinkWorld {
+        LinkWorld::with_delay(Delay::Between(Between::fixed(DELAY)))
+    }
+
+    /// A path on which nothing but time differs from message to message.
+    struct Line {
+        path: Path,
+        rng: Rng,
+    }
+
+    impl Line {
+        fn new(conditions: impl Into<Conditions>, seed: u64) -> Self {
+            let mut rng = Rng::with_seed(seed);
+            Self { path: Path::new(conditions.into(), &mut rng, BEGIN), rng }
+        }
+
+        fn arrival(&mut self, at: Timestamp<Server>, way: Direction) -> Option<Timestamp<Server>> {
+            Some(self.path.travel(&mut self.rng, at, way, None)?.arrives)
+        }
+
+        fn block(&mut self, lasts: Span) {
+            self.path.blocked_until = [BEGIN + lasts; 2];
+        }
+
+        fn is_closed(&mut self, at: Timestamp<Server>) -> bool {
+            self.path.closed_until(&mut self.rng, at, at, Direction::ToRobot).is_some()
+        }
+
+        fn connects(&mut self, at: Timestamp<Server>) -> Option<Timestamp<Server>> {
+            self.path.connects(&mut self.rng, at, at + Span::from_millis(3_000))
+        }
+    }
+
+    /// How long each of many messages travels, sent at a distance at which none waits for another.
+    fn travels(says: LinkWorld) -> Vec<f64> {
+        let mut line = Line::new(says, 7);
+        let sent = (0..20_000).map(|index| BEGIN + Span::from_millis(10_000) * index);
+        let mut travels: Vec<f64> =
+            sent.map(|at| (line.arrival(at, Direction::ToRobot).unwrap() - at).as_millis_f64()).collect();
+        travels.sort_by(f64::total_cmp);
+        travels
+    }
+
+    #[test]
+    fn jitter_has_the_mean_that_it_was_given() {
+        let travels = travels(LinkWorld { jitter: Span::from_millis(5), ..says() });
+        let mean = travels.iter().sum::<f64>() / travels.len() as f64;
+        // Five standard errors of the mean of 20,000.
+        assert!((mean - 7.0).abs() < 5.0 * 5.0 / 20_000_f64.sqrt(), "{mean}");
+        assert!(travels[0] >= 2.0);
+    }
+
+    #[test]
+    fn a_delay_drawn_by_quantiles_has_them() {
+        let quantiles = [1, 2, 4, 20, 100].map(Span::from_millis);
+        let travels = travels(LinkWorld { delay: Delay::Quantiles(quantiles), ..says() });
+        let at = |share: f64| travels[(share * (travels.len() - 1) as f64) as usize];
+        for (share, expected, within) in
+            [(0.0, 1.0, 0.01), (0.5, 2.0, 0.06), (0.9, 4.0, 0.4), (0.99, 20.0, 6.0)]
+        {
+            assert!((at(share) - expected).abs() < within, "{share}: {}", at(share));
+        }
+        assert!(at(1.0) <= 100.0);
+    }
+
+    #[test]
+    fn what_is_lost_is_sent_again_after_the_timeout_and_twice_as_long_after_the_next_loss() {
+        let travels = travels(LinkWorld { loss: 0.2, ..says() });
+        let share =
+            |millis: f64| travels.iter().filter(|t| (**t - millis).abs() < 0.001).count() as f64 / 20_000.0;
+        assert!((share(2.0) - 0.8).abs() < 0.02, "{}", share(2.0));
+        assert!((share(202.0) - 0.16).abs() < 0.02, "{}", share(202.0));
+        assert!((share(602.0) - 0.032).abs() < 0.01, "{}", share(602.0));
+    }
+
+    #[test]
+    fn messages_keep_their_order_behind_one_that_was_lost() {
+        let mut line = Line::new(LinkWorld { loss: 0.3, ..says() }, 1);
+        let sent = (0..200).map(|index| BEGIN + Span::from_millis(index));
+        let arrivals: Vec<_> = sent.map(|at| line.arrival(at, Direction::FromRobot).unwrap()).collect();
+        assert!(arrivals.is_sorted() && arrivals[199] > BEGIN + Span::from_millis(400));
+    }
+
+    #[test]
+    fn nothing_passes_while_the_path_is_blocked() {
+        let mut line = Line::new(says(), 1);
+        line.block(Span::from_millis(500));
+        // Sent again after 200, 600 ms.
+        let arrives = Some(BEGIN + Span::from_millis(602));
+        assert_eq!(line.arrival(BEGIN, Direction::ToRobot), arrives);
+        assert_eq!(line.connects(BEGIN), Some(BEGIN + Span::from_millis(1_004)));
+    }
+
+    #[test]
+    fn a_second_attempt_to_connect_does_not_pass_an_interruption_that_the_first_met() {
+        let mut line = Line::new(says(), 1);
+        line.block(Span::from_millis(60_000));
+        assert_eq!(line.connects(BEGIN), None);
+        assert_eq!(line.connects(BEGIN + Span::from_millis(3_000)), None);
+        let lasts = Between::fixed(Span::from_millis(60_000));
+        let kind = Interruptions { every: Span::from_millis(1), lasts };
+        let mut line = Line::new(LinkWorld { interruptions: vec![kind], ..says() }, 1);
+        let begun = BEGIN + Span::from_millis(100);
+        assert_eq!(line.connects(begun), None);
+        assert_eq!(line.connects(begun + Span::from_millis(3_000)), None);
+    }
+
+    #[test]
+    fn what_waits_for_a_held_stream_arrives_at_the_end_of_the_interruption() {
+        let conditions = Conditions { transport: Transport::Held, ..says().into() };
+        let mut line = Line::new(conditions, 1);
+        line.path.block(Direction::ToRobot, BEGIN + Span::from_millis(500));
+        let at = |millis| Some(BEGIN + Span::from_millis(millis));
+        assert_eq!(line.arrival(BEGIN, Direction::ToRobot), at(502));
+        assert_eq!(line.arrival(BEGIN + Span::from_millis(100), Direction::ToRobot), at(502));
+        assert_eq!(line.arrival(BEGIN, Direction::FromRobot), at(2));
+    }
+
+    #[test]
+    fn a_datagram_is_lost_in_an_interruption_and_overtakes_one_that_lags() {
+        let transport = Transport::Datagram { loss: 0.0, double: 0.0 };
+        let mut line = Line::new(Conditions { transport, ..says().into() }, 1);
+        line.path.block(Direction::ToRobot, BEGIN + Span::from_millis(500));
+        assert_eq!(line.arrival(BEGIN, Direction::ToRobot), None);
+        let at = |millis| BEGIN + Span::from_millis(millis);
+        line.path.lag = Some((Span::from_millis(50), at(601)));
+        assert_eq!(line.arrival(at(600), Direction::ToRobot), Some(at(652)));
+        assert_eq!(line.arrival(at(601), Direction::ToRobot), Some(at(603)));
+    }
+
+    #[test]
+    fn interruptions_come_as_often_and_last_as_long_as_they_should() {
+        let lasts = Between { least: Span::from_millis(1_000), largest: Span::from_millis(3_000) };
+        let kind = Interruptions { every: Span::from_millis(20_000), lasts };
+        let mut line = Line::new(LinkWorld { interruptions: vec![kind], ..says() }, 3);
+        let at = |index| BEGIN + Span::from_millis(100) * index;
+        let down = (0..1_000_000).filter(|index| line.is_closed(at(*index))).count();
+        // 2 s of 20 s; 5,000 interruptions, so the share is known to about 1.5 percent of itself.
+        assert!((down as f64 / 1e6 - 0.1).abs() < 0.008, "{down}");
+    }
+}
