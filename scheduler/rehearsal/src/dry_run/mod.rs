@@ -1,5 +1,5 @@
 //! A mission in virtual time: the same loop, the same mission machine and the same robot machines, time jumps from event to
-//! event. The network delays as the fleet file says and loses nothing; for one that does, see `simulation/`.
+//! event. The network delays as the fleet file says and loses nothing; a trial draws one that does.
 //!
 //! A virtual operator says go whenever an act waits and nothing else plays. Nothing lasts forever: a loop of acts is played
 //! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).

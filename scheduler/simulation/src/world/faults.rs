@@ -12,31 +12,28 @@ impl World {
         if !matches!(fault, Fault::SchedulerCrashAmid { .. } | Fault::SchedulerPauseAmid { .. }) {
             self.note(Happened::Fault(fault));
         }
-        let now = self.now;
+        let now = self.kernel.now;
         match fault {
             Fault::RobotCrash { robot, back_after, told } => {
                 if self.robot_dies(robot, if told { Machine::Up } else { Machine::Down })
                     && let Some(after) = back_after
                 {
-                    self.put(now + after, Item::RobotBack(robot));
+                    self.kernel.put(now + after, Item::RobotBack(robot));
                 }
             }
-            Fault::RobotPause { robot, lasts } => self.robots[robot].paused_until = now + lasts,
+            Fault::RobotPause { robot, lasts } => self.kernel.robots.stall(robot, now + lasts),
             Fault::AnotherRobot { robot, lasts } => {
                 self.robot_dies(robot, Machine::Up);
                 let block = stranger(&self.drawn.robots[robot].block);
                 self.robot_begins(robot, block);
-                self.put(now + lasts, Item::RobotBack(robot));
+                self.kernel.put(now + lasts, Item::RobotBack(robot));
             }
             Fault::HardwareDies { robot, back_after, told } => self.hardware_dies(robot, back_after, told),
             Fault::ForeignSession { robot, lasts } => self.foreign_session(robot, lasts),
             Fault::Seize { robot, lasts } => self.seize(robot, lasts),
             Fault::ClockStep { robot, by } => {
-                let side = &mut self.robots[robot];
-                side.clock_steps += by;
-                if let Some(machine) = &mut side.machine {
-                    machine.step_clock(by);
-                }
+                self.robots[robot].clock_steps += by;
+                self.kernel.robots.change(robot, |machine| machine.step_clock(by));
             }
             Fault::ServerClockStep { by } => self.scheduler.clock_of_machine += by,
             Fault::SchedulerCrash { resumed_after } => self.crash_scheduler(fault, resumed_after),
@@ -65,14 +62,14 @@ impl World {
     }
 
     fn link_goes_wrong(&mut self, fault: Fault) {
-        let now = self.now;
+        let now = self.kernel.now;
         match fault {
             Fault::Partition { robot, lasts, breaks } => {
                 let side = &mut self.robots[robot];
                 let there = side.path.block(Direction::ToRobot, now + lasts);
                 let end = there.max(side.path.block(Direction::FromRobot, now + lasts));
                 if let Some(link) = side.link.filter(|_| breaks) {
-                    self.put(end, Item::RobotLinkDown { robot, link });
+                    self.kernel.put(end, Item::RobotLinkDown { robot, link });
                     self.link_breaks(robot, link, end, (Loss::Unreachable, "connection timed out"));
                 }
             }
@@ -83,7 +80,7 @@ impl World {
                 let side = &mut self.robots[robot];
                 side.dead_until = side.dead_until.max(now + lasts);
                 side.dead.extend(side.link);
-                self.put(now + lasts, Item::DeadLinksEnd(robot));
+                self.kernel.put(now + lasts, Item::DeadLinksEnd(robot));
             }
             Fault::HalfOpen { robot } => {
                 let side = &mut self.robots[robot];

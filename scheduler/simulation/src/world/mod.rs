@@ -13,8 +13,8 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use downbeat_robot::LinkId;
 use downbeat_robot::simulated::Outgoing;
+use downbeat_robot::{Input, LinkId};
 use fastrand::Rng;
 use urrcp::{Message, Server, SessionId, Span, Timestamp};
 
@@ -27,7 +27,7 @@ use downbeat_mission::drive::{at_once, drive};
 use downbeat_mission::session::Session;
 use downbeat_mission::{Event, Mission, MissionOptions, Participant, PlanTransfer, Record};
 use downbeat_rehearsal::dry_run::BEGIN;
-use downbeat_rehearsal::world::Agenda;
+use downbeat_rehearsal::world::{Kernel, Virtual};
 
 /// A mission that lasts longer than this and twice what it plays and waits for hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);
@@ -100,8 +100,7 @@ enum Machine {
 struct World {
     drawn: Drawn,
     rng: Rng,
-    now: Timestamp<Server>,
-    agenda: Agenda<Item>,
+    kernel: Kernel<Item>,
     robots: Vec<RobotSide>,
     /// What a robot has just said; empty in between, and kept for its memory.
     said: Vec<Outgoing>,
@@ -179,8 +178,8 @@ fn play_world(mut world: World) -> Ran {
         }
         if world.hung {
             let (wakeup, due) = (mission.next_wakeup(), mission.due());
-            let robots: Vec<_> =
-                world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
+            let wakes = |robot| world.kernel.robots.get(robot)?.next_wakeup();
+            let robots: Vec<_> = (0..world.robots.len()).map(wakes).collect();
             world.note(Happened::Stuck(format!("robots {robots:?}, mission {wakeup:?}: {due}")));
         } else if !world.scheduler.is_running() {
             // A process that dies with its last record reports nothing.
@@ -191,9 +190,7 @@ fn play_world(mut world: World) -> Ran {
     if !world.is_promised && broken.is_none() {
         world.aftermath();
     }
-    for robot in &mut world.robots {
-        robot.collect();
-    }
+    (0..world.robots.len()).for_each(|robot| world.collect(robot));
     let starts_of_dead = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.starts_of_dead));
     let starts_of_dead = starts_of_dead.collect();
     let brakings = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.brakings)).collect();
@@ -208,7 +205,7 @@ fn play_world(mut world: World) -> Ran {
         starts_of_dead,
         server_ahead: world.scheduler.ahead,
         history: world.history,
-        watched_until: world.now,
+        watched_until: world.kernel.now,
         hung: world.hung,
         broken,
         drawn: world.drawn,
@@ -225,12 +222,14 @@ impl World {
         let lasts = drawn.lasts();
         let seconds = usize::try_from(lasts.as_nanos() / 1_000_000_000).unwrap_or(0);
         let mut rng = Rng::with_seed(drawn.seed ^ 0x5eed);
-        let side = |robot| RobotSide::new(robot, network::path(&drawn, robot, &mut rng));
+        let side = |robot| RobotSide::new(network::path(&drawn, robot, &mut rng));
+        let machines = drawn.robots.iter().map(|robot| {
+            (robot.there_from == Span::ZERO).then(|| robots::machine(robot, robot.block.clone(), BEGIN))
+        });
         let mut world = Self {
             robots: drawn.robots.iter().map(side).collect(),
             rng,
-            now: BEGIN,
-            agenda: Agenda::default(),
+            kernel: Kernel::new(machines, BEGIN),
             said: Vec::new(),
             scheduler: Scheduler::new(&drawn),
             rounds: 0,
@@ -245,64 +244,45 @@ impl World {
             drawn,
         };
         for (at, fault) in world.drawn.faults.clone() {
-            world.put(BEGIN + at, Item::Fault(fault));
+            world.kernel.put(BEGIN + at, Item::Fault(fault));
         }
         if let Some(ends_at) = world.drawn.ends_at {
-            world.put(BEGIN + ends_at, Item::Fault(Fault::Stop));
+            world.kernel.put(BEGIN + ends_at, Item::Fault(Fault::Stop));
         }
         for robot in 0..world.robots.len() {
             let there_from = world.drawn.robots[robot].there_from;
             if there_from > Span::ZERO {
-                world.put(BEGIN + there_from, Item::RobotBack(robot));
+                world.kernel.put(BEGIN + there_from, Item::RobotBack(robot));
             }
         }
         world
     }
 
-    fn put(&mut self, at: Timestamp<Server>, item: Item) {
-        self.agenda.put(at.max(self.now), item);
-    }
-
     fn note(&mut self, happened: Happened) {
-        self.history.push((self.now, happened));
+        self.history.push((self.kernel.now, happened));
         self.hung |= self.history.len() > self.happens_max;
-    }
-
-    /// When something next happens by itself, outside the mission.
-    fn next_instant(&self) -> Option<Timestamp<Server>> {
-        let robots = self.robots.iter().filter_map(|robot| {
-            let at = robot.machine.as_ref()?.next_wakeup()?.assume_clock::<Server>();
-            Some(at.max(robot.paused_until))
-        });
-        let items = self.agenda.peek().map(|(at, _)| at);
-        items.into_iter().chain(robots).chain(self.scheduler.wakes()).min()
-    }
-
-    /// It is this late now. Where too much happens at one instant, something is due and is never done.
-    fn pass(&mut self, at: Timestamp<Server>) {
-        self.rounds = if at > self.now { 0 } else { self.rounds + 1 };
-        self.now = self.now.max(at);
-        self.hung |= self.rounds > ROUNDS_MAX;
-    }
-
-    /// Does the next thing that is due at this instant: robots first.
-    fn step(&mut self, at: Timestamp<Server>) {
-        self.pass(at);
-        self.advance_robots();
-        if let Some(item) = self.agenda.pop_due(self.now) {
-            self.happen(item);
-            self.advance_robots();
-        }
     }
 
     /// The scheduler is gone for good: what the robots still do.
     fn aftermath(&mut self) {
         self.scheduler.process = Process::Gone;
-        let until = self.now + AFTERMATH;
+        let until = self.kernel.now + AFTERMATH;
         while let Some(next) = self.next_instant().filter(|next| *next <= until && !self.hung) {
             self.step(next);
         }
-        self.now = until;
+        self.kernel.now = until;
+    }
+}
+
+impl Virtual for World {
+    type Item = Item;
+
+    fn kernel(&mut self) -> &mut Kernel<Item> {
+        &mut self.kernel
+    }
+
+    fn advance(&mut self, robot: usize) {
+        self.advance_robot(robot);
     }
 
     fn happen(&mut self, item: Item) {
@@ -317,10 +297,22 @@ impl World {
             Item::HardwareLost(robot) => self.hardware_lost(robot),
             Item::HardwareBack(robot) => self.hardware_back(robot),
             Item::DeadLinksEnd(robot) => self.dead_links_end(robot),
-            Item::ForeignEnd { robot, link } => self.foreign_end(robot, link),
+            Item::ForeignEnd { robot, link } => self.receive(robot, link, Input::LinkDown),
             Item::Comes(act) => self.comes(act),
             Item::Resume => self.resume(),
             Item::Synced { life } => self.synced(life),
         }
+    }
+
+    fn wakes(&self) -> Option<Timestamp<Server>> {
+        self.scheduler.wakes()
+    }
+
+    /// Where too much happens at one instant, something is due and is never done.
+    fn pass(&mut self, at: Timestamp<Server>) {
+        let now = &mut self.kernel.now;
+        self.rounds = if at > *now { 0 } else { self.rounds + 1 };
+        *now = at.max(*now);
+        self.hung |= self.rounds > ROUNDS_MAX;
     }
 }

@@ -26,12 +26,12 @@ impl World {
     /// When a message arrives, or that it is lost.
     fn travel(&mut self, robot: usize, way: Direction, message: &Message) -> Option<Timestamp<Server>> {
         let path = &mut self.robots[robot].path;
-        let Some(travel) = path.travel(&mut self.rng, self.now, way, Some(message)) else {
+        let Some(travel) = path.travel(&mut self.rng, self.kernel.now, way, Some(message)) else {
             self.note(Happened::Lost(robot));
             return None;
         };
         let Travel { arrives, queued } = travel;
-        let travelled = arrives - self.now;
+        let travelled = arrives - self.kernel.now;
         if travelled > self.drawn.delay.1 + queued {
             self.note(Happened::Slow(robot, travelled));
         }
@@ -62,12 +62,11 @@ impl World {
         if let Some((_, unread)) = side.waiting.as_mut().filter(|(waiting, _)| *waiting == link) {
             return unread.push(message);
         }
-        if side.link != Some(link) || side.machine.is_none() {
+        if side.link != Some(link) || self.kernel.robots.get(robot).is_none() {
             return self.refuse_stray(robot, link);
         }
-        if self.now < side.paused_until {
-            let later = side.paused_until;
-            return self.put(later, Item::ToRobot { robot, link, message: Box::new(message) });
+        if let Some(later) = self.kernel.robots.stalls_until(robot, self.kernel.now) {
+            return self.kernel.put(later, Item::ToRobot { robot, link, message: Box::new(message) });
         }
         let forgets = self.drawn.robots[robot].lie == Some(Lie::NeverMoves);
         if self.verbose {
@@ -75,16 +74,20 @@ impl World {
         } else if !forgets {
             self.note(Happened::AtRobot(robot, brief(&message)));
         }
-        if let Some(machine) = &mut self.robots[robot].machine {
-            machine.receive(self.now.assume_clock(), link, Input::Message(message));
-        }
+        self.receive(robot, link, Input::Message(message));
+    }
+
+    /// The robot's machine takes an input, if its process runs.
+    pub(super) fn receive(&mut self, robot: usize, link: LinkId, input: Input) {
+        let now = self.kernel.now.assume_clock();
+        self.kernel.robots.change(robot, |machine| machine.receive(now, link, input));
     }
 
     /// A system answers what comes on a connection that it does not know, as after a restart, by resetting it.
     fn refuse_stray(&mut self, robot: usize, link: LinkId) {
         let side = &self.robots[robot];
         if side.runs_on == Machine::Up && side.link != Some(link) && self.drawn.network == Network::Stream {
-            self.link_breaks(robot, link, self.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
         }
     }
 
@@ -94,7 +97,7 @@ impl World {
         }
         for at in self.arrivals(robot, Direction::FromRobot, &message) {
             let event = Box::new(Event::Received { robot, message: message.clone() });
-            self.put(at, Item::ToScheduler { robot, link, event });
+            self.kernel.put(at, Item::ToScheduler { robot, link, event });
         }
     }
 
@@ -106,7 +109,7 @@ impl World {
             return;
         }
         for at in self.arrivals(robot, Direction::ToRobot, &message) {
-            self.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
+            self.kernel.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
         }
     }
 
@@ -132,16 +135,16 @@ impl World {
         }
         let event = Box::new(Event::LinkDown { robot, loss, reason: reason.to_owned() });
         let at = self.robots[robot].path.end_passes(at);
-        self.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
+        self.kernel.put(at + self.drawn.delay.1, Item::ToScheduler { robot, link, event });
     }
 
     /// Connections that carry nothing are found broken.
     pub(super) fn dead_links_end(&mut self, robot: usize) {
-        if self.now < self.robots[robot].dead_until {
+        if self.kernel.now < self.robots[robot].dead_until {
             return;
         }
         for link in std::mem::take(&mut self.robots[robot].dead) {
-            self.link_breaks(robot, link, self.now, (Loss::Closed, "connection reset"));
+            self.link_breaks(robot, link, self.kernel.now, (Loss::Closed, "connection reset"));
             self.robot_link_down(robot, link);
         }
     }
@@ -151,19 +154,19 @@ impl World {
             return;
         }
         let side = &mut self.robots[robot];
-        if self.now < side.dead_until {
+        if self.kernel.now < side.dead_until {
             side.dead.insert(link);
             return self.tell_on_link(robot, link, Event::LinkUp { robot });
         }
-        let reachable = side.path.blocked_until.iter().all(|until| self.now >= *until);
-        if !reachable || side.machine.is_none() {
+        let reachable = side.path.blocked_until.iter().all(|until| self.kernel.now >= *until);
+        if !reachable || self.kernel.robots.get(robot).is_none() {
             let (loss, after) = match side.runs_on {
                 Machine::Up if reachable => (Loss::Refused, self.drawn.delay.1 * 2),
                 Machine::Up | Machine::Down => (Loss::Unreachable, CONNECT_FAILS),
             };
             let event = Box::new(Event::LinkDown { robot, loss, reason: "no connection".to_owned() });
-            let at = self.now + after;
-            return self.put(at, Item::ToScheduler { robot, link, event });
+            let at = self.kernel.now + after;
+            return self.kernel.put(at, Item::ToScheduler { robot, link, event });
         }
         let one = self.drawn.robots[robot].connections == Connections::One;
         if one && side.link.is_some() {
@@ -176,27 +179,24 @@ impl World {
 
     /// The robot reads this connection from now on; an older one is closed.
     fn robot_reads(&mut self, robot: usize, link: LinkId) {
-        let now = self.now;
         let side = &mut self.robots[robot];
-        if let (Some(old), Some(machine)) = (side.link.replace(link), &mut side.machine) {
-            machine.receive(now.assume_clock(), old, Input::LinkDown);
+        side.path.begin(self.kernel.now);
+        if let Some(old) = side.link.replace(link) {
+            self.receive(robot, old, Input::LinkDown);
         }
-        side.path.begin(now);
     }
 
     /// The robot sees that a connection has ended. It turns to one that waits.
     pub(super) fn robot_link_down(&mut self, robot: usize, link: LinkId) {
-        let now = self.now.assume_clock();
         let side = &mut self.robots[robot];
         side.waiting.take_if(|(waiting, _)| *waiting == link);
         if side.link != Some(link) {
             return;
         }
         side.link = None;
-        if let Some(machine) = &mut side.machine {
-            machine.receive(now, link, Input::LinkDown);
-        }
-        if let Some((next, unread)) = side.waiting.take() {
+        let waiting = side.waiting.take();
+        self.receive(robot, link, Input::LinkDown);
+        if let Some((next, unread)) = waiting {
             self.robot_reads(robot, next);
             for message in unread {
                 self.arrive_at_robot(robot, next, message);

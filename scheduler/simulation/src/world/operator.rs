@@ -13,7 +13,7 @@ impl World {
         let acts = &self.drawn.choreography.acts;
         let Some(index) = acts.iter().position(|written| written.name == *act) else { return };
         if let Some(after) = self.drawn.comes_after[index] {
-            self.put(self.now + after, Item::Comes(index));
+            self.kernel.put(self.kernel.now + after, Item::Comes(index));
         }
     }
 

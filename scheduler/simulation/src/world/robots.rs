@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use downbeat_robot::set_log::{LogEntry, MotionKind};
-use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
+use downbeat_robot::simulated::{Outgoing, SimulatedRobot};
 use downbeat_robot::{Input, LinkId};
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ControlResponse,
@@ -38,14 +38,12 @@ pub(super) enum Who {
 }
 
 pub(super) struct RobotSide {
-    pub(super) machine: Option<SimulatedRobot>,
     pub(super) who: Who,
     pub(super) runs_on: Machine,
     /// The connection with the scheduler that the robot reads.
     pub(super) link: Option<LinkId>,
     /// A connection that it will read once that one has ended, and what has come on it.
     pub(super) waiting: Option<(LinkId, Vec<Message>)>,
-    pub(super) paused_until: Timestamp<Server>,
     pub(super) path: Path,
     /// Until then connections stand and carry nothing.
     pub(super) dead_until: Timestamp<Server>,
@@ -65,15 +63,12 @@ pub(super) struct RobotSide {
 }
 
 impl RobotSide {
-    pub(super) fn new(drawn: &DrawnRobot, path: Path) -> Self {
-        let there = drawn.there_from == Span::ZERO;
+    pub(super) fn new(path: Path) -> Self {
         Self {
-            machine: there.then(|| machine(drawn, drawn.block.clone(), BEGIN)),
             who: Who::Itself,
             runs_on: Machine::Up,
             link: None,
             waiting: None,
-            paused_until: BEGIN,
             path,
             dead_until: BEGIN,
             dead: BTreeSet::new(),
@@ -87,8 +82,7 @@ impl RobotSide {
         }
     }
 
-    pub(super) fn collect(&mut self) {
-        let Some(machine) = &mut self.machine else { return };
+    fn collect(&mut self, machine: &mut SimulatedRobot) {
         let log = machine.take_log();
         if log.is_empty() {
             return;
@@ -134,7 +128,11 @@ fn brakings(machine: &SimulatedRobot, log: &[LogEntry]) -> Vec<Braking> {
 }
 
 /// A process of a robot. Its clock has drifted since the beginning, whether or not a process ran.
-fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server>) -> SimulatedRobot {
+pub(super) fn machine(
+    drawn: &DrawnRobot,
+    block: InitializationBlock,
+    now: Timestamp<Server>,
+) -> SimulatedRobot {
     let mut settings = drawn.settings.clone();
     let drifted = (now - BEGIN).as_millis_f64() * settings.drift_ppm * 1e-6;
     settings.clock_offset += Span::from_millis_f64(drifted);
@@ -145,18 +143,29 @@ fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server
 }
 
 impl World {
+    /// Takes what a robot has set.
+    pub(super) fn collect(&mut self, robot: usize) {
+        let side = &mut self.robots[robot];
+        self.kernel.robots.change(robot, |machine| side.collect(machine));
+    }
+
     /// The process that answers at a robot's address ends. `false`: there was none.
     pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
-        let side = &mut self.robots[robot];
-        side.collect();
-        if side.machine.take().is_none() {
+        self.collect(robot);
+        if self.kernel.robots.end(robot).is_none() {
             return false;
         }
+        let side = &mut self.robots[robot];
         side.runs_on = runs_on;
         let links = [side.link.take(), side.waiting.take().map(|(link, _)| link)];
         if runs_on == Machine::Up {
             for link in links.into_iter().flatten() {
-                self.link_breaks(robot, link, self.now, (Loss::Closed, "the robot closed the connection"));
+                self.link_breaks(
+                    robot,
+                    link,
+                    self.kernel.now,
+                    (Loss::Closed, "the robot closed the connection"),
+                );
             }
         }
         true
@@ -166,53 +175,47 @@ impl World {
     pub(super) fn robot_begins(&mut self, robot: usize, block: InitializationBlock) {
         let drawn = &self.drawn.robots[robot];
         let who = if block.id == drawn.block.id { Who::Itself } else { Who::Stranger };
-        let mut machine = machine(drawn, block, self.now);
-        let side = &mut self.robots[robot];
+        let mut machine = machine(drawn, block, self.kernel.now);
         // A new process looks for its hardware first; here it is there.
-        side.hardware_dead_since = None;
+        self.robots[robot].hardware_dead_since = None;
+        self.collect(robot);
+        let side = &mut self.robots[robot];
         machine.step_clock(side.clock_steps);
         if let (Some(reading), Ok(eye)) = (side.reading, "eye".parse()) {
             machine.set_reading(eye, reading);
         }
-        side.collect();
-        (side.machine, side.who, side.runs_on) = (Some(machine), who, Machine::Up);
+        (side.who, side.runs_on) = (who, Machine::Up);
+        self.kernel.robots.begin(robot, machine);
     }
 
     pub(super) fn robot_back(&mut self, robot: usize) {
         if self.robots[robot].who == Who::Stranger {
             self.robot_dies(robot, Machine::Up);
         }
-        if self.robots[robot].machine.is_none() {
+        if self.kernel.robots.get(robot).is_none() {
             let block = self.drawn.robots[robot].block.clone();
             self.robot_begins(robot, block);
             self.note(Happened::Back(robot));
         }
     }
 
-    pub(super) fn advance_robots(&mut self) {
-        for robot in 0..self.robots.len() {
-            let side = &mut self.robots[robot];
-            if self.now < side.paused_until {
-                continue;
-            }
-            let at = self.now.assume_clock::<True>();
-            let Some(machine) = side.machine.as_mut().filter(|machine| machine.is_due(at)) else { continue };
-            let mut said = std::mem::take(&mut self.said);
-            machine.advance(at, &mut said);
-            side.collect();
-            let is_itself = side.who == Who::Itself;
-            for outgoing in said.drain(..) {
-                if let Outgoing::Message { link, message } = outgoing {
-                    if link.0 & (FOREIGN | SEIZES) == FOREIGN | SEIZES && is_itself && is_taken(&message) {
-                        self.note(Happened::Seized(robot));
-                    }
-                    let slow = self.drawn.robots[robot].slow;
-                    let message = self.as_said(robot, message);
-                    self.put(self.now + slow, Item::Answer { robot, link, message: Box::new(message) });
+    pub(super) fn advance_robot(&mut self, robot: usize) {
+        let mut said = std::mem::take(&mut self.said);
+        let now = self.kernel.now.assume_clock();
+        self.kernel.robots.change(robot, |machine| machine.advance(now, &mut said));
+        self.collect(robot);
+        let is_itself = self.robots[robot].who == Who::Itself;
+        for outgoing in said.drain(..) {
+            if let Outgoing::Message { link, message } = outgoing {
+                if link.0 & (FOREIGN | SEIZES) == FOREIGN | SEIZES && is_itself && is_taken(&message) {
+                    self.note(Happened::Seized(robot));
                 }
+                let slow = self.drawn.robots[robot].slow;
+                let message = Box::new(self.as_said(robot, message));
+                self.kernel.put(self.kernel.now + slow, Item::Answer { robot, link, message });
             }
-            self.said = said;
         }
+        self.said = said;
     }
 
     /// What a robot makes of its answer: it may lie, or leave out what it does not know.
@@ -258,39 +261,40 @@ impl World {
     }
 
     pub(super) fn hardware_dies(&mut self, robot: usize, back_after: Option<Span>, told: bool) {
-        let now = self.now;
+        let now = self.kernel.now;
         let side = &mut self.robots[robot];
         if self.drawn.robots[robot].hands == Hands::Own {
             return;
         }
         side.hardware_dead_since.get_or_insert(now);
-        let Some(machine) = &mut side.machine else { return };
-        if told {
-            machine.hardware_lost(now.assume_clock(), "its connection has ended")
-        } else {
-            machine.hardware_dies(now.assume_clock());
-            if back_after.is_none_or(|after| after > HARDWARE_GIVEN_UP) {
-                self.put(now + HARDWARE_GIVEN_UP, Item::HardwareLost(robot));
+        let at = now.assume_clock();
+        let dies = |machine: &mut SimulatedRobot| {
+            if told {
+                machine.hardware_lost(at, "its connection has ended");
+            } else {
+                machine.hardware_dies(at);
             }
+        };
+        if self.kernel.robots.change(robot, dies).is_none() {
+            return;
+        }
+        if !told && back_after.is_none_or(|after| after > HARDWARE_GIVEN_UP) {
+            self.kernel.put(now + HARDWARE_GIVEN_UP, Item::HardwareLost(robot));
         }
         if let Some(after) = back_after {
-            self.put(now + after, Item::HardwareBack(robot));
+            self.kernel.put(now + after, Item::HardwareBack(robot));
         }
     }
 
     pub(super) fn hardware_lost(&mut self, robot: usize) {
-        let now = self.now.assume_clock();
-        if let Some(machine) = &mut self.robots[robot].machine {
-            machine.hardware_lost(now, "it does not answer");
-        }
+        let now = self.kernel.now.assume_clock();
+        self.kernel.robots.change(robot, |machine| machine.hardware_lost(now, "it does not answer"));
     }
 
     pub(super) fn hardware_back(&mut self, robot: usize) {
-        let now = self.now.assume_clock();
+        let now = self.kernel.now.assume_clock();
         self.robots[robot].hardware_dead_since = None;
-        if let Some(machine) = &mut self.robots[robot].machine {
-            machine.hardware_found(now);
-        }
+        self.kernel.robots.change(robot, |machine| machine.hardware_found(now));
     }
 
     /// Another session claims a robot and sends it a script, as far as the robot lets it.
@@ -300,43 +304,35 @@ impl World {
 
     /// An operator with the role takes a robot, and sends it a script.
     pub(super) fn seize(&mut self, robot: usize, lasts: Span) {
-        let now = self.now.assume_clock();
         let link = LinkId(FOREIGN + SEIZES + robot as u64);
-        if let (Some(machine), Ok(name)) = (&mut self.robots[robot].machine, SEIZED_BY.parse()) {
+        if let Ok(name) = SEIZED_BY.parse() {
             let proof = Proof { name, roles: [Role::Drive, Role::Seize].into_iter().collect() };
-            machine.receive(now, link, Input::Proven(proof));
+            self.receive(robot, link, Input::Proven(proof));
         }
         self.asks_for(robot, link, lasts);
     }
 
     fn asks_for(&mut self, robot: usize, link: LinkId, lasts: Span) {
-        let now = self.now;
+        let now = self.kernel.now;
         let seize = link.0 & SEIZES != 0;
-        let side = &mut self.robots[robot];
-        let taken = side.link.is_some() && self.drawn.robots[robot].connections == Connections::One;
-        let Some(machine) = side.machine.as_mut().filter(|_| !taken) else { return };
+        let one = self.drawn.robots[robot].connections == Connections::One;
+        if self.kernel.robots.get(robot).is_none() || one && self.robots[robot].link.is_some() {
+            return;
+        }
         let session = SessionId::new("another").ok();
         let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone(), seize };
-        machine.receive(now.assume_clock(), link, Input::Message(Message::AvailabilityRequest(ask)));
+        self.receive(robot, link, Input::Message(Message::AvailabilityRequest(ask)));
         if let Some(request) = foreign_script(&self.drawn.robots[robot].block, now, session) {
-            machine.receive(now.assume_clock(), link, Input::Message(Message::ControlRequest(request)));
+            self.receive(robot, link, Input::Message(Message::ControlRequest(request)));
         }
-        self.put(now + lasts, Item::ForeignEnd { robot, link });
-    }
-
-    pub(super) fn foreign_end(&mut self, robot: usize, link: LinkId) {
-        let now = self.now.assume_clock();
-        if let Some(machine) = &mut self.robots[robot].machine {
-            machine.receive(now, link, Input::LinkDown);
-        }
+        self.kernel.put(now + lasts, Item::ForeignEnd { robot, link });
     }
 
     /// What an act waits for has come: the sensor reads it.
     pub(super) fn reads(&mut self, robot: usize, reading: f64) {
-        let side = &mut self.robots[robot];
-        side.reading = Some(reading);
-        if let (Some(machine), Ok(eye)) = (&mut side.machine, "eye".parse()) {
-            machine.set_reading(eye, reading);
+        self.robots[robot].reading = Some(reading);
+        if let Ok(eye) = "eye".parse() {
+            self.kernel.robots.change(robot, |machine| machine.set_reading(eye, reading));
         }
     }
 }

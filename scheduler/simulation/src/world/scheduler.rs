@@ -12,6 +12,7 @@ use downbeat_mission::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use downbeat_mission::{
     Event, Fate, Greeting, Kept, Mission, Outcome, Progress, Promise, Record, Rest, ended_acts,
 };
+use downbeat_rehearsal::world::Virtual;
 use downbeat_runtime::journal::simulated::SimulatedDisk;
 use downbeat_runtime::journal::{
     Asked, Contents, Journal, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all,
@@ -205,8 +206,8 @@ impl World {
         }
         for robot in 0..self.robots.len() {
             if let Some(link) = self.scheduler.links[robot].take() {
-                let at = self.now + self.drawn.delay.1;
-                self.put(at, Item::RobotLinkDown { robot, link });
+                let at = self.kernel.now + self.drawn.delay.1;
+                self.kernel.put(at, Item::RobotLinkDown { robot, link });
             }
         }
     }
@@ -221,7 +222,7 @@ impl World {
             self.note(Happened::Fault(fault));
         }
         if let Some(after) = resumed_after {
-            self.put(self.now + after, Item::Resume);
+            self.kernel.put(self.kernel.now + after, Item::Resume);
         }
     }
 
@@ -247,7 +248,7 @@ impl World {
         self.note(Happened::Fault(Fault::SchedulerPauseAmid { actions: 0, lasts }));
         let side = &mut self.scheduler;
         (side.fuse, side.stalls_in_act) = (None, true);
-        side.paused_until = side.paused_until.max(self.now + lasts);
+        side.paused_until = side.paused_until.max(self.kernel.now + lasts);
         side.timers_first = self.drawn.seed.is_multiple_of(2);
     }
 
@@ -264,7 +265,7 @@ impl World {
     /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
         let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
-        while self.agenda.items().any(takes_up) {
+        while self.kernel.agenda.items().any(takes_up) {
             let next = self.next_instant().filter(|_| !self.hung)?;
             self.step(next);
             if let Process::TakenUp(intention) = self.scheduler.process {
@@ -300,8 +301,8 @@ impl World {
     fn mission_by_journal(&mut self, intention: Intention) -> Mission {
         let side = &mut self.scheduler;
         side.ahead = side.clock_of_machine;
-        side.paused_until = self.now;
-        let now = self.now + side.ahead;
+        side.paused_until = self.kernel.now;
+        let now = self.kernel.now + side.ahead;
         let bytes = self.scheduler.journal.as_mut().and_then(|journal| journal.bytes().ok());
         let bytes = bytes.unwrap_or_default();
         let contents = self.scheduler.journal.as_ref().and_then(Journal::contents);
@@ -329,7 +330,7 @@ impl World {
 
     /// Something for the scheduler, which takes it when it can.
     pub(super) fn tell(&mut self, event: Event) {
-        let at = self.now + self.scheduler.ahead;
+        let at = self.kernel.now + self.scheduler.ahead;
         self.scheduler.arrived.push_back(drive::Happened::Event { at, event: Box::new(event) });
     }
 
@@ -339,7 +340,7 @@ impl World {
 
     pub(super) fn arrive_at_scheduler(&mut self, robot: usize, link: LinkId, event: Box<Event>) {
         if let Some(link) = self.scheduler.number_of(link).filter(|_| self.scheduler.is_running()) {
-            let at = self.now + self.scheduler.ahead;
+            let at = self.kernel.now + self.scheduler.ahead;
             self.scheduler.arrived.push_back(drive::Happened::OnLink { at, robot, link, event });
         }
     }
@@ -354,8 +355,8 @@ impl World {
         // A failure is found again by the sync.
         let _broken = append_all(journal, side.unwritten.drain(..));
         side.disk = DiskState::Syncing;
-        let (at, life) = (self.now + self.drawn.disk.sync, side.life);
-        self.put(at, Item::Synced { life });
+        let (at, life) = (self.kernel.now + self.drawn.disk.sync, side.life);
+        self.kernel.put(at, Item::Synced { life });
     }
 
     pub(super) fn synced(&mut self, life: u32) {
@@ -363,9 +364,9 @@ impl World {
         if life != side.life || !side.is_running() {
             return;
         }
-        if self.now < side.disk_stands_still_until {
+        if self.kernel.now < side.disk_stands_still_until {
             let later = side.disk_stands_still_until;
-            return self.put(later, Item::Synced { life });
+            return self.kernel.put(later, Item::Synced { life });
         }
         let Some(journal) = &mut side.journal else { return };
         let (disk, event) = match journal.sync() {
@@ -402,7 +403,7 @@ impl World {
 
 impl drive::World for World {
     fn now(&self) -> Timestamp<Server> {
-        self.now + self.scheduler.ahead
+        self.kernel.now + self.scheduler.ahead
     }
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<drive::Happened> {
@@ -410,12 +411,12 @@ impl drive::World for World {
             if !self.scheduler.is_running() || self.hung || self.is_promised {
                 return Some(drive::Happened::Killed);
             }
-            let can_take = self.now >= self.scheduler.paused_until;
+            let can_take = self.kernel.now >= self.scheduler.paused_until;
             if can_take {
                 self.finish_acting();
             }
             if can_take && std::mem::take(&mut self.scheduler.timers_first) {
-                let expired = until.is_some_and(|until| until <= self.now + self.scheduler.ahead);
+                let expired = until.is_some_and(|until| until <= self.kernel.now + self.scheduler.ahead);
                 if expired {
                     return None;
                 }
@@ -425,7 +426,8 @@ impl drive::World for World {
                 return Some(happened);
             }
             let ahead = self.scheduler.ahead;
-            let until = until.map(|until| (until - ahead).max(self.scheduler.paused_until).max(self.now));
+            let until =
+                until.map(|until| (until - ahead).max(self.scheduler.paused_until).max(self.kernel.now));
             match (self.next_instant(), until) {
                 (Some(next), until) if until.is_none_or(|until| next <= until) => self.step(next),
                 (_, Some(until)) => {
@@ -435,7 +437,7 @@ impl drive::World for World {
                 // Nothing will ever happen again, and the mission has not ended.
                 (_, None) => self.hung = true,
             }
-            self.hung |= self.now > self.lasts_until;
+            self.hung |= self.kernel.now > self.lasts_until;
         }
     }
 
@@ -446,8 +448,8 @@ impl drive::World for World {
         let link = self.scheduler.id_of(link);
         self.scheduler.links[robot] = None;
         self.scheduler.attempts[robot] = Some(link);
-        let at = self.now.max(self.scheduler.paused_until) + after;
-        self.put(at, Item::Connect { robot, link });
+        let at = self.kernel.now.max(self.scheduler.paused_until) + after;
+        self.kernel.put(at, Item::Connect { robot, link });
     }
 
     fn send(
@@ -470,8 +472,8 @@ impl drive::World for World {
 
     fn cut(&mut self, robot: usize, _: LinkNumber) {
         if let Some(link) = self.scheduler.links[robot].take() {
-            let at = self.now.max(self.scheduler.paused_until) + self.drawn.delay.1;
-            self.put(at, Item::RobotLinkDown { robot, link });
+            let at = self.kernel.now.max(self.scheduler.paused_until) + self.drawn.delay.1;
+            self.kernel.put(at, Item::RobotLinkDown { robot, link });
         }
     }
 
