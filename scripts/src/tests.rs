@@ -2,7 +2,8 @@
 
 use proptest::prelude::*;
 
-use crate::keys::CUE_KEYS;
+use crate::keys::Keys;
+use crate::scenario::CueKeys;
 use crate::{Address, Code, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [
@@ -217,12 +218,12 @@ const TRACKS: [&str; 12] = [
 prop_compose! {
     fn cue()(
         name in "[xyz]",
-        keys in prop::collection::vec((0..CUE_KEYS.len(), 0..VALUES.len()), 0..5),
+        keys in prop::collection::vec((0..CueKeys::NAMES.len(), 0..VALUES.len()), 0..5),
         track in 0..TRACKS.len(),
     ) -> String {
         let mut cue = format!("  - cue: {name}\n    robots: arm\n    tracks: {{d: {}}}\n", TRACKS[track]);
         for (key, value) in keys {
-            let key = CUE_KEYS[key];
+            let key = CueKeys::NAMES[key];
             if !cue.contains(&format!("    {key}:")) && key != "cue" {
                 cue.push_str(&format!("    {key}: {}\n", VALUES[value]));
             }

@@ -10,6 +10,7 @@ use crate::address::{ADDRESS, Address, address_fault};
 use crate::init::{Init, read_supplements};
 use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 use downbeat_reader::slips::{self, Units};
 use downbeat_space::space::{Body, Space};
 use downbeat_yaml::composed::composed;
@@ -46,22 +47,69 @@ pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 pub use moves::SimulatedMoves;
 pub use sensors::sensor;
 
-const FLEET_KEYS: [&str; 10] =
-    ["ntp", "handshake", "identity", "revoked", "zenoh", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
-const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
-const SIMULATE_KEYS: [&str; 8] =
-    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
     [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
 
 keys! {
-    /// What is said of one robot.
-    RobotKeys, ROBOT_KEYS {
-        init, devices, address, robot_id, simulate, limits, clock, wake_up, latency, require, encoding, body,
+    /// A fleet file.
+    struct FleetKeys {
+        ntp,
+        handshake,
+        identity,
+        revoked,
+        zenoh,
+        insecure,
+        latency,
+        space,
+        #[required]
+        robots,
+        groups,
+    }
+}
+
+keys! {
+    /// A robot.
+    struct RobotKeys {
+        #[required]
+        init,
+        devices,
+        #[required]
+        address,
+        robot_id,
+        simulate,
+        limits,
+        clock,
+        wake_up,
+        latency,
+        require,
+        encoding,
+        body,
         calibrate,
+    }
+}
+
+keys! {
+    /// How fast a device may move.
+    struct LimitKeys {
+        speed,
+        acceleration,
+    }
+}
+
+keys! {
+    /// How a simulated robot differs from a perfect one.
+    struct SimulateKeys {
+        clock_offset,
+        drift,
+        jitter,
+        ntp_error,
+        delay,
+        fault,
+        readings,
+        moves,
     }
 }
 
@@ -313,8 +361,8 @@ struct FleetReader<'a> {
 
 impl FleetReader<'_> {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let [ntp, handshake, identity, revoked, zenoh, insecure, latency, space, robots, groups] =
-            self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
+        let FleetKeys { ntp, handshake, identity, revoked, zenoh, insecure, latency, space, robots, groups } =
+            self.findings.keys(at, "the fleet file")?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
             fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(Into::into);
@@ -342,7 +390,7 @@ impl FleetReader<'_> {
                 continue;
             }
             if name == "groups"
-                && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !ROBOT_KEYS.contains(&key.as_str())))
+                && matches!(at.node, Node::Map(keys) if keys.iter().all(|(key, _)| !RobotKeys::NAMES.contains(&key.as_str())))
             {
                 let hint = Some("write `groups` next to `robots`, not below it".to_owned());
                 let message = "the groups are listed as a robot";
@@ -394,7 +442,7 @@ impl FleetReader<'_> {
             }
         };
         let what = format!("robot `{name}`");
-        let keys = RobotKeys::of(self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?);
+        let keys: RobotKeys<'_> = self.findings.keys(at, &what)?;
         let address = keys.address.and_then(|at| self.address(&at));
         let mut init = keys.init.and_then(|at| self.init(&at, keys.devices.as_ref()))?;
         let simulation = keys.simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
@@ -466,7 +514,9 @@ impl FleetReader<'_> {
         self.findings.units = Units::of(&init.devices);
         if let Node::Map(entries) = at.node
             && !entries.is_empty()
-            && entries.iter().all(|(key, _)| LIMIT_KEYS.contains(&key.as_str()) && init.device(key).is_none())
+            && entries
+                .iter()
+                .all(|(key, _)| LimitKeys::NAMES.contains(&key.as_str()) && init.device(key).is_none())
         {
             let device = init.devices.first().map_or("elbow", |device| device.id.as_str());
             let hint = Some(format!("name the device first, as in `limits: {{{device}: {{speed: 90}}}}`"));
@@ -487,7 +537,7 @@ impl FleetReader<'_> {
                 let hint = self.findings.did_you_mean(device, known());
                 self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
-            let Some([speed, acceleration]) = self.findings.map(&at, "limits", LIMIT_KEYS, &[]) else {
+            let Some(LimitKeys { speed, acceleration }) = self.findings.keys(&at, "limits") else {
                 continue;
             };
             let expected = "a number above 0, in the device's unit";
@@ -570,13 +620,10 @@ impl FleetReader<'_> {
 
     fn simulation(&mut self, at: &At<'_>, init: &InitializationBlock) -> SimulationSettings {
         let mut settings = SimulationSettings::default();
-        let Some([offset, drift, jitter, ntp_error, delay, fault, readings, moves]) =
-            self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
-        else {
-            return settings;
-        };
+        let Some(keys) = self.findings.keys(at, "`simulate`") else { return settings };
+        let SimulateKeys { clock_offset, drift, jitter, ntp_error, delay, fault, readings, moves } = keys;
         let findings = &mut self.findings;
-        settings.clock_offset = offset.and_then(|at| findings.signed_duration(&at)).unwrap_or_default();
+        settings.clock_offset = clock_offset.and_then(|at| findings.signed_duration(&at)).unwrap_or_default();
         settings.drift_ppm = drift.and_then(|at| drift_ppm(findings, &at)).unwrap_or_default();
         settings.jitter = jitter.and_then(|at| findings.duration(&at)).unwrap_or_default();
         if let Some(at) = ntp_error {

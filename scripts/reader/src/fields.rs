@@ -9,6 +9,7 @@ mod scalars;
 use std::cell::Cell;
 use std::collections::{HashMap, HashSet};
 
+use crate::keys::Keys;
 use crate::scope::Scope;
 use crate::slips::{self, Units};
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};
@@ -55,6 +56,8 @@ pub struct Reader {
     pub origin: Beginning,
     /// The devices of the fleet.
     pub units: Units,
+    /// The keys of a cue, which hints about other maps need as well.
+    pub cue_keys: &'static [&'static str],
     /// Whether there is a tempo that cannot be read, which is reported already.
     pub tempo_is_wrong: bool,
     /// The first time without a tempo in each file, by its finding, and all their places.
@@ -107,6 +110,7 @@ impl Default for Reader {
             nesting: Nesting::default(),
             origin: Beginning(Some(Exact::ZERO)),
             units: Units::default(),
+            cue_keys: &[],
             tempo_is_wrong: false,
             without_tempo: HashMap::new(),
             wrong: Vec::new(),
@@ -362,24 +366,29 @@ impl Reader {
         true
     }
 
-    /// The value of each known key; findings for the others, for duplicates and for missing ones.
-    pub fn map<'a, const N: usize>(
+    /// The values of the keys that are declared for a map; findings for others, for duplicates and for missing ones.
+    pub fn keys<'a, K: Keys<'a>>(&mut self, at: &'a At<'a>, what: &str) -> Option<K> {
+        self.values(at, what, K::NAMES, K::REQUIRED).map(K::of)
+    }
+
+    /// The value of each known key.
+    fn values<'a>(
         &mut self,
         at: &'a At<'a>,
         what: &str,
-        known: [&'static str; N],
-        required: &[&str],
-    ) -> Option<[Option<At<'a>>; N]> {
+        known: &[&'static str],
+        required: &[bool],
+    ) -> Option<Vec<Option<At<'a>>>> {
         let Node::Map(entries) = at.node else {
-            self.wrong_type(at, &format!("{what}: a map with {}", names(known)));
+            self.wrong_type(at, &format!("{what}: a map with {}", names(known.iter().copied())));
             return None;
         };
-        if self.is_template(at, &format!("{what}: a map with {}", names(known))) {
+        if self.is_template(at, &format!("{what}: a map with {}", names(known.iter().copied()))) {
             return None;
         }
-        crate::known::keys(at, &known);
-        let mut values: [Option<At<'a>>; N] = [None; N];
-        let mut meant: [Option<At<'a>>; N] = [None; N];
+        crate::known::keys(at, known);
+        let mut values: Vec<Option<At<'a>>> = vec![None; known.len()];
+        let mut meant = values.clone();
         let (mut open, mut skipped) = (None, 0);
         for (index, (key, node)) in entries.iter().enumerate() {
             let before = index.checked_sub(1).map(|before| &entries[before]);
@@ -406,15 +415,13 @@ impl Reader {
                 None => {
                     let hint = match key.as_str() {
                         "<<" => Some("merge keys are not supported: write the keys out".to_owned()),
-                        _ if syntax::without_space(key, &known).is_some() => {
-                            syntax::without_space(key, &known)
-                        }
-                        _ => syntax::without_colon(key, &known)
+                        _ if syntax::without_space(key, known).is_some() => syntax::without_space(key, known),
+                        _ => syntax::without_colon(key, known)
                             .filter(|_| *node == Node::Null)
                             .or_else(|| slips::key(&self.units, what, key, node))
-                            .or_else(|| self.did_you_mean(key, known))
-                            .or_else(|| slips::word_of(key, known))
-                            .or_else(|| slips::parameter(what, key, node, entries)),
+                            .or_else(|| self.did_you_mean(key, known.iter().copied()))
+                            .or_else(|| slips::word_of(key, known.iter().copied()))
+                            .or_else(|| slips::parameter(what, key, node, entries, self.cue_keys)),
                     };
                     // A misspelt key is read as the key that its hint names, so that no key seems to be missing.
                     let named = |name: &&str| hint.as_ref() == Some(&did_you_mean_this(name));
@@ -424,7 +431,7 @@ impl Reader {
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
                     let is_read = known.iter().any(named);
-                    self.add(Code::UnknownKey, place.clone(), message, one_of(known), hint);
+                    self.add(Code::UnknownKey, place.clone(), message, one_of(known.iter().copied()), hint);
                     if is_read && !self.is_full() {
                         self.wrong.extend([Place { key: false, ..place.clone() }, place]);
                     }
@@ -434,9 +441,8 @@ impl Reader {
         for (value, meant) in values.iter_mut().zip(meant) {
             *value = value.or(meant);
         }
-        for key in required {
-            let index = known.iter().position(|name| name == key)?;
-            if values[index].is_none() && !self.is_miswritten(at, key) {
+        for ((key, value), _) in known.iter().zip(&values).zip(required).filter(|(_, required)| **required) {
+            if value.is_none() && !self.is_miswritten(at, key) {
                 let message = match (what, *key) {
                     ("the scenario", "scenario") => "the scenario has no name".to_owned(),
                     _ => format!("{what} has no `{key}`"),

@@ -38,9 +38,10 @@ use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::{Fleet, devices_of};
 use crate::identify::mistaken_for_scenario;
+use crate::keys::Keys;
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan, Way, compensate};
-use crate::scenario::{self, Documents, SCENARIO_KEYS, Scenario};
+use crate::scenario::{self, Documents, Scenario, ScenarioKeys};
 use crate::source::Source;
 
 use cast::Cast;
@@ -66,7 +67,7 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Err(findings) => return Compiled { choreography: None, findings },
     };
     let root = documents.nodes.first();
-    if let Some(mistaken) = root.and_then(|root| mistaken_for_scenario(source, root, &SCENARIO_KEYS)) {
+    if let Some(mistaken) = root.and_then(|root| mistaken_for_scenario(source, root, ScenarioKeys::NAMES)) {
         return Compiled { choreography: None, findings: vec![mistaken] };
     }
     let mut reader = Reader::default();

@@ -4,22 +4,50 @@ use std::sync::Arc;
 
 use urrcp::{Span, StopCondition};
 
-use super::cue::ORDER;
+use super::cue::{CueKeys, ORDER};
 use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
 use crate::clock_time::{parse_instant, parse_time_of_day};
 use crate::duration::parse_duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
-use crate::keys::CUE_KEYS;
 use crate::node::Node;
 use crate::plan::{OnDoubt, OnFailure, Wait};
 use crate::sensor_range::sensor_range;
 use crate::shown::shortened;
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
-const ACT_KEYS: [&str; 10] =
-    ["act", "cues", "wait", "next", "on_failure", "on_doubt", "zones", "order", "tempo", "signature"];
-const WAIT_KEYS: [&str; 8] = ["for", "time", "sensor", "above", "below", "within", "timeout", "otherwise"];
+keys! {
+    /// What is prepared, decided and started together.
+    struct ActKeys {
+        act,
+        #[required]
+        cues,
+        wait,
+        next,
+        on_failure,
+        on_doubt,
+        zones,
+        order,
+        tempo,
+        signature,
+    }
+}
+
+keys! {
+    /// One of `for`, `time` and `sensor`.
+    struct WaitKeys {
+        r#for,
+        time,
+        sensor,
+        above,
+        below,
+        within,
+        timeout,
+        otherwise,
+    }
+}
 
 /// What holds where an act or cue says nothing.
 pub(super) struct Defaults<'a> {
@@ -147,18 +175,18 @@ fn act(
     index: usize,
 ) -> Option<Act> {
     let moves = ["robots", "tracks", "move", "sequence", "form", "turn", "grow", "shift", "along"];
-    let own = without_cue(reader, at, "an act", &ACT_KEYS, &moves);
+    let own = without_cue(reader, at, "an act", ActKeys::NAMES, &moves);
     let at = &own.as_ref().map_or(*at, |own| at.with(own));
-    let [name, cues, wait, next, failure, doubt, own_zones, order, tempo, signature] =
-        reader.map(at, "an act", ACT_KEYS, &["cues"])?;
-    let name = name
+    let keys: ActKeys<'_> = reader.keys(at, "an act")?;
+    let name = keys
+        .act
         .and_then(|at| reader.name(&at, "the act's name"))
         .unwrap_or_else(|| format!("act {}", index + 1));
-    library::music(reader, tempo, signature);
-    let own_order = order.and_then(|at| reader.word(&at, &ORDER));
+    library::music(reader, keys.tempo, keys.signature);
+    let own_order = keys.order.and_then(|at| reader.word(&at, &ORDER));
     let order = own_order.unwrap_or(defaults.order);
     let zones_from = reader.found.len();
-    let all = match (own_order, own_zones) {
+    let all = match (own_order, keys.zones) {
         (None, None) => shared.zones.clone(),
         (_, own) => {
             let mut all = defaults.zones.map(|at| zones(reader, &at, order)).unwrap_or_default();
@@ -168,23 +196,23 @@ fn act(
     };
     let faults = shared.faults + reader.found.len() - zones_from;
     let whose = format!("the act `{}`", shortened(&name));
-    let mut rule = failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
+    let mut rule = keys.on_failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
     rule.default = rule.default.or(defaults.on_failure.default);
     rule.inherited = shared.rules.clone();
     let before = reader.found.len();
-    let cues = cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default();
+    let cues = keys.cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default();
     Some(Act {
         place: at.place(),
         cues,
         faults: faults + reader.found.len() - before,
         zones: all,
         order,
-        wait: wait.map(|at| read_wait(reader, &at)).unwrap_or_default(),
-        next: next.and_then(|at| {
+        wait: keys.wait.map(|at| read_wait(reader, &at)).unwrap_or_default(),
+        next: keys.next.and_then(|at| {
             Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
         }),
         on_failure: rule,
-        on_doubt: doubt.and_then(|at| reader.word(&at, &ON_DOUBT)).unwrap_or(defaults.on_doubt),
+        on_doubt: keys.on_doubt.and_then(|at| reader.word(&at, &ON_DOUBT)).unwrap_or(defaults.on_doubt),
         name,
     })
 }
@@ -198,7 +226,7 @@ pub(super) fn without_cue(
     moves: &[&str],
 ) -> Option<Node> {
     let Node::Map(entries) = at.node else { return None };
-    let is_of_cue = |key: &str| CUE_KEYS.contains(&key) && !known.contains(&key);
+    let is_of_cue = |key: &str| CueKeys::NAMES.contains(&key) && !known.contains(&key);
     let (cue, own): (Vec<_>, Vec<_>) = entries.iter().partition(|(key, _)| is_of_cue(key));
     if !cue.iter().any(|(key, _)| moves.contains(&key.as_str())) {
         return None;
@@ -294,17 +322,13 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
         let wait = reader.word_or(at, &index, wait_hint).map_or(Wait::Done, |i| words[i].1.clone());
         return WrittenWait { wait, place: at.place(), ..WrittenWait::default() };
     };
-    let Some([word, time, sensor, above, below, within, timeout, otherwise]) =
-        reader.map(at, "`wait`", WAIT_KEYS, &[])
-    else {
-        return WrittenWait::default();
-    };
-    let wait = match (word, time, sensor) {
+    let Some(keys) = reader.keys::<WaitKeys<'_>>(at, "`wait`") else { return WrittenWait::default() };
+    let wait = match (keys.r#for, keys.time, keys.sensor) {
         (Some(word), None, None) => {
             reader.word_or(&word, &[("done", 0), ("operator", 1)], wait_hint).map(|i| words[i].1.clone())
         }
         (None, Some(time), None) => time_of_day(reader, &time),
-        (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [above, below, within]),
+        (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [keys.above, keys.below, keys.within]),
         _ if reader.is_miswritten(at, "for") => None,
         _ => {
             let message = "found none or several of `for`, `time` and `sensor`";
@@ -312,8 +336,8 @@ fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
             None
         }
     };
-    let timeout = timeout.and_then(|at| reader.duration(&at));
-    let otherwise = otherwise.and_then(|at| {
+    let timeout = keys.timeout.and_then(|at| reader.duration(&at));
+    let otherwise = keys.otherwise.and_then(|at| {
         Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
     });
     if let (None, Some(name)) = (timeout, &otherwise) {

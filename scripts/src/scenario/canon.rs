@@ -4,8 +4,19 @@ use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
 use crate::fields::{Across, At, By, Reader, Robot, parts};
 use crate::finding::{Code, Place};
 use crate::node::Node;
+use downbeat_reader::keys;
 
-const CANON_KEYS: [&str; 6] = ["step", "speed", "over", "by", "seed", "direction"];
+keys! {
+    /// The order of the robots, and how much later they begin.
+    struct CanonKeys {
+        step,
+        speed,
+        over,
+        by,
+        seed,
+        direction,
+    }
+}
 
 /// Speeds of a wave over the robots, in metres a second.
 const SPEED_MIN: f64 = 1e-3;
@@ -107,7 +118,7 @@ fn steps(reader: &mut Reader, at: &At<'_>) -> Option<Steps> {
 }
 
 fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
-    let [step, speed, over, by, seed, direction] = reader.map(at, "`canon`", CANON_KEYS, &[])?;
+    let CanonKeys { step, speed, over, by, seed, direction } = reader.keys(at, "`canon`")?;
     let across = Across::read(reader, by, seed, direction);
     let delays = match (step, speed, over) {
         (Some(step), None, None) => {

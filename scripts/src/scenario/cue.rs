@@ -12,34 +12,25 @@ use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing, standing}
 use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
-use crate::keys::CUE_KEYS;
 use crate::node::Node;
+use downbeat_reader::keys;
 
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-const OVERRIDE_KEYS: [&str; 9] =
-    ["move", "parameters", "tracks", "devices", "mirror", "scale", "reverse", "repeat", "delay"];
-
-pub(super) fn read(
-    reader: &mut Reader,
-    library: &Library<'_>,
-    defaults: &Defaults<'_>,
-    at: &At<'_>,
-    index: usize,
-) -> Option<Cue> {
-    let [
-        name,
-        start,
+keys! {
+    /// What robots do, and when.
+    pub(crate) struct CueKeys {
+        cue,
+        at,
         after,
         with,
         before,
         end_by,
         duration,
         robots,
-        named,
-        // Read by `sequence`, before there is a cue.
-        _sequence,
+        r#move,
+        sequence,
         parameters,
         tracks,
         devices,
@@ -54,16 +45,50 @@ pub(super) fn read(
         stop_condition,
         off_grid,
         tolerance,
-        readings,
+        read,
         form,
         turn,
         grow,
         shift,
         along,
         over,
-    ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
-    let grouped = [form, turn, grow, shift, along].iter().any(Option::is_some);
-    let moves = named.is_some() || tracks.is_some() || readings.is_some() || grouped;
+    }
+}
+
+keys! {
+    /// Other values for some robots.
+    struct OverrideKeys {
+        r#move,
+        parameters,
+        tracks,
+        devices,
+        mirror,
+        scale,
+        reverse,
+        repeat,
+        delay,
+    }
+}
+
+keys! {
+    /// Apart for scripts that wait and scripts that run.
+    struct LeaseKeys {
+        pending,
+        running,
+    }
+}
+
+pub(super) fn read(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    defaults: &Defaults<'_>,
+    at: &At<'_>,
+    index: usize,
+) -> Option<Cue> {
+    let keys: CueKeys<'_> = reader.keys(at, "a cue")?;
+    let CueKeys { r#move: named, tracks, robots, duration, .. } = keys;
+    let grouped = [keys.form, keys.turn, keys.grow, keys.shift, keys.along].iter().any(Option::is_some);
+    let moves = named.is_some() || tracks.is_some() || keys.read.is_some() || grouped;
     let cast = reader.nesting.robots.clone().filter(|_| robots.is_none() && moves);
     for (missing, key) in
         [(robots.is_none() && moves && cast.is_none(), "robots"), (robots.is_some() && !moves, "tracks")]
@@ -96,28 +121,29 @@ pub(super) fn read(
         }
     };
     reader.group.enter(library.robots(&names));
-    let when = When { at: start, after, with, before, end_by };
+    let CueKeys { after, with, before, end_by, .. } = keys;
+    let when = When { at: keys.at, after, with, before, end_by };
     let Timing { relations, start: fixed, late } = when.read(reader);
     (reader.music.start, reader.nesting.began) = (fixed, fixed);
-    let tolerance = tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit"));
+    let tolerance =
+        keys.tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit"));
     let shaping = Shaping {
         named,
-        parameters,
+        parameters: keys.parameters,
         tracks,
-        devices,
-        mirror,
-        scale,
-        reverse,
-        repeat,
+        devices: keys.devices,
+        mirror: keys.mirror,
+        scale: keys.scale,
+        reverse: keys.reverse,
+        repeat: keys.repeat,
         delay: None,
         tolerance,
     };
-    let changes = [scale, mirror, reverse, repeat, devices, overrides];
-    let mut group = form::read(reader, at, [form, turn, grow, shift, along, over], duration, changes);
+    let mut group = form::read(reader, at, &keys);
     if let Some(group) = &mut group {
         library.form_name(reader, group);
     }
-    let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
+    let entries = keys.overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
     let entries = entries.unwrap_or_default();
     let mut overriding = read_overrides(reader, &shaping, &entries);
     overriding.iter_mut().for_each(|overriding| library.cast_name(reader, &mut overriding.name));
@@ -126,7 +152,8 @@ pub(super) fn read(
         read.last_at_least(group.over);
     }
     let mut cue = Cue {
-        name: name
+        name: keys
+            .cue
             .and_then(|at| reader.name(&at, "the cue's name"))
             .unwrap_or_else(|| format!("cue {}", index + 1)),
         place: at.place(),
@@ -138,12 +165,12 @@ pub(super) fn read(
         overrides: read.overrides,
         own: read.own,
         own_of: read.own_of,
-        canon: canon::read(reader, canon.as_ref()).delayed(late),
-        uses: uses.map(|at| name_list(reader, &at, "a zone, or a list of them")).unwrap_or_default(),
-        apart: apart.map(|at| name_list(reader, &at, "a cue, or a list of them")).unwrap_or_default(),
-        stop_condition: stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
-        off_grid: off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
-        readings: readings.map(|at| read_readings(reader, &at)).unwrap_or_default(),
+        canon: canon::read(reader, keys.canon.as_ref()).delayed(late),
+        uses: keys.uses.map(|at| name_list(reader, &at, "a zone, or a list of them")).unwrap_or_default(),
+        apart: keys.apart.map(|at| name_list(reader, &at, "a cue, or a list of them")).unwrap_or_default(),
+        stop_condition: keys.stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
+        off_grid: keys.off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
+        readings: keys.read.map(|at| read_readings(reader, &at)).unwrap_or_default(),
         group,
         rehearsed: None,
         tolerance,
@@ -196,7 +223,7 @@ pub(super) fn lease(reader: &mut Reader, at: &At<'_>, default: StopCondition) ->
     let Node::Map(_) = at.node else {
         return reader.duration(at).map(|span| StopCondition::both(Millis::from_span(span)));
     };
-    let [pending, running] = reader.map(at, "`stop_condition`", ["pending", "running"], &[])?;
+    let LeaseKeys { pending, running } = reader.keys(at, "`stop_condition`")?;
     let mut limit = |at: Option<At<'_>>, default: Option<Millis>| match at {
         None => default,
         Some(at) if matches!(at.node, Node::Text(text) if text == "none") => None,
@@ -233,21 +260,17 @@ fn read_overrides<'a>(
 ) -> Vec<Overriding<'a>> {
     let mut overrides = Vec::new();
     for (robot, at) in entries {
-        let Some([named, parameters, tracks, devices, mirror, scale, reverse, repeat, delay]) =
-            reader.map(at, "an override", OVERRIDE_KEYS, &[])
-        else {
-            continue;
-        };
+        let Some(keys) = reader.keys::<OverrideKeys<'_>>(at, "an override") else { continue };
         let shaping = Shaping {
-            named: named.or(base.named),
-            parameters: parameters.or(base.parameters),
-            tracks: tracks.or(base.tracks),
-            devices: devices.or(base.devices),
-            mirror: mirror.or(base.mirror),
-            scale: scale.or(base.scale),
-            reverse: reverse.or(base.reverse),
-            repeat: repeat.or(base.repeat),
-            delay,
+            named: keys.r#move.or(base.named),
+            parameters: keys.parameters.or(base.parameters),
+            tracks: keys.tracks.or(base.tracks),
+            devices: keys.devices.or(base.devices),
+            mirror: keys.mirror.or(base.mirror),
+            scale: keys.scale.or(base.scale),
+            reverse: keys.reverse.or(base.reverse),
+            repeat: keys.repeat.or(base.repeat),
+            delay: keys.delay,
             tolerance: base.tolerance,
         };
         let name = Name { text: (*robot).to_owned(), place: at.key_place() };

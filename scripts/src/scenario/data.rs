@@ -11,17 +11,31 @@ use crate::motion::{Between, Curve, Knot, Shape};
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
+use downbeat_reader::keys;
 
-const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
+
+keys! {
+    /// A column of a CSV file.
+    struct SamplesKeys {
+        #[required]
+        file,
+        #[required]
+        time,
+        #[required]
+        value,
+        time_unit,
+        scale,
+        ease,
+    }
+}
 
 /// Most faults of one file that are listed; the last says how many more there are.
 const FAULTS_MAX: usize = 20;
 
 /// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`
 pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
-    let [file, time, value, unit, scale, ease] =
-        reader.map(at, "`samples`", SAMPLES_KEYS, &["file", "time", "value"])?;
+    let SamplesKeys { file, time, value, time_unit: unit, scale, ease } = reader.keys(at, "`samples`")?;
     let name =
         file.and_then(|at| reader.text(&at, "the path of a CSV file").map(std::borrow::Cow::into_owned));
     let units = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];

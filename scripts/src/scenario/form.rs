@@ -1,5 +1,6 @@
 //! The keys for what a group of bodies does together: `form`, `turn`, `grow`, `shift`, `along` and `over`.
 
+use super::cue::CueKeys;
 use super::formations::SHAPES;
 use super::track::positive_time;
 use crate::ensemble::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
@@ -22,34 +23,52 @@ const METRES_MAX: f64 = 1e6;
 const LEAST: [(&str, Least); 2] = [("total", Least::Total), ("longest", Least::Longest)];
 const SPARE: [(&str, Spare); 2] = [("stay", Spare::Stay), ("home", Spare::Home)];
 const THIN: [(&str, Thin); 2] = [("evenly", Thin::Evenly), ("nearest", Thin::Nearest)];
-const FORM_KEYS: [&str; 4] = ["to", "least", "spare", "thin"];
-const TURN_KEYS: [&str; 2] = ["by", "about"];
-const ALONG_KEYS: [&str; 4] = ["path", "laps", "turning", "follow"];
+/// The keys of a cue that say what its robots do as a group, and for how long.
+const GROUP: [&str; 6] = ["form", "turn", "grow", "shift", "along", "over"];
 
 keys! {
-    /// What a cue says of its robots as a group.
-    GroupKeys, GROUP_KEYS { form, turn, grow, shift, along, over }
+    /// Into which formation, and how.
+    struct FormKeys {
+        #[required]
+        to,
+        least,
+        spare,
+        thin,
+    }
 }
 
-/// What a cue says of its robots as a group. `shaping` are the keys that change a movement, which no group has.
-pub(super) fn read(
-    reader: &mut Reader,
-    cue: &At<'_>,
-    values: [Option<At<'_>>; GROUP_KEYS.len()],
-    duration: Option<At<'_>>,
-    shaping: [Option<At<'_>>; 6],
-) -> Option<Together> {
-    let keys = GroupKeys::of(values);
+keys! {
+    /// A turn about the vertical.
+    struct TurnKeys {
+        #[required]
+        by,
+        about,
+    }
+}
+
+keys! {
+    /// Along which path, and how.
+    struct AlongKeys {
+        #[required]
+        path,
+        laps,
+        turning,
+        follow,
+    }
+}
+
+/// What a cue says of its robots as a group.
+pub(super) fn read(reader: &mut Reader, cue: &At<'_>, keys: &CueKeys<'_>) -> Option<Together> {
     let sweeps = [keys.turn, keys.grow, keys.shift, keys.along];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
     let Some(first) = first else {
-        let over = keys.over.filter(|_| !GROUP_KEYS.iter().any(|key| reader.is_miswritten(cue, key)))?;
+        let over = keys.over.filter(|_| !GROUP.iter().any(|key| reader.is_miswritten(cue, key)))?;
         let expected = "one of `form`, `turn`, `grow`, `shift`, `along` that takes so long";
         let hint = Some("a cue with tracks has a `duration`".to_owned());
         reader.add(Code::MissingKey, over.key_place(), "`over` in a cue without a `form`", expected, hint);
         return None;
     };
-    if let Some(at) = duration {
+    if let Some(at) = keys.duration {
         let (message, hint) = match keys.over {
             Some(_) => ("a `duration` next to `over`", "remove it"),
             None => ("a `duration` for the way of a group", "write `over` instead"),
@@ -57,6 +76,8 @@ pub(super) fn read(
         let expected = "`over` alone: it says how long the cue takes";
         reader.add(Code::UnknownKey, at.key_place(), message, expected, Some(hint.to_owned()));
     }
+    // What changes a movement changes no group.
+    let shaping = [keys.scale, keys.mirror, keys.reverse, keys.repeat, keys.devices, keys.overrides];
     for at in shaping.into_iter().flatten() {
         let message = "the movement of a group cannot be changed";
         let hint = Some("write a cue for each turn, and one of its own for tracks".to_owned());
@@ -68,9 +89,9 @@ pub(super) fn read(
             hint,
         );
     }
-    if keys.over.is_none() && duration.is_none() && !reader.is_miswritten(cue, "over") {
+    if keys.over.is_none() && keys.duration.is_none() && !reader.is_miswritten(cue, "over") {
         let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
-        let named = ["form", "turn", "grow", "shift", "along"].into_iter().zip(values);
+        let named = GROUP.into_iter().zip([keys.form, keys.turn, keys.grow, keys.shift, keys.along]);
         let named = named.filter(|(_, value)| value.is_some()).map(|(name, _)| name).next();
         let message = format!("`{}` without `over`", named.unwrap_or("form"));
         reader.add(Code::MissingKey, first.key_place(), message, "a key `over`", hint);
@@ -85,7 +106,7 @@ pub(super) fn read(
             }
             read_form(reader, &form).map(Action::Form)
         }
-        None => read_sweep(reader, &keys).map(Action::Sweep),
+        None => read_sweep(reader, keys).map(Action::Sweep),
     };
     let (length, over_place) = (length?, keys.over?.place());
     let over = reader.music.start.lay(length);
@@ -109,7 +130,7 @@ fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
         reader.add(Code::WrongType, at.place(), message, EXPECTED, Some(hint));
         return None;
     }
-    let [to, least, spare, thin] = reader.map(at, "`form`", FORM_KEYS, &["to"])?;
+    let FormKeys { to, least, spare, thin } = reader.keys(at, "`form`")?;
     let target = target(reader, &to?)?;
     if matches!(target, Target::Home) {
         for choice in [least, spare, thin].into_iter().flatten() {
@@ -129,10 +150,10 @@ fn shape_within(node: &Node) -> Option<&'static str> {
     SHAPES.into_iter().find(|shape| entries.iter().any(|(key, _)| key == shape))
 }
 
-fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
+fn read_sweep(reader: &mut Reader, keys: &CueKeys<'_>) -> Option<Sweep> {
     let (turn, about) = match keys.turn {
         Some(at) if matches!(at.node, Node::Map(_)) && !is_spread(at.node) => {
-            let [by, about] = reader.map(&at, "`turn`", TURN_KEYS, &["by"])?;
+            let TurnKeys { by, about } = reader.keys(&at, "`turn`")?;
             let about = match about {
                 Some(at) => Some(numbers::<2>(reader, &at, "x and y in metres, as [1, 0.5]", METRES_MAX)?),
                 None => None,
@@ -180,7 +201,7 @@ fn read_along(reader: &mut Reader, at: &At<'_>) -> Option<Course> {
         let path = reader.name(at, EXPECTED)?;
         return Some(Course { path, laps: None, turning: false, follow: false, place: at.place() });
     };
-    let [path, laps, turning, follow] = reader.map(at, "`along`", ALONG_KEYS, &["path"])?;
+    let AlongKeys { path, laps, turning, follow } = reader.keys(at, "`along`")?;
     let laps = match laps {
         Some(at) => Some(reader.count(&at, 1, LAPS_MAX)?),
         None => None,

@@ -38,8 +38,65 @@ pub(super) const SHAPES: [&str; 9] =
     ["points", "line", "circle", "grid", "v", "sphere", "text", "svg", "cloud"];
 
 keys! {
-    /// What is said of a formation.
-    FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, text, svg, cloud, at, rotate, scale, size }
+    /// A set of places in metres. It has exactly one shape.
+    struct FormationKeys {
+        points,
+        line,
+        circle,
+        grid,
+        v,
+        sphere,
+        text,
+        svg,
+        cloud,
+        at,
+        rotate,
+        scale,
+        size,
+    }
+}
+
+keys! {
+    /// Along the x axis.
+    struct LineKeys {
+        spacing,
+        length,
+    }
+}
+
+keys! {
+    /// Counterclockwise from the x axis.
+    struct CircleKeys {
+        radius,
+        spacing,
+    }
+}
+
+keys! {
+    /// Row by row along the x axis.
+    struct GridKeys {
+        #[required]
+        spacing,
+        columns,
+        rows,
+    }
+}
+
+keys! {
+    /// The tip, then one place of each arm after another.
+    struct VeeKeys {
+        #[required]
+        spacing,
+        angle,
+    }
+}
+
+keys! {
+    /// Spread evenly over a sphere.
+    struct SphereKeys {
+        #[required]
+        radius,
+    }
 }
 
 /// A shape, and how it stands if nothing is said of that.
@@ -81,7 +138,7 @@ fn formation(
     at: &At<'_>,
 ) -> Option<(Formation, (&'static str, f64))> {
     let what = format!("the formation `{}`", shortened(name));
-    let keys = FormationKeys::of(reader.map(at, &what, FORMATION_KEYS, &[])?);
+    let keys: FormationKeys<'_> = reader.keys(at, &what)?;
     let shaped = shape(reader, files, at, &what, &keys);
     let factor = keys.scale.map_or(Some(1.0), |at| factor(reader, &at));
     let rpy = keys.rotate.map_or(Some([0.0; 3]), |at| rotation(reader, &at));
@@ -165,7 +222,7 @@ fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 
 /// `{spacing: 1}` or `{length: 6}`
 fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
-    let [spacing, whole] = reader.map(at, "`line`", ["spacing", "length"], &[])?;
+    let LineKeys { spacing, length: whole } = reader.keys(at, "`line`")?;
     let (line, key, size) = match (spacing, whole) {
         (Some(at), None) => {
             let spacing = length(reader, &at)?;
@@ -182,7 +239,7 @@ fn read_line(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 
 /// `{radius: 2}` or `{spacing: 1}`
 fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
-    let [radius, spacing] = reader.map(at, "`circle`", ["radius", "spacing"], &[])?;
+    let CircleKeys { radius, spacing } = reader.keys(at, "`circle`")?;
     let (ring, key, size) = match (radius, spacing) {
         (Some(at), None) => {
             let radius = length(reader, &at)?;
@@ -199,7 +256,7 @@ fn read_circle(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 
 /// `{spacing: 1, columns: 4, rows: 3}`
 fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
-    let [spacing, columns, rows] = reader.map(at, "`grid`", ["spacing", "columns", "rows"], &["spacing"])?;
+    let GridKeys { spacing, columns, rows } = reader.keys(at, "`grid`")?;
     let side = |reader: &mut Reader, at: Option<At<'_>>| match at {
         Some(at) => reader.count(&at, 1, SIDE_MAX).map(Some),
         None => Some(None),
@@ -217,7 +274,7 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 
 /// `{spacing: 1, angle: 60}`
 fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
-    let [spacing, angle] = reader.map(at, "`v`", ["spacing", "angle"], &["spacing"])?;
+    let VeeKeys { spacing, angle } = reader.keys(at, "`v`")?;
     let expected = "an angle between the arms above 0 and below 180 degrees";
     let angle = angle.map_or(Some(VEE_ANGLE), |at| {
         let angle = reader.degrees(&at, expected)?;
@@ -241,7 +298,7 @@ fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
 
 /// `{radius: 2}`
 fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
-    let [radius] = reader.map(at, "`sphere`", ["radius"], &["radius"])?;
+    let SphereKeys { radius } = reader.keys(at, "`sphere`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;
     Some(Shaped::around_0(Shape::Sphere(Ball { radius })).of_size("radius", radius))
 }

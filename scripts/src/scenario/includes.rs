@@ -2,15 +2,25 @@
 
 use std::sync::Arc;
 
-use super::library::{Copy, Documents, INCLUDE_KEYS, INCLUDES_MAX, Library, Shared};
+use super::library::{Copy, Documents, INCLUDES_MAX, IncludedKeys, Library, Shared};
 use super::nesting::{Used, arguments, with_defaults};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, Use};
 use crate::node::Node;
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
-const ENTRY_KEYS: [&str; 3] = ["file", "as", "parameters"];
 const EXPECTED: &str = "the path of a file, {file, as, parameters}, or a list of these";
+
+keys! {
+    /// A file under a name of its own.
+    struct IncludeKeys {
+        #[required]
+        file,
+        r#as,
+        parameters,
+    }
+}
 
 /// A file under `include`.
 pub(super) struct Included {
@@ -61,7 +71,8 @@ pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
             reader.text(&item, EXPECTED);
             continue;
         };
-        let Some([file, name, _]) = reader.map(&item, "an include", ENTRY_KEYS, &["file"]) else { continue };
+        let Some(keys) = reader.keys(&item, "an include") else { continue };
+        let IncludeKeys { file, r#as: name, .. } = keys;
         file.and_then(|at| reader.text(&at, "the path of a file").map(drop));
         if let Some(at) = name
             && let Some(name) = reader.name(&at, "the name of this copy")
@@ -184,14 +195,11 @@ fn copy<'a>(
     let told = Arc::new(Use { what, by: None, place: item.place() });
     let node = &documents.nodes[usize::from(target)];
     let root = At::used(node, target, Some(&told));
-    let known = reader.map(&root, "an included file", INCLUDE_KEYS, &[]);
-    let Some([_doc, parameters, include, variables, moves, sequences, roles, formations, paths]) = known
-    else {
-        return;
-    };
-    if let Some(at) = include {
+    let Some(keys) = reader.keys::<IncludedKeys<'_>>(&root, "an included file") else { return };
+    if let Some(at) = keys.include {
         check(reader, &at);
     }
+    let parameters = keys.parameters;
     let used = of_file(name, (target, node), item.place());
     let arguments = arguments(reader, &used, parameters.as_ref(), given.as_ref());
     let hidden = reader.scope.hide(library.globals);
@@ -202,7 +210,7 @@ fn copy<'a>(
     library.copies.push(Copy { prefix, values: Vec::new(), used: Some(told.clone()) });
     let copy = library.copies.len() - 1;
     library.register(node, target, copy);
-    library.add_from(reader, [variables, moves, sequences, roles, formations, paths], (target, copy));
+    library.add_from(reader, &keys.parts(), (target, copy));
     let mut files = within.files.clone();
     files.push(target);
     copies_in(reader, library, documents, &Within { copy, files, used: Some(&told) });

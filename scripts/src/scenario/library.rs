@@ -25,37 +25,42 @@ use crate::scope::Variable;
 use crate::shown::shortened;
 use crate::source::Source;
 use crate::tags::foreign_tags;
+use downbeat_reader::keys;
 
 /// Most files that a scenario may include, directly or through others.
 pub(super) const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 23] = [
-    "scenario",
-    "fleet",
-    "include",
-    "variables",
-    "moves",
-    "sequences",
-    "roles",
-    "formations",
-    "paths",
-    "tempo",
-    "signature",
-    "zones",
-    "order",
-    "off_grid",
-    "start_tolerance",
-    "lead",
-    "stop_condition",
-    "on_failure",
-    "on_doubt",
-    "at_end",
-    "require",
-    "cues",
-    "acts",
-];
-pub(super) const INCLUDE_KEYS: [&str; 9] =
-    ["doc", "parameters", "include", "variables", "moves", "sequences", "roles", "formations", "paths"];
+keys! {
+    /// A file that scenarios include.
+    pub(super) struct IncludedKeys {
+        doc,
+        parameters,
+        include,
+        variables,
+        moves,
+        sequences,
+        roles,
+        formations,
+        paths,
+    }
+}
+
+/// The keys whose entries cues share, which scenarios and included files have.
+pub(super) struct Parts<'a> {
+    pub(super) variables: Option<At<'a>>,
+    pub(super) moves: Option<At<'a>>,
+    pub(super) sequences: Option<At<'a>>,
+    pub(super) roles: Option<At<'a>>,
+    pub(super) formations: Option<At<'a>>,
+    pub(super) paths: Option<At<'a>>,
+}
+
+impl<'a> IncludedKeys<'a> {
+    pub(super) const fn parts(&self) -> Parts<'a> {
+        let Self { variables, moves, sequences, roles, formations, paths, .. } = *self;
+        Parts { variables, moves, sequences, roles, formations, paths }
+    }
+}
 
 /// The scenario and its includes, as trees.
 #[derive(Debug, Default)]
@@ -258,32 +263,24 @@ impl<'a> Library<'a> {
     /// Takes a file that is included as it is.
     pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
         let at = At::document(node, file);
-        let known = reader.map(&at, "an included file", INCLUDE_KEYS, &[]);
-        let Some([_doc, parameters, include, variables, moves, sequences, roles, formations, paths]) = known
-        else {
-            return;
-        };
-        if let Some(at) = include {
+        let Some(keys) = reader.keys::<IncludedKeys<'_>>(&at, "an included file") else { return };
+        if let Some(at) = keys.include {
             includes::check(reader, &at);
         }
-        includes::defaults(reader, parameters, named);
-        self.add_from(reader, [variables, moves, sequences, roles, formations, paths], (file, 0));
+        includes::defaults(reader, keys.parameters, named);
+        self.add_from(reader, &keys.parts(), (file, 0));
     }
 
     /// Takes what the scenario's own file holds.
-    pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: [Option<At<'_>>; 6]) {
+    pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: &Parts<'_>) {
         if let Some(at) = include {
             includes::check(reader, &at);
         }
         self.add_from(reader, parts, (0, 0));
     }
 
-    pub(super) fn add_from(
-        &mut self,
-        reader: &mut Reader,
-        [variables, moves, sequences, roles, formations, paths]: [Option<At<'_>>; 6],
-        (file, copy): (u16, usize),
-    ) {
+    pub(super) fn add_from(&mut self, reader: &mut Reader, parts: &Parts<'_>, (file, copy): (u16, usize)) {
+        let Parts { variables, moves, sequences, roles, formations, paths } = *parts;
         if let Some(at) = variables {
             let entries = reader.entries(&at, "variable to its value");
             reader.later = entries.iter().map(|(name, _)| (*name).to_owned()).collect();
@@ -462,11 +459,21 @@ pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Optio
     }
 }
 
+keys! {
+    /// A tempo from some bar on.
+    struct TempoKeys {
+        #[required]
+        at,
+        #[required]
+        bpm,
+        signature,
+    }
+}
+
 fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: u8) -> Vec<Section> {
     let mut sections: Vec<Section> = Vec::new();
     for item in reader.list(at, "a list of tempos such as {at: bar 1, bpm: 120}") {
-        let known = ["at", "bpm", "signature"];
-        let Some([place, tempo, signature]) = reader.map(&item, "a tempo", known, &["at", "bpm"]) else {
+        let Some(TempoKeys { at: place, bpm: tempo, signature }) = reader.keys(&item, "a tempo") else {
             continue;
         };
         beats_a_bar = signature.and_then(|at| read_signature(reader, &at)).unwrap_or(beats_a_bar);

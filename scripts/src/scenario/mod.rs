@@ -43,12 +43,14 @@ use crate::node::{self, Node};
 use crate::plan::{OnDoubt, Repetition, Requirements};
 use crate::slips::Units;
 use crate::source::Source;
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
 pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
+pub(crate) use cue::CueKeys;
 pub(crate) use given::{Change, Changed, Given, Givens};
-pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use library::{Documents, Shared};
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
@@ -343,20 +345,12 @@ pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
     locate(std::slice::from_ref(source), reader.finish()).pop().unwrap_or(about)
 }
 
-/// Reads the trees of a scenario and its includes. What is wrong is left out and found.
-pub(crate) fn read(
-    reader: &mut Reader,
-    documents: &Documents<'_>,
-    files: &dyn Files,
-    fleet: &Fleet,
-) -> Option<Scenario> {
-    let root = documents.nodes.first()?;
-    let at = At::document(root, 0);
-    let own = acts::without_cue(reader, &at, "the scenario", &SCENARIO_KEYS, &["tracks", "form"]);
-    let at = own.as_ref().map_or(at, |own| at.with(own));
-    let [
-        name,
-        fleet_file,
+keys! {
+    /// A scenario.
+    pub(crate) struct ScenarioKeys {
+        #[required]
+        scenario,
+        fleet,
         include,
         variables,
         moves,
@@ -369,7 +363,7 @@ pub(crate) fn read(
         zones,
         order,
         off_grid,
-        tolerance,
+        start_tolerance,
         lead,
         stop_condition,
         on_failure,
@@ -378,36 +372,65 @@ pub(crate) fn read(
         require,
         cues,
         acts,
-    ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
-    fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
+    }
+}
+
+impl<'a> ScenarioKeys<'a> {
+    const fn parts(&self) -> library::Parts<'a> {
+        let Self { variables, moves, sequences, roles, formations, paths, .. } = *self;
+        library::Parts { variables, moves, sequences, roles, formations, paths }
+    }
+}
+
+keys! {
+    /// What happens when the show ends.
+    struct AtEndKeys {
+        #[required]
+        home,
+    }
+}
+
+/// Reads the trees of a scenario and its includes. What is wrong is left out and found.
+pub(crate) fn read(
+    reader: &mut Reader,
+    documents: &Documents<'_>,
+    files: &dyn Files,
+    fleet: &Fleet,
+) -> Option<Scenario> {
+    let root = documents.nodes.first()?;
+    let at = At::document(root, 0);
+    let own = acts::without_cue(reader, &at, "the scenario", ScenarioKeys::NAMES, &["tracks", "form"]);
+    let at = own.as_ref().map_or(at, |own| at.with(own));
+    let keys: ScenarioKeys<'_> = reader.keys(&at, "the scenario")?;
+    keys.fleet.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
+    reader.cue_keys = CueKeys::NAMES;
     reader.group = standing::at_first(fleet);
     reader.units = Units::of(fleet.robots.iter().flat_map(devices_of));
-    let parts = [variables, moves, sequences, roles, formations, paths];
-    let library = shared(reader, documents, files, fleet, (include, parts));
-    library::music(reader, tempo, signature);
-    let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
+    let library = shared(reader, documents, files, fleet, &keys);
+    library::music(reader, keys.tempo, keys.signature);
+    let (requirements, closest_place) = keys.require.map(|at| require::read(reader, &at)).unwrap_or_default();
     let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
-    let lease = stop_condition.and_then(|at| cue::lease(reader, &at, default));
+    let lease = keys.stop_condition.and_then(|at| cue::lease(reader, &at, default));
     let mut scenario = Scenario {
-        name: name.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
-        start_tolerance: tolerance.and_then(|at| reader.duration(&at)).unwrap_or(START_TOLERANCE),
-        lead: lead.and_then(|at| read_lead(reader, &at)),
+        name: keys.scenario.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
+        start_tolerance: keys.start_tolerance.and_then(|at| reader.duration(&at)).unwrap_or(START_TOLERANCE),
+        lead: keys.lead.and_then(|at| read_lead(reader, &at)),
         stop_condition: lease.unwrap_or(default),
-        lease_place: stop_condition.filter(|_| lease.is_some()).map(|at| at.place()),
+        lease_place: keys.stop_condition.filter(|_| lease.is_some()).map(|at| at.place()),
         requirements,
         closest_place,
-        at_end: at_end.and_then(|at| read_at_end(reader, &at)),
+        at_end: keys.at_end.and_then(|at| read_at_end(reader, &at)),
         ..Scenario::default()
     };
     let defaults = acts::Defaults {
         lease: scenario.stop_condition,
-        off_grid: off_grid.and_then(|at| reader.word(&at, &cue::OFF_GRID)).unwrap_or_default(),
-        order: order.and_then(|at| reader.word(&at, &cue::ORDER)).unwrap_or_default(),
-        zones,
-        on_failure: on_failure.map(|at| acts::on_failure(reader, &at)).unwrap_or_default(),
-        on_doubt: on_doubt.and_then(|at| reader.word(&at, &acts::ON_DOUBT)).unwrap_or_default(),
+        off_grid: keys.off_grid.and_then(|at| reader.word(&at, &cue::OFF_GRID)).unwrap_or_default(),
+        order: keys.order.and_then(|at| reader.word(&at, &cue::ORDER)).unwrap_or_default(),
+        zones: keys.zones,
+        on_failure: keys.on_failure.map(|at| acts::on_failure(reader, &at)).unwrap_or_default(),
+        on_doubt: keys.on_doubt.and_then(|at| reader.word(&at, &acts::ON_DOUBT)).unwrap_or_default(),
     };
-    scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
+    scenario.acts = acts::read(reader, &library, &defaults, &at, [keys.cues, keys.acts]);
     for name in library.unused("move") {
         movement::check_unused(reader, &library, &name);
     }
@@ -425,8 +448,8 @@ fn read_at_end(reader: &mut Reader, at: &At<'_>) -> Option<AtEnd> {
     let Node::Map(_) = at.node else {
         return reader.word(at, &[("home", ())]).map(|()| AtEnd { over: None, place });
     };
-    let [over] = reader.map(at, "`at_end`", ["home"], &["home"])?;
-    let over = Some(reader.duration(&over?)?);
+    let AtEndKeys { home } = reader.keys(at, "`at_end`")?;
+    let over = Some(reader.duration(&home?)?);
     Some(AtEnd { over, place })
 }
 
@@ -436,7 +459,7 @@ fn shared<'a>(
     documents: &'a Documents<'_>,
     files: &'a dyn Files,
     fleet: &'a Fleet,
-    (include, parts): (Option<At<'_>>, [Option<At<'_>>; 6]),
+    keys: &ScenarioKeys<'_>,
 ) -> library::Library<'a> {
     let mut library = library::Library::new(documents, files, fleet);
     let included = documents.nodes.iter().zip(&documents.names).zip(&documents.plain);
@@ -445,7 +468,7 @@ fn shared<'a>(
             library.include(reader, node, file, (name, place));
         }
     }
-    library.add(reader, include, parts);
+    library.add(reader, keys.include, &keys.parts());
     library.globals = reader.scope.mark();
     includes::copies(reader, &mut library, documents);
     library
@@ -459,15 +482,8 @@ pub(crate) fn library_of<'a>(
     fleet: &'a Fleet,
 ) -> Option<library::Library<'a>> {
     let at = At::document(documents.nodes.first()?, 0);
-    let [_, _, include, variables, moves, sequences, roles, formations, paths, ..] =
-        reader.map(&at, "the scenario", SCENARIO_KEYS, &[])?;
-    Some(shared(
-        reader,
-        documents,
-        files,
-        fleet,
-        (include, [variables, moves, sequences, roles, formations, paths]),
-    ))
+    let keys: ScenarioKeys<'_> = reader.keys(&at, "the scenario")?;
+    Some(shared(reader, documents, files, fleet, &keys))
 }
 
 /// Scripts are sent that much ahead: what remains is for the act.

@@ -17,10 +17,49 @@ use crate::finding::{Code, one_of};
 use crate::node::Node;
 use crate::plan::Repetition;
 use crate::shown::shortened;
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
 /// Most times that a movement is repeated.
 const REPEATS_MAX: u32 = 10_000_000;
-pub(super) const MOVE_KEYS: [&str; 4] = ["doc", "parameters", "tracks", "play"];
+
+keys! {
+    /// A movement with parameters, to use in cues.
+    pub(super) struct MoveKeys {
+        doc,
+        parameters,
+        tracks,
+        play,
+    }
+}
+
+keys! {
+    /// How values are scaled: about + by * (value - about).
+    struct ScaleKeys {
+        #[required]
+        by,
+        about,
+        devices,
+    }
+}
+
+keys! {
+    /// How values are mirrored: 2 * about - value.
+    struct MirrorKeys {
+        about,
+        devices,
+    }
+}
+
+keys! {
+    /// How often, or for how long.
+    struct RepeatKeys {
+        times,
+        every,
+        until,
+        r#for,
+    }
+}
 
 /// The keys that make a movement.
 #[derive(Clone, Copy, Default)]
@@ -157,9 +196,8 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
     let root = At::used(&Node::Null, used.part.file, told.as_ref());
     let moves = root.entry("moves", 0, &Node::Null);
     let body = moves.entry(used.part.name, 0, used.part.node);
-    let Some([doc, parameters, tracks, play]) = reader.map(&body, &used.what(), MOVE_KEYS, &[]) else {
-        return Vec::new();
-    };
+    let keys = reader.keys(&body, &used.what());
+    let Some(MoveKeys { doc, parameters, tracks, play }) = keys else { return Vec::new() };
     if let Some(at) = doc {
         reader.text(&at, "what the move does, in words");
     }
@@ -194,7 +232,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
         reader.wrong_type(&body, "a move: a map with `parameters` and `tracks`");
         return;
     };
-    let known = |key: &str| MOVE_KEYS.contains(&key);
+    let known = |key: &str| MoveKeys::NAMES.contains(&key);
     if nesting::is_complete(part.node) || !entries.iter().all(|(key, _)| known(key)) {
         let own = Node::Text(name.to_owned());
         let at = body.entry("tracks", 0, &own);
@@ -247,10 +285,7 @@ fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let before = reader.found.len();
     let (factor, aim) = match at.node {
         Node::Map(_) if !is_spread(at.node) => {
-            let Some([by, about, devices]) = reader.map(at, "`scale`", ["by", "about", "devices"], &["by"])
-            else {
-                return;
-            };
+            let Some(ScaleKeys { by, about, devices }) = reader.keys(at, "`scale`") else { return };
             let factor = by.and_then(|at| reader.number(&at, "a factor"));
             (factor, aim(reader, about, devices))
         }
@@ -265,9 +300,7 @@ fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     let before = reader.found.len();
     let aim = match at.node {
         Node::Map(_) => {
-            let Some([about, devices]) = reader.map(at, "`mirror`", ["about", "devices"], &[]) else {
-                return;
-            };
+            let Some(MirrorKeys { about, devices }) = reader.keys(at, "`mirror`") else { return };
             aim(reader, about, devices)
         }
         _ if reader.truth(at) == Some(true) => aim(reader, None, None),
@@ -370,8 +403,7 @@ fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
     if is_spread(at.node) || !matches!(at.node, Node::Map(_)) {
         return reader.count(at, 1, REPEATS_MAX).map(|times| Turns { times, cycle: once });
     }
-    let [times, every, until, during] =
-        reader.map(at, "`repeat`", ["times", "every", "until", "for"], &[])?;
+    let RepeatKeys { times, every, until, r#for: during } = reader.keys(at, "`repeat`")?;
     let cycle = every.map_or(Some(once), |every| cycle(reader, &every, once));
     let time = match (times, until, during) {
         (Some(times), None, None) => {

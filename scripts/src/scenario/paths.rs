@@ -12,6 +12,7 @@ use crate::motion::Path;
 use crate::node::Node;
 use crate::shown::shortened;
 use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
 /// Most points of a path.
 const POINTS_MAX: usize = 1_000;
@@ -19,8 +20,22 @@ const POINTS_MAX: usize = 1_000;
 const CIRCLE: u32 = 64;
 
 keys! {
-    /// What is said of a path.
-    PathKeys, PATH_KEYS { points, circle, closed, rotate, scale }
+    /// A smooth way through space in metres: `points` or a `circle`.
+    struct PathKeys {
+        points,
+        circle,
+        closed,
+        rotate,
+        scale,
+    }
+}
+
+keys! {
+    /// Counterclockwise, and from the x axis.
+    struct RoundKeys {
+        #[required]
+        radius,
+    }
 }
 
 /// Points as they are written, and whether the path leads from the last to the first.
@@ -40,7 +55,7 @@ pub(super) fn read(reader: &mut Reader, name: &str, at: &At<'_>) -> WrittenPath 
 
 fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
     let what = format!("the path `{}`", shortened(name));
-    let keys = PathKeys::of(reader.map(at, &what, PATH_KEYS, &[])?);
+    let keys: PathKeys<'_> = reader.keys(at, &what)?;
     let closed = keys.closed.map_or(Some(false), |at| reader.truth(&at));
     let factor = keys.scale.map_or(Some(1.0), |at| factor(reader, &at));
     let rpy = keys.rotate.map_or(Some([0.0; 3]), |at| rotation(reader, &at));
@@ -54,7 +69,7 @@ fn path(reader: &mut Reader, name: &str, at: &At<'_>) -> Option<Path> {
             round(reader, &circle)
         }
         (both, _) => {
-            if both.is_some() || !PATH_KEYS.iter().any(|key| reader.is_miswritten(at, key)) {
+            if both.is_some() || !PathKeys::NAMES.iter().any(|key| reader.is_miswritten(at, key)) {
                 let code = if both.is_some() { Code::UnknownKey } else { Code::MissingKey };
                 let count = if both.is_some() { "two shapes" } else { "no shape" };
                 let hint = Some("as in `points: [[0, 0, 0], [2, 1, 0], [4, 0, 1]]`".to_owned());
@@ -128,7 +143,7 @@ fn points(reader: &mut Reader, at: &At<'_>, closed: bool) -> Option<Drawn> {
 
 /// `{radius: 2}`: counterclockwise, and from the x axis.
 fn round(reader: &mut Reader, at: &At<'_>) -> Option<Drawn> {
-    let [radius] = reader.map(at, "`circle`", ["radius"], &["radius"])?;
+    let RoundKeys { radius } = reader.keys(at, "`circle`")?;
     let radius = radius.and_then(|at| length(reader, &at))?;
     let point = |index: u32| {
         let (sine, cosine) = (TAU * f64::from(index) / f64::from(CIRCLE)).sin_cos();

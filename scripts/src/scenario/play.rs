@@ -11,21 +11,26 @@ use crate::finding::Code;
 use crate::motion::{Curve, Stretch};
 use crate::node::Node;
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
-const PLAY_KEYS: [&str; 11] = [
-    "move",
-    "parameters",
-    "tracks",
-    "devices",
-    "scale",
-    "mirror",
-    "reverse",
-    "repeat",
-    "duration",
-    "at",
-    "delay",
-];
 const EXPECTED: &str = "a list of moves such as {move: bow}; a list within it for those that begin together";
+
+keys! {
+    /// An entry of `play`.
+    struct PlayKeys {
+        r#move,
+        parameters,
+        tracks,
+        devices,
+        scale,
+        mirror,
+        reverse,
+        repeat,
+        duration,
+        at,
+        delay,
+    }
+}
 
 /// The tracks of a move that plays others. Each entry begins when the one before it has ended, unless it says `at`; those of
 /// an inner list begin together.
@@ -68,37 +73,36 @@ fn entry(
     at: &At<'_>,
     done: Exact,
 ) -> Option<(Vec<Track>, Exact)> {
-    let [named, parameters, tracks, devices, scale, mirror, reverse, repeat, duration, from, delay] =
-        reader.map(at, "an entry of `play`", PLAY_KEYS, &[])?;
-    if named.is_none()
-        && tracks.is_none()
+    let keys: PlayKeys<'_> = reader.keys(at, "an entry of `play`")?;
+    if keys.r#move.is_none()
+        && keys.tracks.is_none()
         && !["move", "tracks"].iter().any(|key| reader.is_miswritten(at, key))
     {
         let message = "an entry of `play` moves nothing";
         reader.add(Code::MissingKey, at.place(), message, "a key `move`, or `tracks`", None);
     }
     let shaping = Shaping {
-        named,
-        parameters,
-        tracks,
-        devices,
-        mirror,
-        scale,
-        reverse,
-        repeat,
+        named: keys.r#move,
+        parameters: keys.parameters,
+        tracks: keys.tracks,
+        devices: keys.devices,
+        mirror: keys.mirror,
+        scale: keys.scale,
+        reverse: keys.reverse,
+        repeat: keys.repeat,
         delay: None,
         tolerance: None,
     };
     let whole = reader.music.start;
-    let mut begin = from.map_or(Some(done), |at| reader.exact(&at))?;
+    let mut begin = keys.at.map_or(Some(done), |at| reader.exact(&at))?;
     reader.music.start = later(whole, begin);
-    if let Some(delay) = delay.and_then(|at| reader.exact(&at)) {
+    if let Some(delay) = keys.delay.and_then(|at| reader.exact(&at)) {
         begin = begin.plus(delay);
         reader.music.start = later(whole, begin);
     }
     let read = shaped(reader, library, &shaping).map(|Shaped { mut tracks, .. }| {
         let mut length = length(&tracks);
-        if let Some(wanted) = duration.and_then(|at| reader.exact(&at)) {
+        if let Some(wanted) = keys.duration.and_then(|at| reader.exact(&at)) {
             stretch(reader, &mut tracks, length, wanted);
             length = wanted;
         }

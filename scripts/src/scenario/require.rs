@@ -6,9 +6,20 @@ use crate::finding::{Code, Place, names};
 use crate::node::Node;
 use crate::plan::{AllOrNone, Ceiling, Floor, Requirements, Share};
 use crate::shown::shortened;
+use downbeat_reader::keys;
 
-pub(crate) const REQUIRE_KEYS: [&str; 7] =
-    ["spread_p50", "spread_p99", "spread_max", "starts", "finishes", "closest", "all_or_none"];
+keys! {
+    /// What `check` and `dry-run` judge.
+    struct RequireKeys {
+        spread_p50,
+        spread_p99,
+        spread_max,
+        starts,
+        finishes,
+        closest,
+        all_or_none,
+    }
+}
 
 const SPREAD: &str = "a longest time, such as `below 5ms` or `at most 5ms`";
 const SHARE: &str = "a least share of the trials, such as `above 99.9%` or `at least 100%`";
@@ -22,16 +33,13 @@ const OF_PERCENT: u32 = 10_000_000;
 
 /// The bounds, and where that of `closest` stands.
 pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Place>) {
-    let Some([p50, p99, max, starts, finishes, closest, all_or_none]) =
-        reader.map(at, "`require`", REQUIRE_KEYS, &[])
-    else {
-        return (Requirements::default(), None);
-    };
+    let Some(keys) = reader.keys(at, "`require`") else { return Default::default() };
+    let RequireKeys { spread_p50, spread_p99, spread_max, starts, finishes, closest, all_or_none } = keys;
     let place = closest.map(|at| at.place());
     let requirements = Requirements {
-        spread_p50: p50.and_then(|at| ceiling(reader, &at)),
-        spread_p99: p99.and_then(|at| ceiling(reader, &at)),
-        spread_max: max.and_then(|at| ceiling(reader, &at)),
+        spread_p50: spread_p50.and_then(|at| ceiling(reader, &at)),
+        spread_p99: spread_p99.and_then(|at| ceiling(reader, &at)),
+        spread_max: spread_max.and_then(|at| ceiling(reader, &at)),
         starts: starts.and_then(|at| floor(reader, &at, SHARE, share)),
         finishes: finishes.and_then(|at| floor(reader, &at, SHARE, share)),
         closest: closest.and_then(|at| floor(reader, &at, DISTANCE, metres)),

@@ -6,7 +6,7 @@
 use urrcp::Span;
 
 use super::acts::Defaults;
-use super::cue::{self, robot_names};
+use super::cue::{self, CueKeys, robot_names};
 use super::library::Library;
 use super::nesting::{self, Used, within};
 use super::when::{Anchor, Relation};
@@ -14,14 +14,24 @@ use super::{Bounds, Cue, nothing};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
-use crate::keys::CUE_KEYS;
 use crate::node::Node;
 use crate::shown::shortened;
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
 /// What a cue that plays a sequence may say.
 const CALL_KEYS: [&str; 9] =
     ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots"];
-const SEQUENCE_KEYS: [&str; 3] = ["doc", "parameters", "cues"];
+
+keys! {
+    /// Cues with parameters, to use again.
+    struct SequenceKeys {
+        doc,
+        parameters,
+        #[required]
+        cues,
+    }
+}
 
 /// A cue as it is written; or, of one that plays a sequence, that one and those of the sequence.
 pub(super) fn cues(
@@ -59,7 +69,7 @@ pub(super) fn cues(
 /// Whether a key is one of the cue itself; those that no cue with a sequence takes are found.
 fn is_own(reader: &mut Reader, at: &At<'_>, key: &str) -> bool {
     let is_of_call = CALL_KEYS.contains(&key);
-    if !is_of_call && CUE_KEYS.contains(&key) {
+    if !is_of_call && CueKeys::NAMES.contains(&key) {
         let message = format!("a cue that plays a sequence takes no `{}`", shortened(key));
         let hint = Some("write it into the cues of the sequence, with a parameter if it differs".to_owned());
         let place = at.entry(key, 0, &Node::Null).key_place();
@@ -99,9 +109,8 @@ fn body(
     let root = At::used(&Node::Null, used.part.file, told.as_ref());
     let sequences = root.entry("sequences", 0, &Node::Null);
     let body = sequences.entry(used.part.name, 0, used.part.node);
-    let Some([doc, parameters, cues]) = reader.map(&body, &used.what(), SEQUENCE_KEYS, &["cues"]) else {
-        return Vec::new();
-    };
+    let keys = reader.keys(&body, &used.what());
+    let Some(SequenceKeys { doc, parameters, cues }) = keys else { return Vec::new() };
     if let Some(at) = doc {
         reader.text(&at, "what the sequence does, in words");
     }
@@ -179,7 +188,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, defaults:
         return;
     };
     if nesting::is_complete(part.node)
-        || !entries.iter().all(|(key, _)| SEQUENCE_KEYS.contains(&key.as_str()))
+        || !entries.iter().all(|(key, _)| SequenceKeys::NAMES.contains(&key.as_str()))
     {
         let Some(room) = reader.nesting.unused_sequence() else { return };
         let own = Node::Text(name.to_owned());

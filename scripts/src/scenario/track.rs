@@ -13,23 +13,92 @@ use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node, Rows, Width};
 use crate::shown::shortened;
 use crate::slips::{self, OtherForm, as_keyframes};
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 
-const TRACK_KEYS: [&str; 11] = [
-    "control",
-    "tolerance",
-    "max_steps",
-    "keyframes",
-    "spline",
-    "polynomial",
-    "wave",
-    "travel",
-    "samples",
-    "formula",
-    "for",
-];
-const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "phase", "center", "for"];
-const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
-const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
+keys! {
+    /// The movement of a device, in one of seven forms.
+    struct TrackKeys {
+        control,
+        tolerance,
+        max_steps,
+        keyframes,
+        spline,
+        polynomial,
+        wave,
+        travel,
+        samples,
+        formula,
+        r#for,
+    }
+}
+
+keys! {
+    /// A value at a time, and the way there.
+    struct KeyframeKeys {
+        #[required]
+        at,
+        #[required]
+        to,
+        ease,
+    }
+}
+
+keys! {
+    /// Several values at a time.
+    struct VectorKeys {
+        #[required]
+        at,
+        #[required]
+        to,
+    }
+}
+
+keys! {
+    /// A point on a curve.
+    struct PointKeys {
+        #[required]
+        at,
+        #[required]
+        to,
+    }
+}
+
+keys! {
+    /// A polynomial for some time.
+    struct PieceKeys {
+        #[required]
+        r#for,
+        #[required]
+        coefficients,
+    }
+}
+
+keys! {
+    /// center + amplitude * sin(2 pi (frequency t + phase / 360))
+    struct WaveKeys {
+        #[required]
+        amplitude,
+        frequency,
+        period,
+        phase,
+        center,
+        #[required]
+        r#for,
+    }
+}
+
+keys! {
+    /// from + speed t + acceleration t^2 / 2
+    struct TravelKeys {
+        #[required]
+        from,
+        speed,
+        acceleration,
+        #[required]
+        r#for,
+    }
+}
 
 /// After this many cycles a wave gets a knot.
 const WAVE_CYCLES: f64 = 8.0;
@@ -94,15 +163,16 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         return None;
     }
     let Node::Map(_) = at.node else { return Some(new(keyframes(reader, at), at)) };
-    let [control, tolerance, steps_max, keys, points, pieces, wave, travel, samples, formula, length] =
-        reader.map(at, "a track", TRACK_KEYS, &[])?;
-    let forms = [keys, points, pieces, wave, travel, samples, formula];
+    let keys: TrackKeys<'_> = reader.keys(at, "a track")?;
+    let TrackKeys { keyframes: frames, spline: points, polynomial: pieces, .. } = keys;
+    let TrackKeys { wave, travel, samples, formula, r#for: length, .. } = keys;
+    let forms = [frames, points, pieces, wave, travel, samples, formula];
     let forms: Vec<_> = forms.into_iter().flatten().collect();
     let [form] = forms.as_slice() else {
         let expected =
             "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`, `formula`";
         let code = if forms.is_empty() { Code::MissingKey } else { Code::UnknownKey };
-        if !forms.is_empty() || !TRACK_KEYS.iter().any(|key| reader.is_miswritten(at, key)) {
+        if !forms.is_empty() || !TrackKeys::NAMES.iter().any(|key| reader.is_miswritten(at, key)) {
             let message = match forms.len() {
                 0 => "a track without a movement".to_owned(),
                 count => format!("a track with {count} movements"),
@@ -115,7 +185,7 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         let message = "`for` at a track without a formula";
         reader.add(Code::UnknownKey, length.key_place(), message, "a `formula` that lasts so long", None);
     }
-    let motion = match (keys, points, pieces, wave, travel, samples, formula) {
+    let motion = match (frames, points, pieces, wave, travel, samples, formula) {
         (.., Some(formula)) => formulas::moved(reader, at, &formula, length),
         (Some(at), ..) => Some(keyframes(reader, &at)),
         (_, Some(at), ..) => Some(splined(reader, &at)),
@@ -126,16 +196,18 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         _ => None,
     };
     Some(Track {
-        control: control.and_then(|at| control_type(reader, &at)),
-        tolerance: tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit")),
-        items: match (keys, points, pieces, samples) {
+        control: keys.control.and_then(|at| control_type(reader, &at)),
+        tolerance: keys
+            .tolerance
+            .and_then(|at| reader.positive(&at, "an error above 0, in the device's unit")),
+        items: match (frames, points, pieces, samples) {
             (Some(_), ..) => Items::Keyframes,
             (_, Some(_), ..) => Items::Points,
             (_, _, Some(_), _) => Items::Pieces,
             (.., Some(_)) => Items::Rows,
             _ => Items::Whole,
         },
-        steps_max: steps_max.and_then(|at| reader.count(&at, 2, 1_000_000_000)),
+        steps_max: keys.max_steps.and_then(|at| reader.count(&at, 2, 1_000_000_000)),
         ..new(motion?, form)
     })
 }
@@ -146,7 +218,7 @@ fn is_of_devices(reader: &Reader, at: &At<'_>) -> bool {
     entries.iter().any(|(key, node)| {
         reader.units.has_device(key)
             && matches!(node, Node::List(_) | Node::Map(_))
-            && !TRACK_KEYS.contains(&key.as_str())
+            && !TrackKeys::NAMES.contains(&key.as_str())
     })
 }
 
@@ -267,7 +339,7 @@ fn value_of<'a>(at: &'a At<'a>) -> Option<At<'a>> {
 }
 
 fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<(Knot, Exact)> {
-    let [time, to, ease] = reader.map(at, "a keyframe", KEYFRAME_KEYS, &["at", "to"])?;
+    let KeyframeKeys { at: time, to, ease } = reader.keys(at, "a keyframe")?;
     if let (Some(time), Some(to)) = (time, to)
         && let (Node::Number(value), Node::Text(text)) = (time.node, to.node)
         && parse_duration(text).is_some()
@@ -290,10 +362,8 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
     let mut vectors = Vectors::default();
     for (index, node) in items.iter().enumerate() {
         let at = list.item(index, node);
-        let Some([time, to]) = reader.map(&at, "a keyframe of several values", ["at", "to"], &["at", "to"])
-        else {
-            continue;
-        };
+        let keys = reader.keys(&at, "a keyframe of several values");
+        let Some(VectorKeys { at: time, to }) = keys else { continue };
         let time = time.and_then(|at| reader.exact(&at));
         let values: Option<Vec<f64>> = to.and_then(|at| {
             let values = reader.list(&at, "a list of finite numbers");
@@ -320,7 +390,7 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact, 
     let mut depends = Vec::new();
     let mut knots: Vec<Knot> = Vec::new();
     for (index, point) in reader.list(at, "a list of points such as {at: 1s, to: 45}").iter().enumerate() {
-        let Some([time, to]) = reader.map(point, "a point", ["at", "to"], &["at", "to"]) else { continue };
+        let Some(PointKeys { at: time, to }) = reader.keys(point, "a point") else { continue };
         let exact = time.and_then(|at| reader.exact(&at));
         depends.extend(to.and_then(|to| Some((item(index), given(reader, &to)?))));
         let to = to.and_then(|at| reader.number(&at, "a finite number"));
@@ -362,8 +432,8 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
     let mut done = Exact::ZERO;
     for (index, piece) in pieces.iter().enumerate() {
-        let known = ["for", "coefficients"];
-        let Some([length, coefficients]) = reader.map(piece, "a polynomial", known, &known) else { continue };
+        let keys = reader.keys(piece, "a polynomial");
+        let Some(PieceKeys { r#for: length, coefficients }) = keys else { continue };
         let length = length.and_then(|at| positive_time(reader, &at));
         let coefficients: Option<Vec<f64>> = coefficients.and_then(|at| {
             let list = reader.list(&at, "a list of numbers, the constant first");
@@ -434,8 +504,8 @@ pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
 
 /// center + amplitude * sin(2 pi (frequency t + phase / 360))
 fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
-    let [amplitude, frequency, period, phase, center, length] =
-        reader.map(at, "a wave", WAVE_KEYS, &["amplitude", "for"])?;
+    let WaveKeys { amplitude, frequency, period, phase, center, r#for: length } =
+        reader.keys(at, "a wave")?;
     let depends = [amplitude, center].into_iter().flatten().find_map(|at| given(reader, &at));
     let amplitude = amplitude.and_then(|at| reader.number(&at, "a number in the device's unit"));
     let length = length.and_then(|at| positive_time(reader, &at));
@@ -507,7 +577,7 @@ fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> C
 
 /// from + speed t + acceleration t^2 / 2
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
-    let [from, speed, acceleration, length] = reader.map(at, "`travel`", TRAVEL_KEYS, &["from", "for"])?;
+    let TravelKeys { from, speed, acceleration, r#for: length } = reader.keys(at, "`travel`")?;
     if speed.is_none() && acceleration.is_none() {
         let expected = "at least one of `speed` and `acceleration`";
         reader.add(

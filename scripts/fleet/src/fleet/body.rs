@@ -15,13 +15,52 @@ use downbeat_yaml::finding::{Code, one_of};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
-const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];
-const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
+keys! {
+    /// What has to hold for all bodies.
+    struct SpaceKeys {
+        distance,
+        keep_in,
+        keep_out,
+    }
+}
 
 keys! {
-    /// What is said of a body.
-    BodyKeys, BODY_KEYS { x, y, z, yaw, drive, radius, size, joints, tip, urdf, end, devices, speed, acceleration }
+    /// A box along the axes.
+    struct VolumeKeys {
+        x,
+        y,
+        z,
+    }
+}
+
+keys! {
+    /// What the devices of a robot mean in space.
+    struct BodyKeys {
+        x,
+        y,
+        z,
+        yaw,
+        drive,
+        radius,
+        size,
+        joints,
+        tip,
+        urdf,
+        end,
+        devices,
+        speed,
+        acceleration,
+    }
+}
+
+keys! {
+    /// A coordinate that a device moves.
+    struct CoordinateKeys {
+        #[required]
+        device,
+        scale,
+        offset,
+    }
 }
 
 /// Metres in one unit.
@@ -31,7 +70,7 @@ pub(super) const ANGLES: [(&str, f64); 3] =
     [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
 
 pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
-    let Some([distance, keep_in, keep_out]) = findings.map(at, "the space", SPACE_KEYS, &[]) else {
+    let Some(SpaceKeys { distance, keep_in, keep_out }) = findings.keys(at, "the space") else {
         return Space::default();
     };
     let mut volumes = BTreeMap::new();
@@ -49,9 +88,9 @@ pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
 
 /// `{x: [-2, 2], z: [0, 3]}`
 fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
-    let sides = findings.map(at, "a volume", VOLUME_KEYS, &[])?;
+    let VolumeKeys { x, y, z } = findings.keys(at, "a volume")?;
     let (mut volume, mut sound) = (Volume::default(), true);
-    for (axis, side) in sides.into_iter().enumerate() {
+    for (axis, side) in [x, y, z].into_iter().enumerate() {
         let Some(side) = side else { continue };
         let expected = "the least and the largest coordinate in metres, as [-2, 2.5]";
         let ends = findings.list(&side, expected);
@@ -88,7 +127,7 @@ pub(super) fn read_body(
     init: &InitializationBlock,
     urdfs: &mut Urdfs,
 ) -> Option<Body> {
-    let keys = BodyKeys::of(findings.map(at, "a body", BODY_KEYS, &[])?);
+    let keys: BodyKeys<'_> = findings.keys(at, "a body")?;
     let mut coordinate = |at: Option<At<'_>>, units: &[(&str, f64)]| match at {
         Some(at) => read_coordinate(findings, &at, init, units),
         None => Some(Coordinate::Fixed(0.0)),
@@ -195,8 +234,8 @@ fn read_coordinate(
         findings.text(at, "a device, a number, or a map with a device")?;
         return of_device(findings, at, [None; 2], init, units);
     };
-    let [name, scale, offset] = findings.map(at, "a coordinate", COORDINATE_KEYS, &["device"])?;
-    of_device(findings, &name?, [scale, offset], init, units)
+    let CoordinateKeys { device, scale, offset } = findings.keys(at, "a coordinate")?;
+    of_device(findings, &device?, [scale, offset], init, units)
 }
 
 /// As people write a fixed angle: in degrees.

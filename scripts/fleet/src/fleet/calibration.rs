@@ -8,10 +8,10 @@ use super::declared::device_named;
 use super::moves::is_positioned;
 use super::sensors::{sensor, sensor_at};
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::finding::{self, Code};
 use downbeat_yaml::shown::shortened;
 
-const CALIBRATE_KEYS: [&str; 6] = ["sensor", "from", "by", "taken", "sensor_delay", "visible"];
 /// A movement is visible from this share of it on, if nothing else is said.
 const VISIBLE_SHARE: f64 = 0.01;
 /// The latest part of a movement that can count as its begin.
@@ -19,6 +19,19 @@ const VISIBLE_SHARE_MAX: f64 = 0.5;
 const SENSOR_DELAY_MAX: Span = Span::from_millis(1_000);
 const TAKEN_WORDS: [(&str, Taken); 3] =
     [("request", Taken::AtRequest), ("answer", Taken::AtAnswer), ("between", Taken::Between)];
+
+keys! {
+    /// The movement by which the latency of a device is measured.
+    struct CalibrateKeys {
+        sensor,
+        from,
+        #[required]
+        by,
+        taken,
+        sensor_delay,
+        visible,
+    }
+}
 
 /// How a device may be moved to measure its latency, and which sensor shows that.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,8 +71,10 @@ pub(super) fn read(
     let mut all = BTreeMap::new();
     for (name, at) in findings.entries(at, "device to the movement by which it is measured") {
         let device = device_by_position(findings, name, &at, init);
-        let keys = findings.map(&at, "the calibration of a device", CALIBRATE_KEYS, &["by"]);
-        let Some([sensor, from, by, taken, delay, visible]) = keys else { continue };
+        let keys = findings.keys(&at, "the calibration of a device");
+        let Some(CalibrateKeys { sensor, from, by, taken, sensor_delay: delay, visible }) = keys else {
+            continue;
+        };
         let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
         let Some(device) = device else { continue };
         let limits = init

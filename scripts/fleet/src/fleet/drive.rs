@@ -11,11 +11,26 @@ use downbeat_space::space::{Coordinate, Drive, Steering};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
-const SIGNAL_KEYS: [&str; 2] = ["device", "scale"];
+keys! {
+    /// Devices that drive a body by speed.
+    struct DriveKeys {
+        left,
+        right,
+        wheel_radius,
+        track,
+        speed,
+        turn,
+        start,
+    }
+}
 
 keys! {
-    /// What is said of a drive.
-    DriveKeys, DRIVE_KEYS { left, right, wheel_radius, track, speed, turn, start }
+    /// A device that drives, in another unit.
+    struct SignalKeys {
+        #[required]
+        device,
+        scale,
+    }
 }
 
 /// Metres a second in one unit.
@@ -27,7 +42,7 @@ const TURNS: [(&str, f64); 4] =
 
 /// `{left: left_wheel, right: right_wheel, track: 0.3, start: [0, 0, 90]}`
 pub(super) fn read_drive(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Option<Drive> {
-    let keys = DriveKeys::of(findings.map(at, "a drive", DRIVE_KEYS, &[])?);
+    let keys: DriveKeys<'_> = findings.keys(at, "a drive")?;
     let expected = "x and y in metres and yaw in degrees, as [1, 0, 90]";
     let start = keys.start.map_or(Some([0.0; 3]), |at| vector(findings, &at, expected));
     let steering = match (keys.left.or(keys.right), keys.speed.or(keys.turn)) {
@@ -130,6 +145,6 @@ fn signal(
         findings.text(&at, "a device, or a map with a device")?;
         return of_device(findings, &at, [None; 2], init, units);
     };
-    let [device, scale] = findings.map(&at, "a signal", SIGNAL_KEYS, &["device"])?;
+    let SignalKeys { device, scale } = findings.keys(&at, "a signal")?;
     of_device(findings, &device?, [scale, None], init, units)
 }

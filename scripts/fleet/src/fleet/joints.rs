@@ -23,8 +23,20 @@ const AXES: [(&str, [f64; 3]); 6] = [
 ];
 
 keys! {
-    /// What is said of a joint.
-    JointKeys, JOINT_KEYS { device, value, scale, offset, axis, at, rpy, kind, radius }
+    /// A joint of an arm, and the link that follows it.
+    struct JointKeys {
+        device,
+        value,
+        scale,
+        offset,
+        #[required]
+        axis,
+        at,
+        rpy,
+        kind,
+        #[required]
+        radius,
+    }
 }
 
 /// The joints from the base to the tip, and where the tip is.
@@ -71,7 +83,7 @@ fn read_joints(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -
 /// `{device: elbow, axis: y, at: [0, 0, 0.425], radius: 0.05}`
 fn read_joint(findings: &mut Reader, index: usize, at: &At<'_>, init: &InitializationBlock) -> Option<Joint> {
     let what = format!("joint {}", index + 1);
-    let keys = JointKeys::of(findings.map(at, &what, JOINT_KEYS, &["axis", "radius"])?);
+    let keys: JointKeys<'_> = findings.keys(at, &what)?;
     let kind = keys.kind.map_or(Some(JointKind::default()), |at| findings.word(&at, &KINDS));
     let name = keys.device.and_then(|at| match at.node {
         Node::Text(text) => Some(text.clone()),

@@ -12,6 +12,7 @@ use super::RobotKeys;
 use super::declared::device_named;
 use downbeat_import::scalar;
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::duration::written;
 use downbeat_yaml::finding::{Code, Finding, Place};
 use downbeat_yaml::locate::locate;
@@ -21,12 +22,41 @@ use downbeat_yaml::source::Source;
 
 /// The longest latency, and the largest spread of one.
 const LATENCY_MAX: Span = Span::from_millis(10_000);
-const LATENCY_KEYS: [&str; 2] = ["median", "spread"];
-const FILE_KEYS: [&str; 1] = ["latency"];
-const MEASURED_KEYS: [&str; 9] =
-    ["median", "spread", "p95", "trials", "measured", "time_constant", "lags", "later", "tracking_lag"];
 /// Most trials that a file may state for one device.
 const TRIALS_MAX: u32 = 1_000_000;
+
+keys! {
+    /// The latency of a device.
+    struct LatencyKeys {
+        #[required]
+        median,
+        spread,
+    }
+}
+
+keys! {
+    /// A latency file.
+    struct FileKeys {
+        #[required]
+        latency,
+    }
+}
+
+keys! {
+    /// What was measured of a device.
+    struct MeasuredKeys {
+        #[required]
+        median,
+        spread,
+        p95,
+        trials,
+        measured,
+        time_constant,
+        lags,
+        later,
+        tracking_lag,
+    }
+}
 
 /// The latency of a device that is compensated, and where it was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -156,8 +186,8 @@ fn entry(measured: &MeasuredLatency) -> String {
 /// Reads the document of such a file.
 pub(super) fn read_file(findings: &mut Reader, at: &At<'_>) -> LatencyFile {
     let mut file = LatencyFile::new();
-    let keys = findings.map(at, "the file of measured latencies", FILE_KEYS, &["latency"]);
-    let Some([Some(latency)]) = keys else { return file };
+    let keys = findings.keys(at, "the file of measured latencies");
+    let Some(FileKeys { latency: Some(latency) }) = keys else { return file };
     for (name, at) in findings.entries(&latency, "robot id to the latencies of its devices") {
         let Some(robot) = id(findings, RobotId::new(name), &at, "a robot id of 1 to 256 characters") else {
             continue;
@@ -180,8 +210,8 @@ fn id<T>(findings: &mut Reader, id: Result<T, urrcp::LimitError>, at: &At<'_>, e
 }
 
 fn read_measured(findings: &mut Reader, at: &At<'_>) -> Option<MeasuredLatency> {
-    let [median, spread, p95, trials, measured, time_constant, lags, later, tracking_lag] =
-        findings.map(at, "a measured latency", MEASURED_KEYS, &["median"])?;
+    let MeasuredKeys { median, spread, p95, trials, measured, time_constant, lags, later, tracking_lag } =
+        findings.keys(at, "a measured latency")?;
     let mut span = |at: Option<At<'_>>| at.and_then(|at| latency_span(findings, &at));
     let (median, spread, p95) = (span(median), span(spread), span(p95));
     let (time_constant, tracking_lag) = (span(time_constant), span(tracking_lag));
@@ -252,7 +282,7 @@ fn read_latency(findings: &mut Reader, at: &At<'_>) -> Option<Latency> {
     if !matches!(at.node, Node::Map(_)) {
         return latency_span(findings, at).map(|median| Latency { median, spread: Span::ZERO });
     }
-    let [median, spread] = findings.map(at, "a latency", LATENCY_KEYS, &["median"])?;
+    let LatencyKeys { median, spread } = findings.keys(at, "a latency")?;
     let spread = spread.and_then(|at| latency_span(findings, &at));
     let median = median.and_then(|at| latency_span(findings, &at))?;
     Some(Latency { median, spread: spread.unwrap_or_default() })

@@ -9,13 +9,22 @@ use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
 use crate::sensor_range::{SensorRange, sensor_range};
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 const CLOCK_WORDS: [(&str, ClockMode); 2] = [("ntp", ClockMode::Ntp), ("measured", ClockMode::Measured)];
 const ENCODINGS: [Encoding; 2] = [Encoding::Json, Encoding::MessagePack];
+
+keys! {
+    /// Which readings of a sensor will do.
+    struct RangeKeys {
+        above,
+        below,
+        within,
+    }
+}
 
 /// What a mission needs to know of a robot beyond its description.
 #[derive(Clone, Debug, PartialEq)]
@@ -139,7 +148,7 @@ fn read_require(
 fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
     let expected = "`above` or `below` with a number, or {within: [least, largest]}";
     if let Node::Map(_) = at.node {
-        let [above, below, within] = findings.map(at, "the readings", RANGE_KEYS, &[])?;
+        let RangeKeys { above, below, within } = findings.keys(at, "the readings")?;
         return sensor_range(findings, at, [above, below, within]);
     }
     let text = findings.text(at, expected)?;

@@ -4,9 +4,20 @@ use urrcp::{ControlType, DeviceId, InitializationBlock, Span};
 
 use super::calibration::{device_by_position, sensor_of};
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::finding::Code;
 
-const MOVES_KEYS: [&str; 6] = ["latency", "spread", "time_constant", "sensor", "noise", "delay"];
+keys! {
+    /// How the body of a simulated robot follows a device.
+    struct MovesKeys {
+        latency,
+        spread,
+        time_constant,
+        sensor,
+        noise,
+        delay,
+    }
+}
 
 /// How the body behind a device follows what is set, and what the sensor shows of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,8 +43,8 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, init: &InitializationBloc
     let mut moves = Vec::new();
     for (name, at) in findings.entries(at, "device to how its body follows it") {
         let device = device_by_position(findings, name, &at, init);
-        let keys = findings.map(&at, "the movement of a device", MOVES_KEYS, &[]);
-        let Some([latency, spread, time_constant, sensor, noise, delay]) = keys else { continue };
+        let keys = findings.keys(&at, "the movement of a device");
+        let Some(MovesKeys { latency, spread, time_constant, sensor, noise, delay }) = keys else { continue };
         let Some(device) = device else { continue };
         let mut time = |at: Option<At<'_>>| at.and_then(|at| findings.duration(&at)).unwrap_or_default();
         let (latency, spread) = (time(latency), time(spread));

@@ -9,9 +9,17 @@ use downbeat_yaml::shown::shortened;
 
 keys! {
     /// What is said of one device.
-    DeviceKeys, DEVICE_KEYS {
-        control_type, granularity, unit, max_number_of_steps, interpolation, min_value, max_value, default_value,
-        max_error, script_queue,
+    struct DeviceKeys {
+        control_type,
+        granularity,
+        unit,
+        max_number_of_steps,
+        interpolation,
+        min_value,
+        max_value,
+        default_value,
+        max_error,
+        script_queue,
     }
 }
 
@@ -54,7 +62,7 @@ pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, 
 }
 
 fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
-    let keys = DeviceKeys::of(findings.map(at, "the device", DEVICE_KEYS, &[])?);
+    let keys: DeviceKeys<'_> = findings.keys(at, "the device")?;
     let types = [
         ("position", ControlType::Position),
         ("speed", ControlType::Speed),

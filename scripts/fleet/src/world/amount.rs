@@ -3,11 +3,20 @@
 use urrcp::Span;
 
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-const BETWEEN_KEYS: [&str; 2] = ["from", "to"];
+keys! {
+    /// An amount that is drawn.
+    struct BetweenKeys {
+        #[required]
+        from,
+        #[required]
+        to,
+    }
+}
 
 /// Drawn uniformly once a trial, or, where an amount belongs to a message, once a message; the same twice: fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +44,7 @@ pub(super) fn between<T: Copy + PartialOrd>(
     if !matches!(at.node, Node::Map(_)) {
         return read(findings, at).map(Between::fixed);
     }
-    let [from, to] = findings.map(at, "a random amount", BETWEEN_KEYS, &BETWEEN_KEYS)?;
+    let BetweenKeys { from, to } = findings.keys(at, "a random amount")?;
     let (from, to) = (from?, to?);
     let (least, largest) = (read(findings, &from), read(findings, &to));
     let (least, largest) = (least?, largest?);

@@ -8,8 +8,18 @@ use downbeat_reader::keys;
 use downbeat_yaml::finding::Code;
 
 keys! {
-    /// What is said of one incident.
-    IncidentKeys, INCIDENT_KEYS { robot, what, act, at, lasts, back_after, probability }
+    /// What goes wrong.
+    pub(super) struct IncidentKeys {
+        #[required]
+        robot,
+        #[required]
+        what,
+        act,
+        at,
+        lasts,
+        back_after,
+        probability,
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -68,27 +78,11 @@ pub enum Trouble {
     },
 }
 
-pub(super) struct Keys<'a> {
-    pub(super) robot: Option<At<'a>>,
-    pub(super) act: Option<At<'a>>,
-    what: Option<At<'a>>,
-    at: Option<At<'a>>,
-    lasts: Option<At<'a>>,
-    back_after: Option<At<'a>>,
-    probability: Option<At<'a>>,
-}
-
-pub(super) fn keys<'a>(findings: &mut Reader, at: &'a At<'a>) -> Option<Keys<'a>> {
-    let found = findings.map(at, "an incident", INCIDENT_KEYS, &["robot", "what"])?;
-    let IncidentKeys { robot, what, act, at, lasts, back_after, probability } = IncidentKeys::of(found);
-    Some(Keys { robot, act, what, at, lasts, back_after, probability })
-}
-
 /// The rest of an incident, whose robots and act are known.
 pub(super) fn read(
     findings: &mut Reader,
     whole: &At<'_>,
-    keys: &Keys<'_>,
+    keys: &IncidentKeys<'_>,
     robots: Vec<usize>,
     act: Option<String>,
 ) -> Option<Incident> {

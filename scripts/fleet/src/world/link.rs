@@ -4,12 +4,48 @@ use urrcp::Span;
 
 use super::amount::{self, Between, between};
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
+use downbeat_reader::keys::Keys;
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
-const LINK_KEYS: [&str; 5] = ["delay", "jitter", "loss", "resent_after", "interruptions"];
-const INTERRUPTION_KEYS: [&str; 2] = ["every", "lasts"];
-const QUANTILE_KEYS: [&str; 5] = ["least", "p50", "p90", "p99", "largest"];
+keys! {
+    /// The link of a robot.
+    struct LinkKeys {
+        delay,
+        jitter,
+        loss,
+        resent_after,
+        interruptions,
+    }
+}
+
+keys! {
+    /// Times at which nothing passes.
+    struct InterruptionKeys {
+        #[required]
+        every,
+        #[required]
+        lasts,
+    }
+}
+
+keys! {
+    /// A delay by quantiles.
+    struct QuantileKeys {
+        #[required]
+        least,
+        #[required]
+        p50,
+        #[required]
+        p90,
+        #[required]
+        p99,
+        #[required]
+        largest,
+    }
+}
+
 /// The shares of messages that are as fast as the quantiles of [`Delay::Quantiles`], or faster.
 pub const QUANTILES: [f64; 5] = [0.0, 0.5, 0.9, 0.99, 1.0];
 /// The least retransmission timeout of Linux (`TCP_RTO_MIN`, 200 ms); RFC 6298 has a second.
@@ -59,7 +95,7 @@ pub struct Interruptions {
 
 pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<LinkWorld> {
     let what = format!("the link of `{name}`");
-    let [delay, jitter, loss, resent_after, interruptions] = findings.map(at, &what, LINK_KEYS, &[])?;
+    let LinkKeys { delay, jitter, loss, resent_after, interruptions } = findings.keys(at, &what)?;
     let read_delay = delay.map(|at| read_delay(findings, &at));
     let jitter = jitter.map(|at| (at, findings.duration(&at)));
     if let (Some(Some(Delay::Quantiles(_))), Some((at, _))) = (&read_delay, &jitter) {
@@ -86,7 +122,7 @@ pub(super) fn read(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<Lin
 }
 
 fn read_delay(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
-    let is_quantiles = |(key, _): &(String, Node)| QUANTILE_KEYS.contains(&key.as_str());
+    let is_quantiles = |(key, _): &(String, Node)| QuantileKeys::NAMES.contains(&key.as_str());
     match at.node {
         Node::Map(entries) if entries.iter().any(is_quantiles) => quantiles(findings, at),
         _ => between(findings, at, amount::duration).map(Delay::Between),
@@ -94,9 +130,10 @@ fn read_delay(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
 }
 
 fn quantiles(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
-    let keys = findings.map(at, "the quantiles of a delay", QUANTILE_KEYS, &QUANTILE_KEYS)?;
-    let spans = keys.map(|at| at.and_then(|at| Some((at, findings.duration(&at)?))));
-    for (pair, names) in spans.windows(2).zip(QUANTILE_KEYS.windows(2)) {
+    let QuantileKeys { least, p50, p90, p99, largest } = findings.keys(at, "the quantiles of a delay")?;
+    let spans =
+        [least, p50, p90, p99, largest].map(|at| at.and_then(|at| Some((at, findings.duration(&at)?))));
+    for (pair, names) in spans.windows(2).zip(QuantileKeys::NAMES.windows(2)) {
         let ([Some((_, before)), Some((at, after))], [smaller, larger]) = (pair, names) else { continue };
         if after < before {
             let message = format!("`{larger}` lies below `{smaller}`");
@@ -111,7 +148,7 @@ fn quantiles(findings: &mut Reader, at: &At<'_>) -> Option<Delay> {
 fn read_interruptions(findings: &mut Reader, at: &At<'_>) -> Vec<Interruptions> {
     let items = findings.list(at, "a list of interruptions, as `[{every: 2min, lasts: 300ms}]`");
     let mut read = |at: &At<'_>| {
-        let [every, lasts] = findings.map(at, "an interruption", INTERRUPTION_KEYS, &INTERRUPTION_KEYS)?;
+        let InterruptionKeys { every, lasts } = findings.keys(at, "an interruption")?;
         let every = every.and_then(|at| amount::positive_duration(findings, &at));
         let lasts = lasts.and_then(|at| between(findings, &at, amount::duration));
         Some(Interruptions { every: every?, lasts: lasts? })

@@ -12,6 +12,7 @@ use urrcp::RobotId;
 
 use crate::fleet::Fleet;
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, Finding};
 use downbeat_yaml::identify::{self, Document};
@@ -22,11 +23,24 @@ use downbeat_yaml::source::Source;
 use downbeat_yaml::tags::foreign_tags;
 
 pub use amount::Between;
+use incident::IncidentKeys;
 pub use incident::{Incident, Trouble};
 pub use link::{Delay, Interruptions, LinkWorld, QUANTILES};
 pub use outside::{ClockWorld, OperatorWorld, Reading, SensorWorld};
 
-const WORLD_KEYS: [&str; 6] = ["world", "links", "clocks", "sensors", "operator", "incidents"];
+keys! {
+    /// A world file.
+    struct WorldKeys {
+        #[required]
+        world,
+        links,
+        clocks,
+        sensors,
+        operator,
+        incidents,
+    }
+}
+
 /// Every robot that has no entry of its own or of a group.
 const ALL: &str = "all";
 
@@ -79,8 +93,8 @@ struct WorldReader<'a> {
 
 impl WorldReader<'_> {
     fn world(&mut self, at: &At<'_>) -> Option<World> {
-        let [world, links, clocks, sensors, operator, incidents] =
-            self.findings.map(at, "the world file", WORLD_KEYS, &["world"])?;
+        let WorldKeys { world, links, clocks, sensors, operator, incidents } =
+            self.findings.keys(at, "the world file")?;
         let name = world.and_then(|at| self.findings.name(&at, "a name for this world"));
         let links = links.map(|at| self.per_robot(&at, "robot or group to its link", link::read));
         let clocks = clocks.map(|at| self.per_robot(&at, "robot or group to its clock", outside::read_clock));
@@ -177,7 +191,7 @@ impl WorldReader<'_> {
     }
 
     fn incident(&mut self, at: &At<'_>) -> Option<Incident> {
-        let keys = incident::keys(&mut self.findings, at)?;
+        let keys: IncidentKeys<'_> = self.findings.keys(at, "an incident")?;
         let robots = keys.robot.and_then(|at| {
             let name = self.findings.name(&at, "a robot or group")?;
             let named = self.named(&name);

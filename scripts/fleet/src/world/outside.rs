@@ -5,11 +5,26 @@ use urrcp::{DeviceId, RobotId, Span};
 use super::amount::{self, Between, between};
 use super::is_null;
 use downbeat_reader::fields::{At, Reader};
+use downbeat_reader::keys;
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
-const CLOCK_KEYS: [&str; 3] = ["offset", "drift", "error"];
-const OPERATOR_KEYS: [&str; 2] = ["go_after", "never"];
+keys! {
+    /// The clock of a robot.
+    struct ClockKeys {
+        offset,
+        drift,
+        error,
+    }
+}
+
+keys! {
+    /// How the operator behaves.
+    struct OperatorKeys {
+        go_after,
+        never,
+    }
+}
 
 /// The clock of a robot; what is not given stays as the fleet file says.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,7 +69,7 @@ pub struct OperatorWorld {
 
 pub(super) fn read_clock(findings: &mut Reader, at: &At<'_>, name: &str) -> Option<ClockWorld> {
     let what = format!("the clock of `{name}`");
-    let [offset, drift, error] = findings.map(at, &what, CLOCK_KEYS, &[])?;
+    let ClockKeys { offset, drift, error } = findings.keys(at, &what)?;
     Some(ClockWorld {
         offset: offset.and_then(|at| between(findings, &at, amount::signed_duration)),
         drift_ppm: drift.and_then(|at| between(findings, &at, crate::fleet::drift_ppm)),
@@ -66,7 +81,7 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
     if is_null(at) {
         return None;
     }
-    let [go_after, never] = findings.map(at, "`operator`", OPERATOR_KEYS, &[])?;
+    let OperatorKeys { go_after, never } = findings.keys(at, "`operator`")?;
     let go_after = go_after.map(|at| between(findings, &at, amount::duration));
     let never = never.map(|at| amount::probability(findings, &at));
     Some(OperatorWorld {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use urrcp::RobotId;
 
 use super::{At, Reader, Robot};
+use crate::keys;
 use downbeat_motion::chance::{drawn, share};
 use downbeat_motion::exact::{Fraction, sum, to_f64};
 use downbeat_motion::motion::Easing;
@@ -20,7 +21,21 @@ const FARTHEST: f64 = 1e8;
 /// Most robots without a place that a finding names.
 const NAMED_MAX: usize = 8;
 
-const SPREAD_KEYS: [&str; 7] = ["from", "to", "across", "by", "seed", "direction", "ease"];
+keys! {
+    /// A value that is spread over the robots of a cue.
+    struct SpreadKeys {
+        #[required]
+        from,
+        #[required]
+        to,
+        #[required]
+        across,
+        by,
+        seed,
+        direction,
+        ease,
+    }
+}
 
 /// The robots of the cue that is read.
 #[derive(Debug, Default)]
@@ -381,9 +396,7 @@ impl Reader {
 
     /// `{from: 0, to: 90, across: group}` for the robot whose movement is read, as an expression.
     pub fn spread(&mut self, at: &At<'_>) -> Option<String> {
-        let required = ["from", "to", "across"];
-        let [from, to, across, by, seed, direction, ease] =
-            self.map(at, "a spread", SPREAD_KEYS, &required)?;
+        let SpreadKeys { from, to, across, by, seed, direction, ease } = self.keys(at, "a spread")?;
         let across = across.and_then(|at| self.word(&at, &[("group", ())]));
         let ease = ease.map_or(Some(Easing::Linear), |at| self.word(&at, &Easing::WORDS));
         let order = Across::read(self, by, seed, direction);

@@ -2,7 +2,6 @@
 
 use super::Units;
 use super::advice::ADVICE;
-use crate::keys::CUE_KEYS;
 use downbeat_yaml::duration::parse_duration;
 use downbeat_yaml::finding::did_you_mean_this;
 use downbeat_yaml::node::Node;
@@ -144,7 +143,13 @@ fn advice(what: &str, key: &str, given: &str) -> Option<String> {
 }
 
 /// A hint for an unknown key next to a move or sequence, which may have it as a parameter.
-pub fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]) -> Option<String> {
+pub fn parameter(
+    what: &str,
+    key: &str,
+    value: &Node,
+    entries: &[(String, Node)],
+    cue_keys: &[&str],
+) -> Option<String> {
     let plays = entries.iter().any(|(key, _)| key == "move" || key == "sequence");
     let value = match value {
         Node::Number(number) => number.to_string(),
@@ -152,7 +157,7 @@ pub fn parameter(what: &str, key: &str, value: &Node, entries: &[(String, Node)]
         _ => return None,
     };
     let is_use =
-        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !CUE_KEYS.contains(&key);
+        plays && ["a cue", "an override", "an entry of `play`"].contains(&what) && !cue_keys.contains(&key);
     is_use
         .then(|| format!("a value for a parameter is written `parameters: {{{}: {value}}}`", shortened(key)))
 }
