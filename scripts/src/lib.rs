@@ -84,7 +84,7 @@ pub use downbeat_yaml::source::Source;
 pub use home::plan_home;
 pub use inventory::{Offer, Parameter, inventory};
 pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
-pub use schema::{Schema, schema};
+pub use schema::{Schema, all_maps, schema};
 
 /// Words for messages, shared with the program.
 #[doc(hidden)]

@@ -1,5 +1,7 @@
 //! JSON Schemas (2020-12) of the files that people write, for editors and for programs that write such files.
 
+pub use maps::all_maps;
+
 /// What a schema describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -22,5 +24,8 @@ pub const fn schema(of: Schema) -> &'static str {
     }
 }
 
+#[cfg(test)]
+mod generated;
+mod maps;
 #[cfg(test)]
 mod tests;

@@ -270,7 +270,7 @@ fn the_reference_names_every_key_and_word_of_scenarios_and_fleets_in_its_section
 
 #[test]
 fn the_dictionaries_of_the_fuzzer_have_every_key() {
-    for (dictionary, of) in [("fuzz/urrcp.dict", "protocol"), ("fuzz/scenario.dict", "scenario")] {
+    for (dictionary, of) in [("fuzz/urrcp.dict", "protocol"), ("fuzz/keys.dict", "scenario")] {
         let words: BTreeSet<String> =
             read(dictionary).split(|c: char| !c.is_alphanumeric() && c != '_').map(str::to_owned).collect();
         let mut found = Vec::new();

@@ -8,10 +8,11 @@ use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::address::{ADDRESS, Address, address_fault};
 use crate::init::{Init, read_supplements};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Declaration, Keys, Kind};
 use downbeat_reader::slips::{self, Units};
+use downbeat_reader::{keys, schema, words};
 use downbeat_space::space::{Body, Space};
 use downbeat_yaml::composed::composed;
 use downbeat_yaml::duration::written;
@@ -36,14 +37,20 @@ mod moves;
 mod sensors;
 mod urdf;
 
+use crate::init::DeviceKeys;
+use body::{BodyKeys, SpaceKeys};
+use calibration::CalibrateKeys;
 pub use calibration::{Calibration, Taken};
 use declared::device_named;
 pub use declared::{devices_of, limits_of, settable_limits};
+use latency::LatencyKeys;
 pub use latency::{
-    DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
-    read_latency_file,
+    DeviceLatency, LAGS_MAX, Lag, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_keys,
+    latency_text, read_latency_file,
 };
+use mission_settings::RangeKeys;
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
+use moves::MovesKeys;
 pub use moves::SimulatedMoves;
 pub use sensors::sensor;
 
@@ -54,62 +61,94 @@ const FAULT_WORDS: [(&str, Fault); 3] =
     [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
 
 keys! {
-    /// A fleet file.
-    struct FleetKeys {
-        ntp,
-        handshake,
-        identity,
-        revoked,
-        zenoh,
-        insecure,
-        latency,
-        space,
+    /// Which robots there are, and how they are reached.
+    pub(crate) struct FleetKeys {
+        /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
+        ntp: schema!({"type": ["string", "null"]}),
+        /// Whether robots are asked who they are.
+        handshake: words!(HANDSHAKE_WORDS),
+        /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses: a file that `downbeat keys
+        /// operator` writes.
+        identity: kinds::TEXT,
+        /// The list of revoked certificates, which `downbeat keys` writes.
+        revoked: kinds::TEXT,
+        /// The configuration of Zenoh by which robots with `zenoh:` addresses are reached.
+        zenoh: kinds::TEXT,
+        /// Permits plain TCP to other machines: for a network of its own.
+        insecure: kinds::BOOLEAN,
+        /// The file of measured latencies, which `downbeat calibrate` writes.
+        latency: kinds::TEXT,
+        space: SpaceKeys::KIND,
+        /// Robots by id.
         #[required]
-        robots,
-        groups,
+        robots: Kind::SomeEntries(&RobotKeys::KIND),
+        /// Names for several robots.
+        groups: Kind::Entries(&Kind::List(&kinds::NAME, 0..=usize::MAX)),
     }
 }
 
 keys! {
     /// A robot.
-    struct RobotKeys {
+    pub(crate) struct RobotKeys as "robot" {
+        /// Its initialization block, a YAML or JSON file, from the folder of this file.
         #[required]
-        init,
-        devices,
+        init: kinds::TEXT,
+        /// What the description of a Thrift robot lacks, by device id.
+        devices: Kind::Entries(&DeviceKeys::KIND),
+        /// `sim`, tls://host:port, hmac://host:port, tcp://host:port, thrift://host:port or program:COMMAND.
         #[required]
-        address,
-        robot_id,
-        simulate,
-        limits,
-        clock,
-        wake_up,
-        latency,
-        require,
-        encoding,
-        body,
-        calibrate,
+        address: schema!({"type": "string", "pattern": "^(sim|(tcp|tls|hmac|thrift)://.+:\\d+|program:.*\\S.*)$"}),
+        /// What the robot itself declares as its `id`, where that differs from its name here.
+        robot_id: schema!({"type": "string", "minLength": 1, "maxLength": 256}),
+        simulate: SimulateKeys::KIND,
+        /// How fast devices may move, by device id.
+        limits: Kind::Entries(&LimitKeys::KIND),
+        /// `ntp`: it follows NTP, which is only verified. `measured`: what it is sent is translated into its own time.
+        clock: words!(mission_settings::CLOCK_WORDS),
+        /// How late it may wake up for a start.
+        wake_up: kinds::TIME,
+        /// From a command to visible motion: one time for all devices that take commands, or one for each.
+        latency: Kind::AnyOf(&[&kinds::TIME, &Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &LatencyKeys::KIND]))]),
+        /// What its sensors have to read before a mission, by sensor.
+        require: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": "string", "pattern": "^\\s*(above|below)\\s+\\S+\\s*$"}), &RangeKeys::KIND])),
+        /// What it is written to in over TCP. `msgpack`, a fraction of the size of JSON, it has to list in its initialization
+        /// block.
+        encoding: Kind::Words(&["json", "msgpack"]),
+        body: BodyKeys::KIND,
+        /// How `downbeat calibrate` may move its devices, by device id.
+        calibrate: Kind::Entries(&CalibrateKeys::KIND),
     }
 }
 
 keys! {
-    /// How fast a device may move.
-    struct LimitKeys {
-        speed,
-        acceleration,
+    /// Limits.
+    pub(crate) struct LimitKeys {
+        /// In the device's unit a second.
+        speed: kinds::POSITIVE,
+        /// In the device's unit a second squared.
+        acceleration: kinds::POSITIVE,
     }
 }
 
 keys! {
     /// How a simulated robot differs from a perfect one.
-    struct SimulateKeys {
-        clock_offset,
-        drift,
-        jitter,
-        ntp_error,
-        delay,
-        fault,
-        readings,
-        moves,
+    pub(crate) struct SimulateKeys as "simulate" {
+        /// Its raw clock minus the true one.
+        clock_offset: kinds::SIGNED_TIME,
+        /// How much faster its clock runs, as `5ppm`.
+        drift: schema!({"type": "string", "pattern": "^-?\\d+(\\.\\d+)?\\s*ppm$"}),
+        /// Largest random error of the times that it states.
+        jitter: kinds::TIME,
+        /// How well its NTP knows its clock; `none`: it has no NTP.
+        ntp_error: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
+        /// Least and largest delay of every message, each way.
+        delay: Kind::List(&kinds::TIME, 2..=2),
+        /// What it does wrong.
+        fault: words!(FAULT_WORDS),
+        /// What its sensors read, by device id, in their units; others read nothing.
+        readings: Kind::Entries(&kinds::PLAIN_NUMBER),
+        /// How its body follows its devices, by device id: without it, at once.
+        moves: Kind::Entries(&MovesKeys::KIND),
     }
 }
 
@@ -132,6 +171,12 @@ pub struct Fleet {
     pub robots: Vec<FleetRobot>,
     /// Names for several robots.
     pub groups: BTreeMap<String, Vec<RobotId>>,
+}
+
+/// The keys of fleet files.
+#[must_use]
+pub fn fleet_keys() -> &'static Declaration {
+    FleetKeys::declaration()
 }
 
 /// Whether steps 1 to 4 of the protocol are played.

@@ -16,6 +16,7 @@ use downbeat_yaml::locate::locate;
 use downbeat_yaml::node::{self, Node};
 use downbeat_yaml::source::Source;
 
+pub(crate) use self::supplement::DeviceKeys;
 pub use self::supplement::{Supplement, read as read_supplements};
 
 /// What a description is, for messages.

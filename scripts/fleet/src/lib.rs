@@ -11,5 +11,6 @@
 pub mod address;
 pub mod fleet;
 pub mod init;
+mod kinds;
 pub mod sensor_range;
 pub mod world;

@@ -28,6 +28,7 @@ use expressions::Robots;
 use nesting::Nesting;
 
 pub use across::{Across, Axis, By, Group, Standing, Whereabouts, is_spread, parts};
+pub(crate) use across::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
 pub use expressions::Robot;
 pub use expressions::tried;
 pub use nesting::{Name, Unset};

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use urrcp::{Span, StopCondition};
 
 use super::cue::{CueKeys, ORDER};
+use super::kinds;
 use super::library::{self, Library};
 use super::{Act, Name, OffGrid, Order, sequence};
 use crate::clock_time::{parse_instant, parse_time_of_day};
@@ -15,39 +16,63 @@ use crate::node::Node;
 use crate::plan::{OnDoubt, OnFailure, Wait};
 use crate::sensor_range::sensor_range;
 use crate::shown::shortened;
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::{keys, schema, words};
 
 keys! {
     /// What is prepared, decided and started together.
-    struct ActKeys {
-        act,
+    pub(super) struct ActKeys as "act" {
+        /// Its name.
+        act: kinds::NAME,
         #[required]
-        cues,
-        wait,
-        next,
-        on_failure,
-        on_doubt,
-        zones,
-        order,
-        tempo,
-        signature,
+        cues: kinds::CUES,
+        wait: kinds::WAIT,
+        /// The act that follows, or `end`; default the one below.
+        next: kinds::NAME,
+        on_failure: kinds::ON_FAILURE,
+        on_doubt: kinds::ON_DOUBT,
+        zones: kinds::ZONES,
+        order: kinds::ORDER,
+        tempo: kinds::TEMPO,
+        signature: kinds::SIGNATURE,
     }
 }
 
 keys! {
     /// One of `for`, `time` and `sensor`.
-    struct WaitKeys {
-        r#for,
-        time,
-        sensor,
-        above,
-        below,
-        within,
-        timeout,
-        otherwise,
+    pub(super) struct WaitKeys {
+        /// All done, or the operator's go.
+        r#for: words!(WAIT_WORDS),
+        /// A time of day such as `19:30:00`, local time, or a date and time as in RFC 3339.
+        time: kinds::TEXT,
+        /// A robot and its sensor: `rover/range`.
+        sensor: schema!({"type": "string", "pattern": "^[^/]+/.+$"}),
+        /// Readings above this.
+        above: kinds::NUMBER,
+        /// Readings below this.
+        below: kinds::NUMBER,
+        /// Readings from the first to the second.
+        within: Kind::List(&kinds::NUMBER, 2..=2),
+        /// How long to wait.
+        timeout: kinds::TIME,
+        /// The act that follows when the time is over, or `end`.
+        otherwise: kinds::NAME,
     }
 }
+
+keys! {
+    /// By robot or group.
+    pub(super) struct OnFailureKeys {
+        /// For robots that are not named.
+        default: kinds::FAILURE_WORD,
+        /// The act that follows a failure, or `end`.
+        then: kinds::NAME,
+    }
+}
+
+/// The conditions that are one word.
+pub(super) const WAIT_WORDS: [(&str, fn() -> Wait); 2] =
+    [("done", || Wait::Done), ("operator", || Wait::Operator)];
 
 /// What holds where an act or cue says nothing.
 pub(super) struct Defaults<'a> {
@@ -271,7 +296,7 @@ fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)>
     }
 }
 
-const ON_FAILURE: [(&str, OnFailure); 3] =
+pub(super) const ON_FAILURE: [(&str, OnFailure); 3] =
     [("stop", OnFailure::Stop), ("home", OnFailure::Home), ("without", OnFailure::Without)];
 
 pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
@@ -316,17 +341,13 @@ fn wait_hint(text: &str) -> Option<String> {
 }
 
 fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
-    let words = [("done", Wait::Done), ("operator", Wait::Operator)];
     let Node::Map(_) = at.node else {
-        let index = [("done", 0), ("operator", 1)];
-        let wait = reader.word_or(at, &index, wait_hint).map_or(Wait::Done, |i| words[i].1.clone());
+        let wait = reader.word_or(at, &WAIT_WORDS, wait_hint).map_or(Wait::Done, |wait| wait());
         return WrittenWait { wait, place: at.place(), ..WrittenWait::default() };
     };
     let Some(keys) = reader.keys::<WaitKeys<'_>>(at, "`wait`") else { return WrittenWait::default() };
     let wait = match (keys.r#for, keys.time, keys.sensor) {
-        (Some(word), None, None) => {
-            reader.word_or(&word, &[("done", 0), ("operator", 1)], wait_hint).map(|i| words[i].1.clone())
-        }
+        (Some(word), None, None) => reader.word_or(&word, &WAIT_WORDS, wait_hint).map(|wait| wait()),
         (None, Some(time), None) => time_of_day(reader, &time),
         (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [keys.above, keys.below, keys.within]),
         _ if reader.is_miswritten(at, "for") => None,

@@ -1,5 +1,6 @@
 //! How much later each robot of a cue begins: by its number, by its place, at random, or as its `at` says.
 
+use super::kinds;
 use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
 use crate::fields::{Across, At, By, Reader, Robot, parts};
 use crate::finding::{Code, Place};
@@ -8,13 +9,17 @@ use downbeat_reader::keys;
 
 keys! {
     /// The order of the robots, and how much later they begin.
-    struct CanonKeys {
-        step,
-        speed,
-        over,
-        by,
-        seed,
-        direction,
+    pub(super) struct CanonKeys {
+        /// Each place of the order begins so much later than the one before.
+        step: kinds::TIME,
+        /// How fast the start runs over the places of the robots, in metres a second.
+        speed: kinds::NUMBER,
+        /// The last begins so much later than the first.
+        over: kinds::TIME,
+        by: kinds::BY,
+        /// For `by: random`: another number gives another order.
+        seed: kinds::NUMBER,
+        direction: kinds::DIRECTION,
     }
 }
 

@@ -5,6 +5,8 @@ use urrcp::{Millis, Span, StopCondition};
 use super::acts::Defaults;
 use super::canon;
 use super::each::movements;
+use super::form::{AlongKeys, FormKeys, TurnKeys};
+use super::kinds;
 use super::library::Library;
 use super::movement::Shaping;
 use super::when::{Timing, When, range};
@@ -13,68 +15,93 @@ use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::Node;
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, schema};
 
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
 keys! {
-    /// What robots do, and when.
-    pub(crate) struct CueKeys {
-        cue,
-        at,
-        after,
-        with,
-        before,
-        end_by,
-        duration,
-        robots,
-        r#move,
-        sequence,
-        parameters,
-        tracks,
-        devices,
-        mirror,
-        scale,
-        reverse,
-        repeat,
-        canon,
-        overrides,
-        uses,
-        apart,
-        stop_condition,
-        off_grid,
-        tolerance,
-        read,
-        form,
-        turn,
-        grow,
-        shift,
-        along,
-        over,
+    /// Robots move devices from some time on; without robots and tracks a mark that others can refer to.
+    pub(crate) struct CueKeys as "cue" {
+        /// Its name, for other cues and for messages.
+        cue: kinds::NAME,
+        /// When it starts: a time or position, exactly; or a range.
+        at: kinds::INSTANTS,
+        /// Starts when these have ended, or later.
+        after: kinds::RELATION,
+        /// Starts together with these.
+        with: kinds::RELATION,
+        /// Ends before these start: `finish - 1s`.
+        before: kinds::RELATION,
+        /// A deadline for its end.
+        end_by: kinds::INSTANT,
+        /// Its movement is stretched to this length; within bounds it is as short as devices and neighbours allow.
+        duration: kinds::TIMES,
+        /// A robot, a group, a role, or a list of them.
+        robots: kinds::NAMES,
+        /// The name of a move.
+        r#move: kinds::NAME,
+        /// The name of a sequence, whose cues it plays.
+        sequence: kinds::NAME,
+        parameters: kinds::PARAMETERS,
+        tracks: kinds::TRACKS,
+        devices: kinds::DEVICES,
+        mirror: kinds::MIRROR,
+        scale: kinds::SCALE,
+        reverse: kinds::REVERSE,
+        repeat: kinds::REPEAT,
+        canon: kinds::CANON,
+        /// For some robots other values.
+        overrides: Kind::Entries(&OverrideKeys::KIND),
+        /// Zones that it needs.
+        uses: kinds::NAMES,
+        /// Cues that it must not overlap.
+        apart: kinds::NAMES,
+        stop_condition: kinds::LEASE,
+        off_grid: kinds::OFF_GRID,
+        /// Largest error of its tracks, in the devices' unit.
+        tolerance: kinds::NUMBER,
+        /// Sensors that are read, with the times from the cue's start.
+        read: Kind::Entries(&Kind::AnyOf(&[&kinds::TIME, &Kind::List(&kinds::TIME, 0..=usize::MAX)])),
+        /// The robots move into this formation without coming too close to each other.
+        form: Kind::AnyOf(&[&kinds::NAME, &FormKeys::KIND]),
+        /// The robots turn as one body about the vertical, in degrees from x to y.
+        turn: Kind::AnyOf(&[&kinds::NUMBER, &TurnKeys::KIND]),
+        /// The robots move away from their middle by this factor, or towards it if it is less than 1.
+        grow: kinds::NUMBER,
+        /// The robots move as one body, in metres along x, y and z.
+        shift: Kind::List(&kinds::NUMBER, 3..=3),
+        /// The robots are carried along this path as one body, from where they are.
+        along: Kind::AnyOf(&[&kinds::NAME, &AlongKeys::KIND]),
+        /// How long each robot has for `form`, `turn`, `grow`, `shift` and `along`.
+        over: kinds::TIME,
     }
 }
 
 keys! {
-    /// Other values for some robots.
-    struct OverrideKeys {
-        r#move,
-        parameters,
-        tracks,
-        devices,
-        mirror,
-        scale,
-        reverse,
-        repeat,
-        delay,
+    /// What is different for a robot.
+    pub(super) struct OverrideKeys as "override" {
+        r#move: kinds::NAME,
+        parameters: kinds::PARAMETERS,
+        tracks: kinds::TRACKS,
+        devices: kinds::DEVICES,
+        mirror: kinds::MIRROR,
+        scale: kinds::SCALE,
+        reverse: kinds::REVERSE,
+        repeat: kinds::REPEAT,
+        /// So much later than the cue.
+        delay: kinds::TIME,
     }
 }
 
 keys! {
     /// Apart for scripts that wait and scripts that run.
-    struct LeaseKeys {
-        pending,
-        running,
+    pub(super) struct LeaseKeys {
+        /// How long the server may be silent before a script that has not started is dropped.
+        pending: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
+        /// How long the server may be silent before a running script ends; `none` lets shows go on without a link.
+        running: Kind::AnyOf(&[&kinds::TIME, &schema!({"const": "none"})]),
     }
 }
 

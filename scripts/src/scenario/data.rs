@@ -2,6 +2,7 @@
 
 use urrcp::Span;
 
+use super::kinds;
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, one_of};
@@ -11,22 +12,30 @@ use crate::motion::{Between, Curve, Knot, Shape};
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
-use downbeat_reader::keys;
+use downbeat_reader::{keys, words};
 
+/// Milliseconds in each unit of a time.
+const UNITS: [(&str, f64); 3] = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
 
 keys! {
-    /// A column of a CSV file.
-    struct SamplesKeys {
+    /// One column of a CSV file.
+    pub(super) struct SamplesKeys {
+        /// From the scenario's folder.
         #[required]
-        file,
+        file: kinds::TEXT,
+        /// The column with times: its name, or its number from 1.
         #[required]
-        time,
+        time: kinds::NAME,
+        /// The column with values: its name, or its number from 1.
         #[required]
-        value,
-        time_unit,
-        scale,
-        ease,
+        value: kinds::NAME,
+        /// Default: s.
+        time_unit: words!(UNITS),
+        /// Factor on the values.
+        scale: kinds::NUMBER,
+        /// The way from one row to the next. Default: as the device moves.
+        ease: words!(EASES),
     }
 }
 
@@ -38,8 +47,7 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
     let SamplesKeys { file, time, value, time_unit: unit, scale, ease } = reader.keys(at, "`samples`")?;
     let name =
         file.and_then(|at| reader.text(&at, "the path of a CSV file").map(std::borrow::Cow::into_owned));
-    let units = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
-    let millis = unit.map_or(Some(1_000.0), |at| reader.word(&at, &units))?;
+    let millis = unit.map_or(Some(1_000.0), |at| reader.word(&at, &UNITS))?;
     let scale = scale.map_or(Some(1.0), |at| reader.number(&at, "a factor"))?;
     let between = ease.map_or(Some(Between::Own), |at| reader.word(&at, &EASES))?;
     let (file, name) = (file?, name?);

@@ -2,6 +2,7 @@
 
 use super::cue::CueKeys;
 use super::formations::SHAPES;
+use super::kinds;
 use super::track::positive_time;
 use crate::ensemble::{Action, Course, Form, Spare, Sweep, Target, Thin, Together};
 use crate::fields::{At, Reader, is_spread};
@@ -9,7 +10,8 @@ use crate::finding::Code;
 use crate::node::Node;
 use crate::shown::shortened;
 use crate::transit::Least;
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, words};
 
 /// Most turns: more would take more steps than any device holds.
 const DEGREES_MAX: f64 = 360_000.0;
@@ -28,32 +30,42 @@ const GROUP: [&str; 6] = ["form", "turn", "grow", "shift", "along", "over"];
 
 keys! {
     /// Into which formation, and how.
-    struct FormKeys {
+    pub(super) struct FormKeys {
+        /// A formation, or `home`: the default values of each robot's devices.
         #[required]
-        to,
-        least,
-        spare,
-        thin,
+        to: kinds::NAME,
+        /// What of the ways is made small: their sum, which is the default, or the longest of them.
+        least: words!(LEAST),
+        /// What robots do for which there is no place.
+        spare: words!(SPARE),
+        /// Which places are taken if there are fewer robots: at even steps, or those with the shortest ways.
+        thin: words!(THIN),
     }
 }
 
 keys! {
     /// A turn about the vertical.
-    struct TurnKeys {
+    pub(super) struct TurnKeys {
+        /// How far, in degrees from x to y.
         #[required]
-        by,
-        about,
+        by: kinds::NUMBER,
+        /// x and y of the centre in metres; the mean of the robots' places by default.
+        about: Kind::List(&kinds::NUMBER, 2..=2),
     }
 }
 
 keys! {
     /// Along which path, and how.
-    struct AlongKeys {
+    pub(super) struct AlongKeys {
+        /// The path.
         #[required]
-        path,
-        laps,
-        turning,
-        follow,
+        path: kinds::NAME,
+        /// How often, for a closed path: a whole number, 1 by default.
+        laps: kinds::NUMBER,
+        /// Whether the group turns with the heading of the path, about its middle.
+        turning: kinds::TRUTH,
+        /// Whether each robot follows the one that is named before it, through its place; the first one goes along the path.
+        follow: kinds::TRUTH,
     }
 }
 

@@ -5,6 +5,7 @@ mod tests;
 
 use std::sync::Arc;
 
+use super::kinds;
 use crate::ensemble::WrittenFormation;
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -17,6 +18,7 @@ use crate::formation::{
 use crate::node::Node;
 use crate::shown::shortened;
 use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
 
 /// Longest length and furthest coordinate, in metres: far more than robots could play in, and nothing overflows.
 const METRES_MAX: f64 = 1e6;
@@ -39,63 +41,85 @@ pub(super) const SHAPES: [&str; 9] =
 
 keys! {
     /// A set of places in metres. It has exactly one shape.
-    struct FormationKeys {
-        points,
-        line,
-        circle,
-        grid,
-        v,
-        sphere,
-        text,
-        svg,
-        cloud,
-        at,
-        rotate,
-        scale,
-        size,
+    pub(super) struct FormationKeys as "formation" {
+        /// These places.
+        points: Kind::List(&kinds::PLACE, 1..=10000),
+        /// Along the x axis.
+        line: LineKeys::KIND,
+        /// Counterclockwise from the x axis.
+        circle: CircleKeys::KIND,
+        /// Row by row along the x axis.
+        grid: GridKeys::KIND,
+        /// The tip, then one place of each arm after another.
+        v: VeeKeys::KIND,
+        /// Spread evenly over a sphere.
+        sphere: SphereKeys::KIND,
+        /// Upright letters of strokes, 1 m high by default.
+        text: kinds::NAME,
+        /// The paths of an SVG file, upright; from the scenario's folder.
+        svg: kinds::TEXT,
+        /// The points of a PLY or CSV file, or the surface of an STL file; from the scenario's folder.
+        cloud: kinds::TEXT,
+        /// Where the middle is; default 0, or where points are written.
+        at: kinds::PLACE,
+        rotate: kinds::ROTATION,
+        /// Factor about the middle; default 1.
+        scale: kinds::NUMBER,
+        /// Metres of the longest side: of a text, a drawing, a cloud or points, instead of `scale`.
+        size: kinds::NUMBER,
     }
 }
 
 keys! {
     /// Along the x axis.
-    struct LineKeys {
-        spacing,
-        length,
+    pub(super) struct LineKeys {
+        /// Metres between neighbours.
+        spacing: kinds::NUMBER,
+        /// Metres from the first place to the last.
+        length: kinds::NUMBER,
     }
 }
 
 keys! {
     /// Counterclockwise from the x axis.
-    struct CircleKeys {
-        radius,
-        spacing,
+    pub(super) struct CircleKeys {
+        /// Metres from the middle.
+        radius: kinds::NUMBER,
+        /// Metres between neighbours.
+        spacing: kinds::NUMBER,
     }
 }
 
 keys! {
     /// Row by row along the x axis.
-    struct GridKeys {
+    pub(super) struct GridKeys {
+        /// Metres between columns, rows and layers; one number, or one for each.
         #[required]
-        spacing,
-        columns,
-        rows,
+        spacing: Kind::AnyOf(&[&kinds::NUMBER, &kinds::PLACE]),
+        /// Default: as many as make a square.
+        columns: kinds::NUMBER,
+        /// Default: as many as are needed. With it, the grid goes on in layers above.
+        rows: kinds::NUMBER,
     }
 }
 
 keys! {
     /// The tip, then one place of each arm after another.
-    struct VeeKeys {
+    pub(super) struct VeeKeys {
+        /// Metres between neighbours on an arm.
         #[required]
-        spacing,
-        angle,
+        spacing: kinds::NUMBER,
+        /// Degrees between the arms; default 60.
+        angle: kinds::NUMBER,
     }
 }
 
 keys! {
     /// Spread evenly over a sphere.
-    struct SphereKeys {
+    pub(super) struct SphereKeys {
+        /// Metres from the middle.
         #[required]
-        radius,
+        radius: kinds::NUMBER,
     }
 }
 

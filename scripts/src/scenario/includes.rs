@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::kinds;
 use super::library::{Copy, Documents, INCLUDES_MAX, IncludedKeys, Library, Shared};
 use super::nesting::{Used, arguments, with_defaults};
 use crate::fields::{At, Reader};
@@ -13,12 +14,14 @@ use downbeat_reader::keys;
 const EXPECTED: &str = "the path of a file, {file, as, parameters}, or a list of these";
 
 keys! {
-    /// A file under a name of its own.
-    struct IncludeKeys {
+    /// A file under a name of its own, with parameters.
+    pub(super) struct IncludeKeys as "included" {
+        /// Its path, from the scenario's folder.
         #[required]
-        file,
-        r#as,
-        parameters,
+        file: kinds::TEXT,
+        /// What its names begin with here: `left` makes `left.bow` of its move `bow`.
+        r#as: kinds::NAME,
+        parameters: kinds::PARAMETERS,
     }
 }
 

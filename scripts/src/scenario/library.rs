@@ -9,6 +9,7 @@ use super::Name;
 use super::each::Roster;
 use super::formations;
 use super::includes::{self, Included};
+use super::kinds;
 use super::nesting::Used;
 use super::paths;
 use crate::ensemble::{Action, Course, Form, Ground, Sweep, Target, Together, WrittenFormation, WrittenPath};
@@ -25,7 +26,8 @@ use crate::scope::Variable;
 use crate::shown::shortened;
 use crate::source::Source;
 use crate::tags::foreign_tags;
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, schema};
 
 /// Most files that a scenario may include, directly or through others.
 pub(super) const INCLUDES_MAX: usize = 256;
@@ -33,15 +35,17 @@ pub(super) const INCLUDES_MAX: usize = 256;
 keys! {
     /// A file that scenarios include.
     pub(super) struct IncludedKeys {
-        doc,
-        parameters,
-        include,
-        variables,
-        moves,
-        sequences,
-        roles,
-        formations,
-        paths,
+        /// What the file is for, in words.
+        doc: kinds::TEXT,
+        /// Names with their defaults; `~` for none.
+        parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
+        include: kinds::INCLUDE,
+        variables: kinds::VARIABLES,
+        moves: kinds::MOVES,
+        sequences: kinds::SEQUENCES,
+        roles: kinds::ROLES,
+        formations: kinds::FORMATIONS,
+        paths: kinds::PATHS,
     }
 }
 
@@ -461,12 +465,14 @@ pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Optio
 
 keys! {
     /// A tempo from some bar on.
-    struct TempoKeys {
+    pub(super) struct TempoKeys {
+        /// The beginning of a bar, such as `bar 9`.
         #[required]
-        at,
+        at: schema!({"type": "string", "pattern": "^\\s*bar\\s+\\d+(\\s+beat\\s+1)?\\s*$"}),
+        /// Beats a minute.
         #[required]
-        bpm,
-        signature,
+        bpm: kinds::NUMBER,
+        signature: kinds::SIGNATURE,
     }
 }
 

@@ -12,6 +12,7 @@ mod formations;
 mod formulas;
 mod given;
 mod includes;
+mod kinds;
 mod library;
 mod movement;
 mod nesting;
@@ -43,8 +44,10 @@ use crate::node::{self, Node};
 use crate::plan::{OnDoubt, Repetition, Requirements};
 use crate::slips::Units;
 use crate::source::Source;
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use acts::ActKeys;
+use downbeat_reader::keys::{Declaration, Keys, Kind};
+use downbeat_reader::{keys, schema};
+use require::RequireKeys;
 
 pub use acts::parse_time;
 pub(crate) use acts::{OnFailureRule, WrittenWait};
@@ -346,33 +349,41 @@ pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
 }
 
 keys! {
-    /// A scenario.
+    /// A choreography: which robots move which devices when.
     pub(crate) struct ScenarioKeys {
+        /// Its name.
         #[required]
-        scenario,
-        fleet,
-        include,
-        variables,
-        moves,
-        sequences,
-        roles,
-        formations,
-        paths,
-        tempo,
-        signature,
-        zones,
-        order,
-        off_grid,
-        start_tolerance,
-        lead,
-        stop_condition,
-        on_failure,
-        on_doubt,
-        at_end,
-        require,
-        cues,
-        acts,
+        scenario: kinds::NAME,
+        /// The fleet file, from the scenario's folder; default ./fleet.yaml.
+        fleet: kinds::TEXT,
+        include: kinds::INCLUDE,
+        variables: kinds::VARIABLES,
+        moves: kinds::MOVES,
+        sequences: kinds::SEQUENCES,
+        roles: kinds::ROLES,
+        formations: kinds::FORMATIONS,
+        paths: kinds::PATHS,
+        tempo: kinds::TEMPO,
+        signature: kinds::SIGNATURE,
+        zones: kinds::ZONES,
+        order: kinds::ORDER,
+        off_grid: kinds::OFF_GRID,
+        /// Largest allowed spread of starts; default 10ms.
+        start_tolerance: kinds::TIME,
+        /// From sending to the start; computed from measured delays by default.
+        lead: kinds::TIME,
+        stop_condition: kinds::LEASE,
+        on_failure: kinds::ON_FAILURE,
+        on_doubt: kinds::ON_DOUBT,
+        /// After the last act, devices move to their default values: with `home`, in the shortest time that their limits permit;
+        /// with `{home: time}`, in this time.
+        at_end: Kind::AnyOf(&[&schema!({"const": "home"}), &AtEndKeys::KIND]),
+        require: RequireKeys::KIND,
+        cues: kinds::CUES,
+        /// Acts, each started by itself.
+        acts: Kind::List(&ActKeys::KIND, 1..=usize::MAX),
     }
+    also {"oneOf": [{"required": ["cues"]}, {"required": ["acts"]}]}
 }
 
 impl<'a> ScenarioKeys<'a> {
@@ -384,10 +395,20 @@ impl<'a> ScenarioKeys<'a> {
 
 keys! {
     /// What happens when the show ends.
-    struct AtEndKeys {
+    pub(super) struct AtEndKeys {
         #[required]
-        home,
+        home: kinds::TIME,
     }
+}
+
+/// The keys of scenarios.
+pub(crate) fn scenario_keys() -> &'static Declaration {
+    ScenarioKeys::declaration()
+}
+
+/// The keys of files that scenarios include.
+pub(crate) fn included_keys() -> &'static Declaration {
+    library::IncludedKeys::declaration()
 }
 
 /// Reads the trees of a scenario and its includes. What is wrong is left out and found.

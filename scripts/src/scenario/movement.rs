@@ -3,6 +3,7 @@
 use urrcp::Span;
 
 use super::cue::name_list;
+use super::kinds;
 use super::library::Library;
 use super::nesting::{self, within};
 use super::play;
@@ -17,48 +18,61 @@ use crate::finding::{Code, one_of};
 use crate::node::Node;
 use crate::plan::Repetition;
 use crate::shown::shortened;
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::{keys, schema};
 
 /// Most times that a movement is repeated.
 const REPEATS_MAX: u32 = 10_000_000;
 
 keys! {
-    /// A movement with parameters, to use in cues.
-    pub(super) struct MoveKeys {
-        doc,
-        parameters,
-        tracks,
-        play,
+    /// Something that devices do, with parameters.
+    pub(super) struct MoveKeys as "move" {
+        /// What it does, in words.
+        doc: kinds::TEXT,
+        /// Names with their defaults; `~` for none.
+        parameters: Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean", "null"]}), &kinds::SPREAD])),
+        tracks: kinds::TRACKS,
+        play: kinds::PLAY,
     }
+    also {"oneOf": [{"required": ["tracks"]}, {"required": ["play"]}]}
 }
 
 keys! {
-    /// How values are scaled: about + by * (value - about).
-    struct ScaleKeys {
+    /// about + by (value - about)
+    pub(super) struct ScaleKeys {
+        /// Factor.
         #[required]
-        by,
-        about,
-        devices,
+        by: kinds::NUMBER,
+        /// Default 0.
+        about: kinds::NUMBER,
+        /// Default: all.
+        devices: kinds::NAMES,
     }
 }
 
 keys! {
-    /// How values are mirrored: 2 * about - value.
-    struct MirrorKeys {
-        about,
-        devices,
+    /// 2 about - value
+    pub(super) struct MirrorKeys {
+        /// Default 0.
+        about: kinds::NUMBER,
+        /// Default: all.
+        devices: kinds::NAMES,
     }
 }
 
 keys! {
-    /// How often, or for how long.
-    struct RepeatKeys {
-        times,
-        every,
-        until,
-        r#for,
+    /// So many turns, or as many whole turns as fit.
+    pub(super) struct RepeatKeys {
+        /// How many turns.
+        times: Kind::AnyOf(&[&kinds::TURNS, &kinds::VARIABLE, &kinds::EXPRESSION, &kinds::SPREAD]),
+        /// From the beginning of a turn to that of the next. Default: the length of the movement.
+        every: kinds::TIME,
+        /// A time of the act or a position in the music; the cue needs a fixed `at`.
+        until: kinds::INSTANT,
+        /// So long.
+        r#for: kinds::TIME,
     }
+    also {"maxProperties": 2, "minProperties": 1}
 }
 
 /// The keys that make a movement.

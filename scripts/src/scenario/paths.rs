@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use super::formations::{factor, length, point, rotation};
+use super::kinds;
 use crate::ensemble::WrittenPath;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
@@ -12,7 +13,7 @@ use crate::motion::Path;
 use crate::node::Node;
 use crate::shown::shortened;
 use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
 
 /// Most points of a path.
 const POINTS_MAX: usize = 1_000;
@@ -20,21 +21,26 @@ const POINTS_MAX: usize = 1_000;
 const CIRCLE: u32 = 64;
 
 keys! {
-    /// A smooth way through space in metres: `points` or a `circle`.
-    struct PathKeys {
-        points,
-        circle,
-        closed,
-        rotate,
-        scale,
+    /// A smooth way through space in metres: `points` or a `circle`. Only differences of its places count.
+    pub(super) struct PathKeys as "path" {
+        /// It goes through these points.
+        points: Kind::List(&kinds::PLACE, 2..=1000),
+        /// Counterclockwise, and from the x axis.
+        circle: RoundKeys::KIND,
+        /// Whether it leads back from the last point to the first.
+        closed: kinds::TRUTH,
+        rotate: kinds::ROTATION,
+        /// Factor about the origin; default 1.
+        scale: kinds::NUMBER,
     }
 }
 
 keys! {
     /// Counterclockwise, and from the x axis.
-    struct RoundKeys {
+    pub(super) struct RoundKeys {
+        /// Metres from the middle.
         #[required]
-        radius,
+        radius: kinds::NUMBER,
     }
 }
 

@@ -1,5 +1,6 @@
 //! Moves that play others, one after another or at the same time: `play`.
 
+use super::kinds;
 use super::library::Library;
 use super::movement::{Shaped, Shaping, length, shaped};
 use super::nesting::may_play;
@@ -16,19 +17,23 @@ use downbeat_reader::keys;
 const EXPECTED: &str = "a list of moves such as {move: bow}; a list within it for those that begin together";
 
 keys! {
-    /// An entry of `play`.
-    struct PlayKeys {
-        r#move,
-        parameters,
-        tracks,
-        devices,
-        scale,
-        mirror,
-        reverse,
-        repeat,
-        duration,
-        at,
-        delay,
+    /// A move that a move plays.
+    pub(super) struct PlayKeys as "played" {
+        /// The name of a move.
+        r#move: kinds::NAME,
+        parameters: kinds::PARAMETERS,
+        tracks: kinds::TRACKS,
+        devices: kinds::DEVICES,
+        scale: kinds::SCALE,
+        mirror: kinds::MIRROR,
+        reverse: kinds::REVERSE,
+        repeat: kinds::REPEAT,
+        /// It is stretched to this length.
+        duration: kinds::TIME,
+        /// When it begins, from the beginning of the whole move; by default when the entry before it has ended.
+        at: kinds::TIME,
+        /// How much later than that it begins.
+        delay: kinds::TIME,
     }
 }
 

@@ -1,23 +1,32 @@
 //! What a scenario requires of its starts, its ends and its distances: bounds that are judged, never enforced while it plays.
 
+use super::kinds;
 use crate::duration;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::Node;
 use crate::plan::{AllOrNone, Ceiling, Floor, Requirements, Share};
 use crate::shown::shortened;
-use downbeat_reader::keys;
+use downbeat_reader::{keys, words};
 
 keys! {
-    /// What `check` and `dry-run` judge.
-    struct RequireKeys {
-        spread_p50,
-        spread_p99,
-        spread_max,
-        starts,
-        finishes,
-        closest,
-        all_or_none,
+    /// What `check` and `dry-run` judge: a requirement that is not met ends them with exit code 1.
+    pub(super) struct RequireKeys as "require" {
+        /// The true spread of starts, which half of the trials may exceed.
+        spread_p50: kinds::CEILING,
+        /// The true spread of starts, which one trial in a hundred may exceed.
+        spread_p99: kinds::CEILING,
+        /// The largest true spread of starts.
+        spread_max: kinds::CEILING,
+        /// Share of the trials in which the mission starts.
+        starts: kinds::LEAST_SHARE,
+        /// Share of the trials whose mission is done.
+        finishes: kinds::LEAST_SHARE,
+        /// The closest approach of any two bodies, from surface to surface.
+        closest: kinds::LEAST_DISTANCE,
+        /// `run` and `preflight` refuse robots that do not declare `pending_until`, because they could start a script that was
+        /// not decided.
+        all_or_none: words!(STRICT),
     }
 }
 

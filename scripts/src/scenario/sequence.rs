@@ -7,6 +7,7 @@ use urrcp::Span;
 
 use super::acts::Defaults;
 use super::cue::{self, CueKeys, robot_names};
+use super::kinds;
 use super::library::Library;
 use super::nesting::{self, Used, within};
 use super::when::{Anchor, Relation};
@@ -16,20 +17,22 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::Node;
 use crate::shown::shortened;
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::{keys, schema};
 
 /// What a cue that plays a sequence may say.
 const CALL_KEYS: [&str; 9] =
     ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots"];
 
 keys! {
-    /// Cues with parameters, to use again.
-    struct SequenceKeys {
-        doc,
-        parameters,
+    /// Cues that are played as a whole, with parameters.
+    pub(super) struct SequenceKeys as "sequence" {
+        /// What it does, in words.
+        doc: kinds::TEXT,
+        /// Names with their defaults; `~` for none.
+        parameters: Kind::Entries(&schema!({"type": ["number", "string", "boolean", "null"]})),
         #[required]
-        cues,
+        cues: kinds::CUES,
     }
 }
 

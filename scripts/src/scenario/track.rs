@@ -2,7 +2,9 @@
 
 use urrcp::{ControlType, Span};
 
+use super::data::SamplesKeys;
 use super::given::{Givens, given};
+use super::kinds;
 use super::library::Library;
 use super::{Items, Motion, Track, Vector, Vectors, data, formulas, nothing};
 use crate::duration::parse_duration;
@@ -13,90 +15,121 @@ use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node, Rows, Width};
 use crate::shown::shortened;
 use crate::slips::{self, OtherForm, as_keyframes};
-use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
+use downbeat_reader::{keys, schema, words};
 
 keys! {
     /// The movement of a device, in one of seven forms.
-    struct TrackKeys {
-        control,
-        tolerance,
-        max_steps,
-        keyframes,
-        spline,
-        polynomial,
-        wave,
-        travel,
-        samples,
-        formula,
-        r#for,
+    pub(super) struct TrackKeys {
+        /// Control type: position, speed, acceleration or custom_N. Default: the first that the device has.
+        control: schema!({"type": "string", "pattern": "^(position|speed|acceleration|custom_\\d+)$"}),
+        /// Largest error that is allowed, in the device's unit; lets keyframes be left out.
+        tolerance: kinds::NUMBER,
+        /// The smallest error with so many steps.
+        max_steps: Kind::AnyOf(&[&schema!({"type": "integer", "minimum": 2}), &kinds::EXPRESSION]),
+        /// Values at times.
+        keyframes: Kind::List(&KeyframeKeys::KIND, 0..=usize::MAX),
+        /// A smooth way through points, at rest at both ends.
+        spline: Kind::List(&PointKeys::KIND, 2..=usize::MAX),
+        /// Pieces, one after another.
+        polynomial: Kind::AnyOf(&[&PieceKeys::KIND, &Kind::List(&PieceKeys::KIND, 0..=usize::MAX)]),
+        /// center + amplitude sin(2 pi (t / period + phase / 360))
+        wave: WaveKeys::KIND,
+        /// from + speed t + acceleration t^2 / 2
+        travel: TravelKeys::KIND,
+        /// One column of a CSV file.
+        samples: SamplesKeys::KIND,
+        /// An expression of the time `t` since the track began: `$r * cos(2 * pi * t / 8s)`.
+        formula: kinds::NAME,
+        /// How long the formula lasts.
+        r#for: kinds::TIME,
     }
 }
 
 keys! {
     /// A value at a time, and the way there.
-    struct KeyframeKeys {
+    pub(super) struct KeyframeKeys as "keyframe" {
+        /// When, from the cue's start.
         #[required]
-        at,
+        at: kinds::TIME,
+        /// The value, in the device's unit; a list of values for custom_N.
         #[required]
-        to,
-        ease,
+        to: Kind::AnyOf(&[&kinds::NUMBER, &Kind::List(&kinds::NUMBER, 0..=usize::MAX)]),
+        /// The way from the keyframe before: linear; smooth, minimum jerk 10s^3-15s^4+6s^5; cubic 3s^2-2s^3; step, the old value
+        /// until the keyframe's time.
+        ease: words!(Easing::WORDS),
     }
 }
 
 keys! {
     /// Several values at a time.
-    struct VectorKeys {
+    pub(super) struct VectorKeys {
+        /// When, from the cue's start.
         #[required]
-        at,
+        at: kinds::TIME,
+        /// The values, in the device's unit.
         #[required]
-        to,
+        to: Kind::List(&kinds::NUMBER, 1..=usize::MAX),
     }
 }
 
 keys! {
     /// A point on a curve.
-    struct PointKeys {
+    pub(super) struct PointKeys as "point" {
+        /// When, from the cue's start.
         #[required]
-        at,
+        at: kinds::TIME,
+        /// The value.
         #[required]
-        to,
+        to: kinds::NUMBER,
     }
 }
 
 keys! {
     /// A polynomial for some time.
-    struct PieceKeys {
+    pub(super) struct PieceKeys as "piece" {
+        /// How long.
         #[required]
-        r#for,
+        r#for: kinds::TIME,
+        /// c0, c1, c2 ... of c0 + c1 t + c2 t^2, t in seconds from the piece's start.
         #[required]
-        coefficients,
+        coefficients: Kind::List(&kinds::NUMBER, 1..=64),
     }
 }
 
 keys! {
-    /// center + amplitude * sin(2 pi (frequency t + phase / 360))
-    struct WaveKeys {
+    /// center + amplitude sin(2 pi (t / period + phase / 360))
+    pub(super) struct WaveKeys {
+        /// Half of the way, in the device's unit.
         #[required]
-        amplitude,
-        frequency,
-        period,
-        phase,
-        center,
+        amplitude: kinds::NUMBER,
+        /// Hertz.
+        frequency: kinds::NUMBER,
+        /// Of one cycle.
+        period: kinds::TIME,
+        /// Degrees.
+        phase: kinds::NUMBER,
+        /// The value about which it swings.
+        center: kinds::NUMBER,
+        /// How long.
         #[required]
-        r#for,
+        r#for: kinds::TIME,
     }
 }
 
 keys! {
     /// from + speed t + acceleration t^2 / 2
-    struct TravelKeys {
+    pub(super) struct TravelKeys {
+        /// Where it begins.
         #[required]
-        from,
-        speed,
-        acceleration,
+        from: kinds::NUMBER,
+        /// Units a second.
+        speed: kinds::NUMBER,
+        /// Units a second squared.
+        acceleration: kinds::NUMBER,
+        /// How long.
         #[required]
-        r#for,
+        r#for: kinds::TIME,
     }
 }
 

@@ -5,62 +5,92 @@ use std::collections::BTreeMap;
 use urrcp::{Device, InitializationBlock};
 
 use super::declared::device_named;
-use super::drive::read_drive;
-use super::joints::read_arm;
+use super::drive::{DriveKeys, read_drive};
+use super::joints::{JointKeys, read_arm};
 use super::urdf::{UrdfKeys, Urdfs};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, named};
 use downbeat_space::space::{Body, Coordinate, Drive, Joint, Shape, Space, Volume};
 use downbeat_yaml::finding::{Code, one_of};
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// What has to hold for all bodies.
-    struct SpaceKeys {
-        distance,
-        keep_in,
-        keep_out,
+    /// What has to hold in the space that all robots share.
+    pub(crate) struct SpaceKeys as "space" {
+        /// Least distance between two bodies, from surface to surface, in metres.
+        distance: kinds::POSITIVE,
+        /// Where all bodies have to stay.
+        keep_in: VolumeKeys::KIND,
+        /// Where no body may be, by name.
+        keep_out: Kind::Entries(&VolumeKeys::KIND),
     }
 }
 
 keys! {
-    /// A box along the axes.
-    struct VolumeKeys {
-        x,
-        y,
-        z,
+    /// A box with sides parallel to the axes; infinite where nothing is said.
+    pub(crate) struct VolumeKeys as "volume" {
+        /// The least and the largest x, in metres.
+        x: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),
+        /// The least and the largest y, in metres.
+        y: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),
+        /// The least and the largest z, in metres.
+        z: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),
     }
 }
 
 keys! {
-    /// What the devices of a robot mean in space.
-    struct BodyKeys {
-        x,
-        y,
-        z,
-        yaw,
-        drive,
-        radius,
-        size,
-        joints,
-        tip,
-        urdf,
-        end,
-        devices,
-        speed,
-        acceleration,
+    /// What a robot's devices mean in space, and how large it is.
+    pub(crate) struct BodyKeys as "body" {
+        /// Its x.
+        x: COORDINATE,
+        /// Its y.
+        y: COORDINATE,
+        /// Its height.
+        z: COORDINATE,
+        /// How far it has turned about z, from x to y.
+        yaw: COORDINATE,
+        drive: DriveKeys::KIND,
+        /// The radius of a ball that holds it, in metres; with `urdf` that of its links.
+        radius: kinds::POSITIVE,
+        /// Length, width and height of a box that holds it and turns with it, in metres.
+        size: Kind::List(&kinds::POSITIVE, 3..=3),
+        /// Its arm: the joints from the base to the tip.
+        joints: Kind::List(&JointKeys::KIND, 1..=64),
+        /// The end of the last link in the frame of the last joint, in metres.
+        tip: kinds::VECTOR,
+        /// The description of its arm in URDF, relative to the fleet file, instead of `joints` and `tip`.
+        urdf: kinds::TEXT,
+        /// The link of the URDF at which the arm ends.
+        end: kinds::TEXT,
+        /// The device of each joint of the URDF, or a number in degrees or metres if it stays.
+        devices: Kind::Entries(&kinds::NAME),
+        /// Its largest speed in any direction, in metres a second.
+        speed: kinds::POSITIVE,
+        /// Its largest acceleration in any direction, in metres a second squared.
+        acceleration: kinds::POSITIVE,
     }
+    also {"allOf": [{"not": {"required": ["radius", "size"], "not": {"required": ["urdf"]}}}, {"not": {"required": ["urdf", "joints"]}}, {"not": {"required": ["drive", "x"]}}, {"not": {"required": ["drive", "y"]}}, {"not": {"required": ["drive", "yaw"]}}], "dependentRequired": {"joints": ["tip"], "tip": ["joints"], "end": ["urdf"], "devices": ["urdf"]}}
 }
 
 keys! {
-    /// A coordinate that a device moves.
-    struct CoordinateKeys {
+    /// A coordinate.
+    pub(crate) struct CoordinateKeys {
+        /// A device of the robot.
         #[required]
-        device,
-        scale,
-        offset,
+        device: kinds::NAME,
+        /// Metres, or degrees, in one unit of the device.
+        scale: kinds::PLAIN_NUMBER,
+        /// Where the device's zero is, in metres or degrees.
+        offset: kinds::PLAIN_NUMBER,
     }
+}
+
+named! {
+    /// A device, a number in metres or degrees, or a device with a scale.
+    pub(crate) static COORDINATE = Kind::AnyOf(&[&kinds::NAME, &CoordinateKeys::KIND]);
 }
 
 /// Metres in one unit.

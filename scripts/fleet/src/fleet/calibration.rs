@@ -7,8 +7,9 @@ use urrcp::{ControlType, DeviceId, InitializationBlock, Limits, Span};
 use super::declared::device_named;
 use super::moves::is_positioned;
 use super::sensors::{sensor, sensor_at};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::{self, Code};
 use downbeat_yaml::shown::shortened;
 
@@ -21,15 +22,21 @@ const TAKEN_WORDS: [(&str, Taken); 3] =
     [("request", Taken::AtRequest), ("answer", Taken::AtAnswer), ("between", Taken::Between)];
 
 keys! {
-    /// The movement by which the latency of a device is measured.
-    struct CalibrateKeys {
-        sensor,
-        from,
+    /// The calibration of a device.
+    pub(crate) struct CalibrateKeys {
+        /// The sensor that shows where the device is, in its unit; otherwise the device itself.
+        sensor: kinds::NAME,
+        /// Where the movement begins; otherwise where the device is.
+        from: kinds::PLAIN_NUMBER,
+        /// The small safe amount by which it may be moved from there, in its unit; not 0.
         #[required]
-        by,
-        taken,
-        sensor_delay,
-        visible,
+        by: kinds::PLAIN_NUMBER,
+        /// When the sensor's value is taken: when the robot receives the request, when it answers, or somewhere in between.
+        taken: words!(TAKEN_WORDS),
+        /// How old the value is then, which no round trip shows.
+        sensor_delay: kinds::TIME,
+        /// A device that has moved by so much, in its unit, has visibly begun to move; otherwise a hundredth of `by`.
+        visible: kinds::POSITIVE,
     }
 }
 

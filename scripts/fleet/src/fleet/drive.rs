@@ -5,32 +5,49 @@ use urrcp::InitializationBlock;
 use super::body::{length, of_device};
 use super::declared::device_named;
 use super::joints::vector;
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, named};
 use downbeat_space::space::{Coordinate, Drive, Steering};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
 keys! {
-    /// Devices that drive a body by speed.
-    struct DriveKeys {
-        left,
-        right,
-        wheel_radius,
-        track,
-        speed,
-        turn,
-        start,
+    /// What drives it by speed: two wheels, or a speed and a turn.
+    pub(crate) struct DriveKeys as "drive" {
+        /// The left wheel.
+        left: SIGNAL,
+        /// The right wheel.
+        right: SIGNAL,
+        /// The radius of the wheels in metres, if the units of their devices are angles a second.
+        wheel_radius: kinds::POSITIVE,
+        /// The distance between the wheels, in metres.
+        track: kinds::POSITIVE,
+        /// How fast it goes ahead.
+        speed: SIGNAL,
+        /// How fast it turns to the left.
+        turn: SIGNAL,
+        /// x and y in metres and yaw in degrees at the beginning of the first act.
+        start: kinds::VECTOR,
     }
+    also {"oneOf": [{"required": ["left", "right", "track"]}, {"required": ["speed", "turn"]}]}
 }
 
 keys! {
-    /// A device that drives, in another unit.
-    struct SignalKeys {
+    /// A signal.
+    pub(crate) struct SignalKeys {
+        /// A device of the robot.
         #[required]
-        device,
-        scale,
+        device: kinds::NAME,
+        /// Metres a second, or degrees a second, in one unit of the device.
+        scale: kinds::PLAIN_NUMBER,
     }
+}
+
+named! {
+    /// A device, or a device with a scale.
+    pub(crate) static SIGNAL = Kind::AnyOf(&[&kinds::NAME, &SignalKeys::KIND]);
 }
 
 /// Metres a second in one unit.

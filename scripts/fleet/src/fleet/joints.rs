@@ -3,8 +3,10 @@
 use urrcp::InitializationBlock;
 
 use super::body::{ANGLES, LENGTHS, fixed, length, of_device};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, words};
 use downbeat_space::space::{Coordinate, Joint, JointKind};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
@@ -23,20 +25,30 @@ const AXES: [(&str, [f64; 3]); 6] = [
 ];
 
 keys! {
-    /// A joint of an arm, and the link that follows it.
-    struct JointKeys {
-        device,
-        value,
-        scale,
-        offset,
+    /// A joint, with the link from it to the next joint or to the tip.
+    pub(crate) struct JointKeys as "joint" {
+        /// The device that moves it.
+        device: kinds::NAME,
+        /// How far it has turned or slid if it stays, in degrees or metres.
+        value: kinds::PLAIN_NUMBER,
+        /// Degrees, or metres, in one unit of the device.
+        scale: kinds::PLAIN_NUMBER,
+        /// Where the device's zero is, in degrees or metres.
+        offset: kinds::PLAIN_NUMBER,
+        /// What it turns about or slides along, in its own frame.
         #[required]
-        axis,
-        at,
-        rpy,
-        kind,
+        axis: Kind::AnyOf(&[&words!(AXES), &kinds::VECTOR]),
+        /// Where it is in the frame of the link before, in metres.
+        at: kinds::VECTOR,
+        /// Roll, pitch and yaw of its frame in that of the link before, about fixed axes, in degrees.
+        rpy: kinds::VECTOR,
+        /// Whether it turns or slides; it turns by default.
+        kind: words!(KINDS),
+        /// The radius of the capsule about its link, in metres.
         #[required]
-        radius,
+        radius: kinds::POSITIVE,
     }
+    also {"oneOf": [{"required": ["device"]}, {"required": ["value"]}]}
 }
 
 /// The joints from the base to the tip, and where the tip is.

@@ -10,9 +10,11 @@ use urrcp::{Device, DeviceId, InitializationBlock, Latency, RobotId, Span};
 
 use super::RobotKeys;
 use super::declared::device_named;
+use crate::kinds;
 use downbeat_import::scalar;
 use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys;
+use downbeat_reader::keys::{Declaration, Kind};
 use downbeat_yaml::duration::written;
 use downbeat_yaml::finding::{Code, Finding, Place};
 use downbeat_yaml::locate::locate;
@@ -26,36 +28,56 @@ const LATENCY_MAX: Span = Span::from_millis(10_000);
 const TRIALS_MAX: u32 = 1_000_000;
 
 keys! {
-    /// The latency of a device.
-    struct LatencyKeys {
+    /// A latency.
+    pub(crate) struct LatencyKeys {
+        /// Half of all motions begin no later.
         #[required]
-        median,
-        spread,
+        median: kinds::TIME,
+        /// 95 % of all motions begin within the median ± this.
+        spread: kinds::TIME,
     }
 }
 
 keys! {
     /// A latency file.
-    struct FileKeys {
+    pub(crate) struct FileKeys {
+        /// By robot and by device.
         #[required]
-        latency,
+        latency: Kind::Entries(&Kind::Entries(&MeasuredKeys::KIND)),
     }
 }
 
 keys! {
     /// What was measured of a device.
-    struct MeasuredKeys {
+    pub(crate) struct MeasuredKeys {
+        /// Half of all motions begin no later.
         #[required]
-        median,
-        spread,
-        p95,
-        trials,
-        measured,
-        time_constant,
-        lags,
-        later,
-        tracking_lag,
+        median: kinds::TIME,
+        /// 95 % of all motions begin within the median ± this.
+        spread: kinds::TIME,
+        /// 95 % of all motions begin no later.
+        p95: kinds::TIME,
+        /// How many motions were measured.
+        trials: kinds::COUNT,
+        /// When they were measured.
+        measured: kinds::TEXT,
+        /// Of all first-order lags together with which the device follows.
+        time_constant: kinds::TIME,
+        /// How many such lags there are in a row.
+        #[default("1")]
+        lags: kinds::COUNT,
+        /// How much later than such lags alone the device visibly begins.
+        #[default("0s")]
+        later: kinds::SIGNED_TIME,
+        /// How far behind a movement of constant speed the device stays.
+        tracking_lag: kinds::TIME,
     }
+}
+
+/// The keys of latency files.
+#[must_use]
+pub fn latency_keys() -> &'static Declaration {
+    FileKeys::declaration()
 }
 
 /// The latency of a device that is compensated, and where it was found.

@@ -7,23 +7,30 @@ use serde::Serialize;
 use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 
 use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
+use crate::kinds;
 use crate::sensor_range::{SensorRange, sensor_range};
 use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
-const CLOCK_WORDS: [(&str, ClockMode); 2] = [("ntp", ClockMode::Ntp), ("measured", ClockMode::Measured)];
+pub(super) const CLOCK_WORDS: [(&str, ClockMode); 2] =
+    [("ntp", ClockMode::Ntp), ("measured", ClockMode::Measured)];
 const ENCODINGS: [Encoding; 2] = [Encoding::Json, Encoding::MessagePack];
 
 keys! {
-    /// Which readings of a sensor will do.
-    struct RangeKeys {
-        above,
-        below,
-        within,
+    /// Readings.
+    pub(crate) struct RangeKeys {
+        /// Larger than this.
+        above: kinds::PLAIN_NUMBER,
+        /// Smaller than this.
+        below: kinds::PLAIN_NUMBER,
+        /// From the first to the second.
+        within: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),
     }
+    also {"minProperties": 1, "maxProperties": 1}
 }
 
 /// What a mission needs to know of a robot beyond its description.

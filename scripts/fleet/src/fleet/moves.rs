@@ -3,19 +3,26 @@
 use urrcp::{ControlType, DeviceId, InitializationBlock, Span};
 
 use super::calibration::{device_by_position, sensor_of};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::{keys, schema};
 use downbeat_yaml::finding::Code;
 
 keys! {
-    /// How the body of a simulated robot follows a device.
-    struct MovesKeys {
-        latency,
-        spread,
-        time_constant,
-        sensor,
-        noise,
-        delay,
+    /// The movement of a device.
+    pub(crate) struct MovesKeys {
+        /// From a value that is set to the first motion.
+        latency: kinds::TIME,
+        /// 95 % of all movements begin within the latency ± this.
+        spread: kinds::TIME,
+        /// Of the first-order lag with which it follows from then on.
+        time_constant: kinds::TIME,
+        /// The sensor that shows where the body is; otherwise the device itself.
+        sensor: kinds::NAME,
+        /// Standard deviation of what the sensor shows, in its unit.
+        noise: schema!({"type": "number", "minimum": 0}),
+        /// How long the sensor takes to answer; the value is taken when it is asked.
+        delay: kinds::TIME,
     }
 }
 

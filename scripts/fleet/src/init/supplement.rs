@@ -2,26 +2,45 @@
 
 use urrcp::{ControlType, Interpolation};
 
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::{Code, did_you_mean, one_of};
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// What is said of one device.
-    struct DeviceKeys {
-        control_type,
-        granularity,
-        unit,
-        max_number_of_steps,
-        interpolation,
-        min_value,
-        max_value,
-        default_value,
-        max_error,
-        script_queue,
+    /// What is added to a device's description.
+    pub(crate) struct DeviceKeys as "device" {
+        /// What its values mean; position unless it is said.
+        control_type: words!(CONTROL_TYPES),
+        /// Its smallest step; otherwise the largest power of ten of which a thousand fit into its range.
+        granularity: kinds::POSITIVE,
+        /// Of all its values.
+        unit: kinds::TEXT,
+        /// In one script; 1000 unless it is said.
+        max_number_of_steps: kinds::COUNT,
+        /// Between the steps of a script; `linear` is sampled by the edge.
+        interpolation: words!(INTERPOLATIONS),
+        /// In the place of the description's.
+        min_value: kinds::PLAIN_NUMBER,
+        /// In the place of the description's.
+        max_value: kinds::PLAIN_NUMBER,
+        /// In the place of the description's.
+        default_value: kinds::PLAIN_NUMBER,
+        /// Largest error by construction.
+        max_error: kinds::PLAIN_NUMBER,
+        /// Scripts that it holds; two unless it is said.
+        script_queue: kinds::COUNT,
     }
 }
+
+const CONTROL_TYPES: [(&str, ControlType); 3] = [
+    ("position", ControlType::Position),
+    ("speed", ControlType::Speed),
+    ("acceleration", ControlType::Acceleration),
+];
+const INTERPOLATIONS: [(&str, Interpolation); 2] =
+    [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
 
 /// What is added to one device.
 #[derive(Clone, Debug, Default)]
@@ -63,24 +82,18 @@ pub fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, 
 
 fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
     let keys: DeviceKeys<'_> = findings.keys(at, "the device")?;
-    let types = [
-        ("position", ControlType::Position),
-        ("speed", ControlType::Speed),
-        ("acceleration", ControlType::Acceleration),
-    ];
-    let ways = [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
     let mut number =
         |at: Option<At<'_>>| at.and_then(|at| findings.number(&at, "a number in the device's unit"));
     let (min_value, max_value) = (number(keys.min_value), number(keys.max_value));
     let (default_value, max_error) = (number(keys.default_value), number(keys.max_error));
     Some(Supplement {
-        control_type: keys.control_type.and_then(|at| findings.word(&at, &types)),
+        control_type: keys.control_type.and_then(|at| findings.word(&at, &CONTROL_TYPES)),
         granularity: keys
             .granularity
             .and_then(|at| findings.positive(&at, "a number above 0, in the device's unit")),
         unit: keys.unit.and_then(|at| findings.text(&at, "a unit such as deg").map(Into::into)),
         max_number_of_steps: keys.max_number_of_steps.and_then(|at| findings.count(&at, 1, u32::MAX)),
-        interpolation: keys.interpolation.and_then(|at| findings.word(&at, &ways)),
+        interpolation: keys.interpolation.and_then(|at| findings.word(&at, &INTERPOLATIONS)),
         min_value,
         max_value,
         default_value,

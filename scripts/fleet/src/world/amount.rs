@@ -2,20 +2,48 @@
 
 use urrcp::Span;
 
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, named, schema};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 use downbeat_yaml::shown::shortened;
 
 keys! {
-    /// An amount that is drawn.
-    struct BetweenKeys {
+    /// Drawn uniformly.
+    pub(crate) struct BetweenKeys {
+        /// The least.
         #[required]
-        from,
+        from: kinds::PLAIN_NUMBER,
+        /// The largest.
         #[required]
-        to,
+        to: kinds::PLAIN_NUMBER,
     }
+}
+
+named! {
+    /// Fixed, or drawn uniformly.
+    pub(super) static TIMES = Kind::AnyOf(&[&kinds::TIME, &Kind::KeysOf(BetweenKeys::declaration, &kinds::TIME)]);
+
+    /// Fixed, or drawn uniformly.
+    pub(super) static SIGNED_TIMES =
+        Kind::AnyOf(&[&kinds::SIGNED_TIME, &Kind::KeysOf(BetweenKeys::declaration, &kinds::SIGNED_TIME)]);
+
+    /// Fixed, or drawn uniformly.
+    pub(super) static DRIFTS = Kind::AnyOf(&[&DRIFT, &Kind::KeysOf(BetweenKeys::declaration, &DRIFT)]);
+
+    /// Fixed, or drawn uniformly.
+    pub(super) static NUMBERS = Kind::AnyOf(&[&kinds::PLAIN_NUMBER, &BetweenKeys::KIND]);
+
+    /// In parts per million: `5ppm`.
+    pub(super) static DRIFT = schema!({"type": "string", "pattern": "ppm$"});
+
+    /// From `0%` to `100%`, or from 0 to 1.
+    pub(super) static PROBABILITY = Kind::AnyOf(&[
+        &schema!({"type": "number", "minimum": 0, "maximum": 1}),
+        &schema!({"type": "string", "pattern": "^\\s*\\d+(\\.\\d+)?\\s*%$"}),
+    ]);
 }
 
 /// Drawn uniformly once a trial, or, where an amount belongs to a message, once a message; the same twice: fixed.

@@ -3,22 +3,30 @@
 use urrcp::Span;
 
 use super::amount::{self, Between, between};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::{keys, words};
 use downbeat_yaml::finding::Code;
 
 keys! {
     /// What goes wrong.
-    pub(super) struct IncidentKeys {
+    pub(crate) struct IncidentKeys as "incident" {
+        /// A robot, a group, or `all`: it is drawn for each of them.
         #[required]
-        robot,
+        robot: kinds::NAME,
+        /// What goes wrong.
         #[required]
-        what,
-        act,
-        at,
-        lasts,
-        back_after,
-        probability,
+        what: words!(WHAT_WORDS),
+        /// The act from whose planned start `at` is counted; without it from the beginning of the mission.
+        act: kinds::NAME,
+        /// When. By default 0s.
+        at: amount::SIGNED_TIMES,
+        /// For how long; `refuses` without it: for good.
+        lasts: amount::TIMES,
+        /// When a robot that died is back; without it never.
+        back_after: amount::TIMES,
+        /// How likely it happens. By default 100%.
+        probability: amount::PROBABILITY,
     }
 }
 

@@ -3,46 +3,54 @@
 use urrcp::Span;
 
 use super::amount::{self, Between, between};
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
 use downbeat_reader::keys;
-use downbeat_reader::keys::Keys;
+use downbeat_reader::keys::{Keys, Kind};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
 keys! {
     /// The link of a robot.
-    struct LinkKeys {
-        delay,
-        jitter,
-        loss,
-        resent_after,
-        interruptions,
+    pub(crate) struct LinkKeys as "link" {
+        /// How long a message travels one way.
+        delay: Kind::AnyOf(&[&amount::TIMES, &QuantileKeys::KIND]),
+        /// Mean of the exponentially distributed time that is added.
+        jitter: kinds::TIME,
+        /// Probability that a packet is lost and sent again.
+        loss: amount::PROBABILITY,
+        /// After how long it is sent again; twice as long after each further loss. By default 200ms.
+        resent_after: kinds::TIME,
+        /// Times at which nothing passes.
+        interruptions: Kind::List(&InterruptionKeys::KIND, 0..=usize::MAX),
     }
 }
 
 keys! {
     /// Times at which nothing passes.
-    struct InterruptionKeys {
+    pub(crate) struct InterruptionKeys {
+        /// Mean time from one to the next.
         #[required]
-        every,
+        every: kinds::TIME,
+        /// How long each lasts.
         #[required]
-        lasts,
+        lasts: amount::TIMES,
     }
 }
 
 keys! {
-    /// A delay by quantiles.
-    struct QuantileKeys {
+    /// Drawn by quantiles, linear between them.
+    pub(crate) struct QuantileKeys {
         #[required]
-        least,
+        least: kinds::TIME,
         #[required]
-        p50,
+        p50: kinds::TIME,
         #[required]
-        p90,
+        p90: kinds::TIME,
         #[required]
-        p99,
+        p99: kinds::TIME,
         #[required]
-        largest,
+        largest: kinds::TIME,
     }
 }
 

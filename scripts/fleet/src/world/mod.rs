@@ -11,8 +11,10 @@ use std::path::Path;
 use urrcp::RobotId;
 
 use crate::fleet::Fleet;
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::{Declaration, Kind};
+use downbeat_reader::{keys, schema};
 use downbeat_yaml::composed::{composed, is_same};
 use downbeat_yaml::finding::{Code, Finding};
 use downbeat_yaml::identify::{self, Document};
@@ -25,19 +27,27 @@ use downbeat_yaml::tags::foreign_tags;
 pub use amount::Between;
 use incident::IncidentKeys;
 pub use incident::{Incident, Trouble};
+use link::LinkKeys;
 pub use link::{Delay, Interruptions, LinkWorld, QUANTILES};
+use outside::{ClockKeys, OperatorKeys};
 pub use outside::{ClockWorld, OperatorWorld, Reading, SensorWorld};
 
 keys! {
-    /// A world file.
-    struct WorldKeys {
+    /// What a mission meets on the day.
+    pub(crate) struct WorldKeys {
+        /// A name for this world.
         #[required]
-        world,
-        links,
-        clocks,
-        sensors,
-        operator,
-        incidents,
+        world: kinds::NAME,
+        /// By robot, by group, or `all`.
+        links: Kind::Entries(&LinkKeys::KIND),
+        /// By robot, by group, or `all`.
+        clocks: Kind::Entries(&ClockKeys::KIND),
+        /// What sensors read, by ROBOT/SENSOR.
+        sensors: Kind::Entries(&outside::READING),
+        /// How the operator behaves.
+        operator: Kind::AnyOf(&[&schema!({"type": "null"}), &OperatorKeys::KIND]),
+        /// What goes wrong.
+        incidents: Kind::List(&IncidentKeys::KIND, 0..=usize::MAX),
     }
 }
 
@@ -59,6 +69,12 @@ pub struct World {
     pub operator: Option<OperatorWorld>,
     /// What goes wrong, in the order of the file.
     pub incidents: Vec<Incident>,
+}
+
+/// The keys of world files.
+#[must_use]
+pub fn world_keys() -> &'static Declaration {
+    WorldKeys::declaration()
 }
 
 /// Reads a world file for a fleet and for the acts of a choreography. All findings come together; the world is there only without.

@@ -4,26 +4,41 @@ use urrcp::{DeviceId, RobotId, Span};
 
 use super::amount::{self, Between, between};
 use super::is_null;
+use crate::kinds;
 use downbeat_reader::fields::{At, Reader};
-use downbeat_reader::keys;
+use downbeat_reader::keys::Kind;
+use downbeat_reader::{keys, named};
 use downbeat_yaml::finding::Code;
 use downbeat_yaml::node::Node;
 
 keys! {
     /// The clock of a robot.
-    struct ClockKeys {
-        offset,
-        drift,
-        error,
+    pub(crate) struct ClockKeys as "clock" {
+        /// The raw clock minus the true time.
+        offset: amount::SIGNED_TIMES,
+        /// How much faster the raw clock runs.
+        drift: amount::DRIFTS,
+        /// NTP leaves the clock off by up to this, either way.
+        error: kinds::TIME,
     }
 }
 
 keys! {
     /// How the operator behaves.
-    struct OperatorKeys {
-        go_after,
-        never,
+    pub(crate) struct OperatorKeys as "operator" {
+        /// How long an act waits until the operator says go. By default 1s.
+        go_after: amount::TIMES,
+        /// Probability that the operator does not, for each act that waits.
+        never: amount::PROBABILITY,
     }
+}
+
+named! {
+    /// Fixed or drawn once a trial, or a list of times and what the sensor reads from then on.
+    pub(super) static READING = Kind::AnyOf(&[
+        &amount::NUMBERS,
+        &Kind::List(&Kind::Tuple(&[&amount::TIMES, &amount::NUMBERS]), 0..=usize::MAX),
+    ]);
 }
 
 /// The clock of a robot; what is not given stays as the fleet file says.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use urrcp::RobotId;
 
 use super::{At, Reader, Robot};
-use crate::keys;
+use crate::{keys, kinds, words};
 use downbeat_motion::chance::{drawn, share};
 use downbeat_motion::exact::{Fraction, sum, to_f64};
 use downbeat_motion::motion::Easing;
@@ -22,18 +22,23 @@ const FARTHEST: f64 = 1e8;
 const NAMED_MAX: usize = 8;
 
 keys! {
-    /// A value that is spread over the robots of a cue.
-    struct SpreadKeys {
+    /// A number or a time of its own for each robot of the cue, from the first to the last.
+    pub(crate) struct SpreadKeys as "spread" {
+        /// Of the first robot, and of one alone.
         #[required]
-        from,
+        from: kinds::SPREAD_END,
+        /// Of the last robot.
         #[required]
-        to,
+        to: kinds::SPREAD_END,
+        /// The robots of the cue.
         #[required]
-        across,
-        by,
-        seed,
-        direction,
-        ease,
+        across: words!(ACROSS_WORDS),
+        by: kinds::BY,
+        /// For `by: random`: another number gives another order.
+        seed: kinds::NUMBER,
+        direction: kinds::DIRECTION,
+        /// How the values grow from robot to robot. Default: linear.
+        ease: words!(Easing::WORDS),
     }
 }
 
@@ -101,7 +106,7 @@ pub enum By {
 
 /// Which of them are first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Direction {
+pub(crate) enum Direction {
     #[default]
     Forward,
     Backward,
@@ -111,14 +116,15 @@ enum Direction {
     Inward,
 }
 
-const BY: [(&str, Word); 5] = [
+const ACROSS_WORDS: [(&str, ()); 1] = [("group", ())];
+pub(crate) const BY_WORDS: [(&str, Word); 5] = [
     ("index", Word::Index),
     ("x", Word::Axis(0)),
     ("y", Word::Axis(1)),
     ("z", Word::Axis(2)),
     ("random", Word::Random),
 ];
-const DIRECTION: [(&str, Direction); 4] = [
+pub(crate) const DIRECTION_WORDS: [(&str, Direction); 4] = [
     ("forward", Direction::Forward),
     ("backward", Direction::Backward),
     ("outward", Direction::Outward),
@@ -127,7 +133,7 @@ const DIRECTION: [(&str, Direction); 4] = [
 const EXPECTED_POINT: &str = "a point in metres, as [0, 0, 1.5]";
 
 #[derive(Clone, Copy)]
-enum Word {
+pub(crate) enum Word {
     Index,
     Axis(usize),
     Random,
@@ -200,12 +206,12 @@ impl Across {
         seed: Option<At<'_>>,
         direction: Option<At<'_>>,
     ) -> Option<Self> {
-        let direction = direction.map_or(Some(Direction::default()), |at| reader.word(&at, &DIRECTION));
+        let direction = direction.map_or(Some(Direction::default()), |at| reader.word(&at, &DIRECTION_WORDS));
         let read_seed = seed.and_then(|at| reader.number(&at, "a number"));
         let by = match by {
             None => Some(By::Index),
             Some(at) if matches!(at.node, Node::List(_)) => point(reader, &at).map(By::Point),
-            Some(at) => match reader.word(&at, &BY)? {
+            Some(at) => match reader.word(&at, &BY_WORDS)? {
                 Word::Index => Some(By::Index),
                 Word::Axis(axis) => Some(By::Axis(axis)),
                 Word::Random if seed.is_none() => {
@@ -397,7 +403,7 @@ impl Reader {
     /// `{from: 0, to: 90, across: group}` for the robot whose movement is read, as an expression.
     pub fn spread(&mut self, at: &At<'_>) -> Option<String> {
         let SpreadKeys { from, to, across, by, seed, direction, ease } = self.keys(at, "a spread")?;
-        let across = across.and_then(|at| self.word(&at, &[("group", ())]));
+        let across = across.and_then(|at| self.word(&at, &ACROSS_WORDS));
         let ease = ease.map_or(Some(Easing::Linear), |at| self.word(&at, &Easing::WORDS));
         let order = Across::read(self, by, seed, direction);
         let (from_at, to_at) = (from, to);

@@ -1,0 +1,168 @@
+//! Kinds of values that several keys of a scenario take.
+
+use super::acts::{
+    ON_DOUBT as ON_DOUBT_WORDS, ON_FAILURE as ON_FAILURE_WORDS, OnFailureKeys, WAIT_WORDS, WaitKeys,
+};
+use super::canon::CanonKeys;
+use super::cue::{CueKeys, LeaseKeys, OFF_GRID as OFF_GRID_WORDS, ORDER as ORDER_WORDS};
+use super::formations::FormationKeys;
+use super::includes::IncludeKeys;
+use super::library::TempoKeys;
+use super::movement::{MirrorKeys, MoveKeys, RepeatKeys, ScaleKeys};
+use super::paths::PathKeys;
+use super::play::PlayKeys;
+use super::sequence::SequenceKeys;
+use super::track::{KeyframeKeys, TrackKeys};
+use crate::keys::Kind;
+pub(super) use downbeat_reader::kinds::{
+    BOOLEAN, BY, DIRECTION, EXPRESSION, NAME, NAMES, NUMBER, PLACE, PLAIN_NUMBER, SPREAD, TEXT, TIME, TRUTH,
+    VARIABLE,
+};
+use downbeat_reader::{named, schema, words};
+
+named! {
+    /// A time from the start of the act, such as `20s`, or a position in the music, such as `bar 3 beat 2`.
+    pub(super) static INSTANT = Kind::AnyOf(&[
+        &TIME,
+        &schema!({"type": "string", "pattern": "^\\s*bar\\s+\\d+(\\s+beat\\s+\\d+(\\.\\d+)?)?\\s*$"}),
+    ]);
+
+    /// A time from the start of the act or a position in the music; or a range `2s..4s`.
+    pub(super) static INSTANTS = Kind::AnyOf(&[&INSTANT, &RANGE]);
+
+    /// A length `5s`, or bounds `2s..5s`.
+    pub(super) static TIMES = Kind::AnyOf(&[&TIME, &RANGE]);
+
+    /// A cue of the same act, or a list of them: `raise`, `start of raise + 500ms`, `raise + 0s..1s`.
+    pub(super) static RELATION = Kind::AnyOf(&[&TEXT, &PLAIN_NUMBER, &Kind::List(&NAME, 0..=usize::MAX)]);
+
+    /// How long the server may be silent before the robot stops by itself.
+    pub(super) static LEASE = Kind::AnyOf(&[&TIME, &LeaseKeys::KIND]);
+
+    /// How cues that share a zone follow each other: as they stand in the file, or in the best order that is found.
+    pub(super) static ORDER = words!(ORDER_WORDS);
+
+    /// Values off a device's grid: refuse them, or take the nearest and warn.
+    pub(super) static OFF_GRID = words!(OFF_GRID_WORDS);
+
+    /// What a failure does.
+    pub(super) static FAILURE_WORD = words!(ON_FAILURE_WORDS);
+
+    /// What a robot's failure does: `stop` all where they are, send all `home`, or go on `without` it.
+    pub(super) static ON_FAILURE =
+        Kind::AnyOf(&[&FAILURE_WORD, &Kind::KeysAnd(OnFailureKeys::declaration, &FAILURE_WORD)]);
+
+    /// What the others do when a robot is silent shortly before the start and may or may not start: they `start` (default), or
+    /// `withdraw` and do not move.
+    pub(super) static ON_DOUBT = words!(ON_DOUBT_WORDS);
+
+    /// `below` or `at most` a time, as in `below 5ms`.
+    pub(super) static CEILING = Kind::AnyOf(&[
+        &schema!({
+            "type": "string",
+            "pattern": "^\\s*(below|at\\s+most)\\s+(\\d+(\\.\\d+)?(h|m|min|s|ms|us))+\\s*$"
+        }),
+        &VARIABLE,
+    ]);
+
+    /// `above` or `at least` a percentage from 0 to 100, as in `above 99.9%`.
+    pub(super) static LEAST_SHARE = Kind::AnyOf(&[
+        &schema!({
+            "type": "string",
+            "pattern": "^\\s*(above|at\\s+least)\\s+(100(\\.0+)?|\\d{1,2}(\\.\\d{1,7})?)\\s*%\\s*$"
+        }),
+        &VARIABLE,
+    ]);
+
+    /// `above` or `at least` a distance in m, cm or mm, as in `above 0.3m`.
+    pub(super) static LEAST_DISTANCE = Kind::AnyOf(&[
+        &schema!({"type": "string", "pattern": "^\\s*(above|at\\s+least)\\s+\\d+(\\.\\d+)?\\s*(mm|cm|m)\\s*$"}),
+        &VARIABLE,
+    ]);
+
+    /// Beats a minute; or a list of tempos with the bars from which they hold.
+    pub(super) static TEMPO = Kind::AnyOf(&[
+        &schema!({"type": "number", "minimum": 1, "maximum": 10000}),
+        &VARIABLE,
+        &Kind::List(&TempoKeys::KIND, 0..=usize::MAX),
+    ]);
+
+    /// A time signature such as `3/4`: beats of a bar, and what a beat is.
+    pub(super) static SIGNATURE = schema!({"type": "string", "pattern": "^\\s*\\d+\\s*/\\s*\\d+\\s*$"});
+
+    /// Things that only one cue can use at a time: a list of names, or a map from name to order.
+    pub(super) static ZONES = Kind::AnyOf(&[&Kind::List(&NAME, 0..=usize::MAX), &Kind::Entries(&ORDER)]);
+
+    /// The movement of a device.
+    pub(super) static TRACK =
+        Kind::AnyOf(&[&Kind::List(&KeyframeKeys::KIND, 0..=usize::MAX), &TrackKeys::KIND]);
+
+    /// A map from device to its movement.
+    pub(super) static TRACKS = Kind::SomeEntries(&TRACK);
+
+    /// Other moves, each after the one before it; those of a list within the list begin together.
+    pub(super) static PLAY = Kind::List(
+        &Kind::AnyOf(&[&PlayKeys::KIND, &Kind::List(&PlayKeys::KIND, 0..=usize::MAX)]),
+        1..=usize::MAX,
+    );
+
+    /// Values for the parameters of the move.
+    pub(super) static PARAMETERS =
+        Kind::Entries(&Kind::AnyOf(&[&schema!({"type": ["number", "string", "boolean"]}), &SPREAD]));
+
+    /// The move's device names on this robot: `{shoulder_lift: wrist_1}`.
+    pub(super) static DEVICES = Kind::Entries(&NAME);
+
+    /// Values mirrored about 0 or another value.
+    pub(super) static MIRROR = Kind::AnyOf(&[&BOOLEAN, &EXPRESSION, &MirrorKeys::KIND]);
+
+    /// Values scaled by a factor.
+    pub(super) static SCALE = Kind::AnyOf(&[&NUMBER, &ScaleKeys::KIND]);
+
+    /// The movement backwards.
+    pub(super) static REVERSE = Kind::AnyOf(&[&BOOLEAN, &EXPRESSION]);
+
+    /// How often the movement is done.
+    pub(super) static REPEAT = Kind::AnyOf(&[&TURNS, &EXPRESSION, &SPREAD, &RepeatKeys::KIND]);
+
+    /// What happens.
+    pub(super) static CUES = Kind::List(&CueKeys::KIND, 1..=usize::MAX);
+
+    /// What has to be so before the act begins: done (the default), operator, a time of day, or a sensor.
+    pub(super) static WAIT = Kind::AnyOf(&[&words!(WAIT_WORDS), &WaitKeys::KIND]);
+
+    /// Files with variables, moves, sequences and roles, from the scenario's folder; `{file, as, parameters}` includes one under a
+    /// name of its own.
+    pub(super) static INCLUDE = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND, &Kind::List(&ONE_INCLUDE, 0..=usize::MAX)]);
+
+    /// Names with values; `$name` stands for the value.
+    pub(super) static VARIABLES = Kind::Entries(&schema!({"type": ["number", "string", "boolean"]}));
+
+    /// Moves by name.
+    pub(super) static MOVES = Kind::Entries(&MoveKeys::KIND);
+
+    /// Sequences of cues by name.
+    pub(super) static SEQUENCES = Kind::Entries(&SequenceKeys::KIND);
+
+    /// Names for robots and groups.
+    pub(super) static ROLES = Kind::Entries(&NAMES);
+
+    /// Formations by name: places for any number of robots.
+    pub(super) static FORMATIONS = Kind::Entries(&FormationKeys::KIND);
+
+    /// Paths by name: ways through space along which groups of robots go.
+    pub(super) static PATHS = Kind::Entries(&PathKeys::KIND);
+
+    /// Degrees about the vertical, or roll, pitch and yaw; of a formation about its middle.
+    pub(super) static ROTATION = Kind::AnyOf(&[&NUMBER, &Kind::List(&NUMBER, 3..=3)]);
+
+    /// Each robot begins so much later than the one before.
+    pub(super) static CANON = Kind::AnyOf(&[&TIME, &CanonKeys::KIND]);
+}
+
+/// A file, as it is or under a name of its own.
+static ONE_INCLUDE: Kind = Kind::AnyOf(&[&TEXT, &IncludeKeys::KIND]);
+/// How often a movement is done, as a number.
+pub(super) static TURNS: Kind = schema!({"type": "integer", "minimum": 1, "maximum": 10000000});
+/// Two bounds with points between them.
+static RANGE: Kind = schema!({"type": "string", "pattern": "^.+\\.\\..+$"});
