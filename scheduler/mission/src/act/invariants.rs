@@ -72,9 +72,6 @@ impl Act {
                 assert!(over, "{name}: an act is over once nothing of it can still run");
             }
         }
-        if !self.is_committed() {
-            assert!(self.watched.is_empty(), "{name}: motions are verified once the act is committed");
-        }
     }
 }
 
@@ -142,12 +139,8 @@ impl Timing {
         assert!(self.no_return() <= self.last_withdrawal(), "a failure is known before the last withdrawal");
         assert!(self.last_withdrawal() < self.start, "a withdrawal precedes the start");
         assert!(self.lead.lease > urrcp::Span::ZERO, "scripts wait under a lease");
-        assert!(self.final_lease() <= self.lead.lease.max(self.final_lease()), "rounds shorten leases");
         assert!(self.ask_again() <= self.decision, "requests are sent again before the decision");
         assert!(self.doubt() >= urrcp::Span::ZERO, "the doubt is an interval");
-        if let Some(accepted) = self.accepted_at {
-            assert!(accepted >= self.timestamp, "robots accept what was sent");
-        }
         if let Some((sent, answered)) = self.round {
             assert!(sent <= answered, "the commitment is answered after it was sent");
         }

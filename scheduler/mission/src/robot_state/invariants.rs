@@ -52,7 +52,10 @@ impl Questions {
         assert!(self.open.len() <= OPEN_MAX, "few questions are remembered");
         assert!(self.open.iter().is_sorted(), "questions are asked in order of time");
         let oldest = self.open.front().copied();
-        assert!(oldest.is_none_or(|open| self.answered < Some(open)), "an answered question is not open");
+        assert!(
+            oldest.is_none_or(|open| self.answered <= Some(open)),
+            "no open question is older than the newest answered one"
+        );
         assert!(self.last_asked() >= self.answered, "only a question that was asked is answered");
     }
 }
