@@ -44,16 +44,18 @@ impl World {
         Some(arrives)
     }
 
-    /// When a message arrives; a datagram may arrive twice.
+    /// A message and when it arrives; a datagram may arrive twice.
     fn arrivals(
         &mut self,
         robot: usize,
         way: Direction,
-        message: &Message,
-    ) -> impl Iterator<Item = Timestamp<Server>> + use<> {
+        message: Message,
+    ) -> impl Iterator<Item = (Timestamp<Server>, Message)> + use<> {
         let doubled = self.robots[robot].path.doubles(&mut self.rng);
-        let first = if doubled { self.travel(robot, way, message) } else { None };
-        first.into_iter().chain(self.travel(robot, way, message))
+        let twin = if doubled { self.travel(robot, way, &message) } else { None };
+        let twin = twin.map(|at| (at, message.clone()));
+        let arrives = self.travel(robot, way, &message);
+        twin.into_iter().chain(arrives.map(|at| (at, message)))
     }
 
     /// A message reaches the robot's machine, if that reads this connection.
@@ -95,8 +97,8 @@ impl World {
         if self.robots[robot].link != Some(link) || self.is_dead(robot, link) {
             return;
         }
-        for at in self.arrivals(robot, Direction::FromRobot, &message) {
-            let event = Box::new(Event::Received { robot, message: message.clone() });
+        for (at, message) in self.arrivals(robot, Direction::FromRobot, message) {
+            let event = Box::new(Event::Received { robot, message });
             self.kernel.put(at, Item::ToScheduler { robot, link, event });
         }
     }
@@ -108,8 +110,8 @@ impl World {
         if self.is_dead(robot, link) {
             return;
         }
-        for at in self.arrivals(robot, Direction::ToRobot, &message) {
-            self.kernel.put(at, Item::ToRobot { robot, link, message: Box::new(message.clone()) });
+        for (at, message) in self.arrivals(robot, Direction::ToRobot, message) {
+            self.kernel.put(at, Item::ToRobot { robot, link, message: Box::new(message) });
         }
     }
 
