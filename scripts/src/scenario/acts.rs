@@ -70,8 +70,10 @@ keys! {
     }
 }
 
+type Condition = fn() -> Wait;
+
 /// The conditions that are one word.
-pub(super) const WAIT_WORDS: [(&str, fn() -> Wait); 2] =
+pub(super) const WAIT_WORDS: [(&str, Condition); 2] =
     [("done", || Wait::Done), ("operator", || Wait::Operator)];
 
 /// What holds where an act or cue says nothing.
