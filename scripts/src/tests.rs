@@ -279,6 +279,7 @@ mod metamorphic;
 mod names;
 mod numbers;
 mod once;
+mod orders;
 mod patterns;
 mod places;
 mod rehearsed;
