@@ -9,7 +9,7 @@ use crate::fields::At;
 
 /// The keys that one kind of map may have, as [`keys!`](crate::keys!) declares them.
 pub trait Keys<'a>: Sized {
-    /// Their names as they are written.
+    /// Their names in files.
     const NAMES: &'static [&'static str];
     /// Whether each of them is required.
     const REQUIRED: &'static [bool];
@@ -34,7 +34,7 @@ pub struct Declaration {
 /// A declared key.
 #[derive(Debug)]
 pub struct Key {
-    /// As it is written.
+    /// Its name in a file.
     pub name: &'static str,
     /// What it means, line by line. Empty if its kind says that. Only the documentation has what follows an empty line.
     pub doc: &'static [&'static str],
@@ -242,7 +242,7 @@ macro_rules! doc_of {
     };
 }
 
-/// A name in Rust as it is written in files.
+/// The name in files of a name in Rust.
 #[doc(hidden)]
 #[must_use]
 pub const fn written(name: &'static str) -> &'static str {

@@ -26,8 +26,10 @@ keys! {
         act: kinds::NAME,
         #[required]
         cues: kinds::CUES,
+        #[default("`done`")]
         wait: kinds::WAIT,
-        /// The act that follows, or `end`; default the one below.
+        /// The act that follows, or `end`.
+        #[default("the act below")]
         next: kinds::NAME,
         on_failure: kinds::ON_FAILURE,
         on_doubt: kinds::ON_DOUBT,

@@ -10,11 +10,11 @@ use downbeat_reader::keys;
 keys! {
     /// The order of the robots, and how much later they begin.
     pub(super) struct CanonKeys {
-        /// Each place of the order begins so much later than the one before.
+        /// How much later each place of the order begins than the one before.
         step: kinds::TIME,
         /// How fast the start runs over the places of the robots, in metres a second.
         speed: kinds::NUMBER,
-        /// The last begins so much later than the first.
+        /// How much later the last begins than the first.
         over: kinds::TIME,
         by: kinds::BY,
         /// For `by: random`: another number gives another order.

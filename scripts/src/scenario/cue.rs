@@ -29,20 +29,30 @@ keys! {
         /// When it starts: a time or position, exactly; or a range.
         at: kinds::INSTANTS,
         /// Starts when these have ended, or later.
+        ///
+        /// `NAME`, `NAME + 500ms` (or more), `NAME + 0s..1s`; from the end of the cue, or `start of NAME`.
         after: kinds::RELATION,
         /// Starts together with these.
+        ///
+        /// `NAME`, `NAME + 500ms` (exactly), `NAME - 500ms`, `NAME + -2s..3s`; from the start of the cue, or `end of NAME`.
         with: kinds::RELATION,
         /// Ends before these start: `finish - 1s`.
+        ///
+        /// `NAME`, `NAME - 500ms`, `NAME - 0s..1s`; to the start of the cue, or `end of NAME`.
         before: kinds::RELATION,
         /// A deadline for its end.
         end_by: kinds::INSTANT,
         /// Its movement is stretched to this length; within bounds it is as short as devices and neighbours allow.
+        ///
+        /// It includes all [repetitions](#the-order-of-changes).
         duration: kinds::TIMES,
         /// A robot, a group, a role, or a list of them.
         robots: kinds::NAMES,
         /// The name of a move.
         r#move: kinds::NAME,
         /// The name of a sequence, whose cues it plays.
+        ///
+        /// It takes `parameters` and `robots`.
         sequence: kinds::NAME,
         parameters: kinds::PARAMETERS,
         tracks: kinds::TRACKS,
@@ -51,6 +61,9 @@ keys! {
         scale: kinds::SCALE,
         reverse: kinds::REVERSE,
         repeat: kinds::REPEAT,
+        /// How much later each robot begins than the one before.
+        ///
+        /// See [patterns over a group](#patterns-over-a-group).
         canon: kinds::CANON,
         /// For some robots other values.
         overrides: Kind::Entries(&OverrideKeys::KIND),
@@ -90,7 +103,7 @@ keys! {
         scale: kinds::SCALE,
         reverse: kinds::REVERSE,
         repeat: kinds::REPEAT,
-        /// So much later than the cue.
+        /// How much later it begins than the cue.
         delay: kinds::TIME,
     }
 }

@@ -34,7 +34,8 @@ keys! {
         /// A formation, or `home`: the default values of each robot's devices.
         #[required]
         to: kinds::NAME,
-        /// What of the ways is made small: their sum, which is the default, or the longest of them.
+        /// What of the ways is made small: their sum, or the longest of them.
+        #[default("`total`")]
         least: words!(LEAST),
         /// What robots do for which there is no place.
         spare: words!(SPARE),
@@ -49,7 +50,8 @@ keys! {
         /// How far, in degrees from x to y.
         #[required]
         by: kinds::NUMBER,
-        /// x and y of the centre in metres; the mean of the robots' places by default.
+        /// x and y of the centre in metres.
+        #[default("the mean of the robots' places")]
         about: Kind::List(&kinds::NUMBER, 2..=2),
     }
 }
@@ -60,7 +62,8 @@ keys! {
         /// The path.
         #[required]
         path: kinds::NAME,
-        /// How often, for a closed path: a whole number, 1 by default.
+        /// How often, for a closed path: a whole number.
+        #[default("1")]
         laps: kinds::NUMBER,
         /// Whether the group turns with the heading of the path, about its middle.
         turning: kinds::TRUTH,

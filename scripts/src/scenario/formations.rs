@@ -98,7 +98,7 @@ keys! {
         spacing: Kind::AnyOf(&[&kinds::NUMBER, &kinds::PLACE]),
         /// Default: as many as make a square.
         columns: kinds::NUMBER,
-        /// Default: as many as are needed. With it, the grid goes on in layers above.
+        /// Default: as many as are needed. With it, the grid continues in layers above.
         rows: kinds::NUMBER,
     }
 }

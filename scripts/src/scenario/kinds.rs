@@ -139,9 +139,13 @@ named! {
     pub(super) static VARIABLES = Kind::Entries(&schema!({"type": ["number", "string", "boolean"]}));
 
     /// Moves by name.
+    ///
+    /// A move has `doc`, `parameters`, and `tracks` or `play`.
     pub(super) static MOVES = Kind::Entries(&MoveKeys::KIND);
 
     /// Sequences of cues by name.
+    ///
+    /// A sequence has `doc`, `parameters` and `cues`.
     pub(super) static SEQUENCES = Kind::Entries(&SequenceKeys::KIND);
 
     /// Names for robots and groups.
@@ -156,7 +160,7 @@ named! {
     /// Degrees about the vertical, or roll, pitch and yaw; of a formation about its middle.
     pub(super) static ROTATION = Kind::AnyOf(&[&NUMBER, &Kind::List(&NUMBER, 3..=3)]);
 
-    /// Each robot begins so much later than the one before.
+    /// How much later each robot begins than the one before.
     pub(super) static CANON = Kind::AnyOf(&[&TIME, &CanonKeys::KIND]);
 }
 

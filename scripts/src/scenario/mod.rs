@@ -354,31 +354,68 @@ keys! {
         /// Its name.
         #[required]
         scenario: kinds::NAME,
-        /// The fleet file, from the scenario's folder; default ./fleet.yaml.
+        /// The fleet file, from the scenario's folder.
+        #[default("`./fleet.yaml`, or `--fleet`")]
         fleet: kinds::TEXT,
         include: kinds::INCLUDE,
+        /// Names with values; `$name` stands for the value.
+        ///
+        /// Values are numbers, times, words, and expressions of variables before them. `-$name` stands for the negative value.
         variables: kinds::VARIABLES,
         moves: kinds::MOVES,
         sequences: kinds::SEQUENCES,
+        /// Names for robots and groups.
+        ///
+        /// They are for use in cues, and differ from the names of robots and groups.
         roles: kinds::ROLES,
+        /// Formations by name: places for any number of robots.
+        ///
+        /// See [formations](#a-formation).
         formations: kinds::FORMATIONS,
+        /// Paths by name: ways through space along which groups of robots go.
+        ///
+        /// See [paths](#a-path).
         paths: kinds::PATHS,
         tempo: kinds::TEMPO,
         signature: kinds::SIGNATURE,
         zones: kinds::ZONES,
+        /// How cues that share a zone follow each other: as they stand in the file, or in the best order that is found.
+        ///
+        /// It is for zones that do not set an order of their own, and for `apart`.
+        #[default("`given`")]
         order: kinds::ORDER,
+        #[default("`refuse`")]
         off_grid: kinds::OFF_GRID,
-        /// Largest allowed spread of starts; default 10ms.
+        /// Largest allowed spread of starts.
+        ///
+        /// A fleet whose clocks allow more does not start; if starts were further apart, the mission ends `out_of_tolerance`; if
+        /// a step was later than that, it ends `steps_late`.
+        #[default("10ms")]
         start_tolerance: kinds::TIME,
-        /// From sending to the start; computed from measured delays by default.
+        /// From sending to the start.
+        #[default("computed from the measured delays")]
         lead: kinds::TIME,
+        /// How long the server may be silent before the robot stops by itself.
+        ///
+        /// A plain time sets both parts. If you set the pending part, leases cannot become short near the start
+        /// ([mission.md](mission.md)).
+        #[default("running 2s, pending computed")]
         stop_condition: kinds::LEASE,
+        /// What a robot's failure does: `stop` all where they are, send all `home`, or go on `without` it.
+        ///
+        /// With `home`, all stop, and then move to their default positions together.
+        #[default("`stop`")]
         on_failure: kinds::ON_FAILURE,
+        #[default("`start`")]
         on_doubt: kinds::ON_DOUBT,
         /// After the last act, devices move to their default values: with `home`, in the shortest time that their limits permit;
         /// with `{home: time}`, in this time.
+        #[default("devices stay where they are")]
         at_end: Kind::AnyOf(&[&schema!({"const": "home"}), &AtEndKeys::KIND]),
         require: RequireKeys::KIND,
+        /// What happens.
+        ///
+        /// A scenario has either `cues` or `acts`.
         cues: kinds::CUES,
         /// Acts, each started by itself.
         acts: Kind::List(&ActKeys::KIND, 1..=usize::MAX),
@@ -396,6 +433,7 @@ impl<'a> ScenarioKeys<'a> {
 keys! {
     /// What happens when the show ends.
     pub(super) struct AtEndKeys {
+        /// How long the way home takes.
         #[required]
         home: kinds::TIME,
     }

@@ -61,7 +61,7 @@ keys! {
 }
 
 keys! {
-    /// So many turns, or as many whole turns as fit.
+    /// A number of turns, or as many whole turns as fit.
     pub(super) struct RepeatKeys {
         /// How many turns.
         times: Kind::AnyOf(&[&kinds::TURNS, &kinds::VARIABLE, &kinds::EXPRESSION, &kinds::SPREAD]),
@@ -69,7 +69,7 @@ keys! {
         every: kinds::TIME,
         /// A time of the act or a position in the music; the cue needs a fixed `at`.
         until: kinds::INSTANT,
-        /// So long.
+        /// For how long.
         r#for: kinds::TIME,
     }
     also {"maxProperties": 2, "minProperties": 1}

@@ -30,7 +30,8 @@ keys! {
         repeat: kinds::REPEAT,
         /// It is stretched to this length.
         duration: kinds::TIME,
-        /// When it begins, from the beginning of the whole move; by default when the entry before it has ended.
+        /// When it begins, from the beginning of the whole move.
+        #[default("the end of the entry before it")]
         at: kinds::TIME,
         /// How much later than that it begins.
         delay: kinds::TIME,

@@ -25,7 +25,7 @@ keys! {
         control: schema!({"type": "string", "pattern": "^(position|speed|acceleration|custom_\\d+)$"}),
         /// Largest error that is allowed, in the device's unit; lets keyframes be left out.
         tolerance: kinds::NUMBER,
-        /// The smallest error with so many steps.
+        /// The largest number of steps, which have the smallest error.
         max_steps: Kind::AnyOf(&[&schema!({"type": "integer", "minimum": 2}), &kinds::EXPRESSION]),
         /// Values at times.
         keyframes: Kind::List(&KeyframeKeys::KIND, 0..=usize::MAX),

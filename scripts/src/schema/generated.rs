@@ -228,6 +228,66 @@ fn dictionary() -> String {
     keys.chain(words.iter().map(|word| format!("\"{word}\"\n"))).collect()
 }
 
+/// A line of a comment after another, with an empty line between paragraphs, as one line.
+fn whole(doc: &[&str]) -> String {
+    let lines: Vec<&str> = doc.iter().map(|line| line.trim()).filter(|line| !line.is_empty()).collect();
+    lines.join(" ")
+}
+
+/// The rows of a table of keys; those of maps within a value follow the key, as in `form.to`.
+fn rows(map: &Declaration, prefix: &str, table: &mut String) {
+    for key in map.keys {
+        let mut text = whole(key.doc);
+        if text.is_empty() {
+            text = match key.kind {
+                Kind::Named { doc, .. } => whole(doc),
+                Kind::Keys(of) => whole(of().doc),
+                _ => text,
+            };
+        }
+        let mut words = BTreeSet::new();
+        words_of(key.kind, &mut words);
+        words.retain(|word| !text.contains(&format!("`{word}`")));
+        if !words.is_empty() {
+            let words: Vec<String> = words.iter().map(|word| format!("`{word}`")).collect();
+            write!(text, " Words: {}.", words.join(", ")).unwrap();
+        }
+        let default = if key.required { "required" } else { key.default().unwrap_or_default() };
+        writeln!(table, "| `{prefix}{}` | {text} | {default} |", key.name).unwrap();
+        if let Some(inner) = inner(key.kind) {
+            rows(inner, &format!("{prefix}{}.", key.name), table);
+        }
+    }
+}
+
+/// The map that stands only in values of this kind.
+fn inner(kind: &Kind) -> Option<&'static Declaration> {
+    match kind {
+        Kind::Keys(of) => {
+            Some(of()).filter(|map| map.definition.is_none_or(|name| name == "require" || name == "included"))
+        }
+        Kind::KeysAnd(of, _) => Some(of()),
+        Kind::Named { kind, name, .. } if !["TIME", "NUMBER"].contains(name) => inner(kind),
+        Kind::List(kind, _) => inner(kind),
+        Kind::AnyOf(kinds) => kinds.iter().find_map(|kind| inner(kind)),
+        _ => None,
+    }
+}
+
+/// A document with the tables of the keys of these maps between their marks.
+fn with_tables(document: &str, maps: &[(&str, &Declaration)]) -> String {
+    let mut document = document.to_owned();
+    for (name, map) in maps {
+        let mark = format!("<!-- keys of {name}: generated -->\n");
+        let from = document.find(&mark).unwrap_or_else(|| panic!("no {mark}")) + mark.len();
+        let until = from + document[from..].find("<!-- end of keys -->").unwrap();
+        let mut table = "\n| key | | default |\n|---|---|---|\n".to_owned();
+        rows(map, "", &mut table);
+        document.replace_range(from..until, &(table + "\n"));
+    }
+    document
+}
+
 /// Compares a file of the repository with what is generated, or writes it.
 #[track_caller]
 fn check(path: &str, generated: &str) {
@@ -238,7 +298,7 @@ fn check(path: &str, generated: &str) {
     let committed = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(
         committed == generated,
-        "{} is not what the declarations of keys say: DOWNBEAT_BLESS=1 cargo test -p downbeat-scripts --lib schema",
+        "{} is not what the declarations of keys say: DOWNBEAT_BLESS=1 cargo test -p downbeat-scripts --lib generated",
         path.display()
     );
 }
@@ -257,6 +317,25 @@ fn the_schemas_are_generated_from_the_keys() {
 #[test]
 fn the_dictionary_of_the_fuzzer_is_generated_from_the_keys() {
     check("fuzz/keys.dict", &dictionary());
+}
+
+#[test]
+fn the_tables_of_keys_are_generated_from_the_keys() {
+    let path = "docs/scenario.md";
+    let document =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)).unwrap();
+    let maps = all_maps();
+    let map = |first: &str, second: &str| {
+        let found = maps.iter().find(|map| map.keys[0].name == first && map.keys[1].name == second);
+        *found.unwrap_or_else(|| panic!("no map begins with `{first}` and `{second}`"))
+    };
+    let tables = [
+        ("a scenario", map("scenario", "fleet")),
+        ("an act", map("act", "cues")),
+        ("a cue", map("cue", "at")),
+        ("an entry of play", map("move", "parameters")),
+    ];
+    check(path, &with_tables(&document, &tables));
 }
 
 #[test]

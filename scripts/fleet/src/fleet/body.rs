@@ -30,7 +30,7 @@ keys! {
 }
 
 keys! {
-    /// A box with sides parallel to the axes; infinite where nothing is said.
+    /// A box with sides parallel to the axes, infinite along the axes that it leaves out.
     pub(crate) struct VolumeKeys as "volume" {
         /// The least and the largest x, in metres.
         x: Kind::List(&kinds::PLAIN_NUMBER, 2..=2),

@@ -35,7 +35,7 @@ keys! {
         taken: words!(TAKEN_WORDS),
         /// How old the value is then, which no round trip shows.
         sensor_delay: kinds::TIME,
-        /// A device that has moved by so much, in its unit, has visibly begun to move; otherwise a hundredth of `by`.
+        /// The distance in its unit after which a device has visibly begun to move. By default a hundredth of `by`.
         visible: kinds::POSITIVE,
     }
 }

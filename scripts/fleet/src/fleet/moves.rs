@@ -15,13 +15,13 @@ keys! {
         latency: kinds::TIME,
         /// 95 % of all movements begin within the latency ± this.
         spread: kinds::TIME,
-        /// Of the first-order lag with which it follows from then on.
+        /// Of the first-order lag with which it follows after that.
         time_constant: kinds::TIME,
         /// The sensor that shows where the body is; otherwise the device itself.
         sensor: kinds::NAME,
         /// Standard deviation of what the sensor shows, in its unit.
         noise: schema!({"type": "number", "minimum": 0}),
-        /// How long the sensor takes to answer; the value is taken when it is asked.
+        /// How long the sensor takes to answer. Its value is that at the time of the question.
         delay: kinds::TIME,
     }
 }
@@ -35,7 +35,7 @@ pub struct SimulatedMoves {
     pub latency: Span,
     /// 95 % of all movements begin within `latency` ± this.
     pub spread: Span,
-    /// Of the first-order lag with which it follows from then on.
+    /// Of the first-order lag with which it follows after that.
     pub time_constant: Span,
     /// The sensor that shows where the body is.
     pub sensor: DeviceId,

@@ -11,13 +11,13 @@ use downbeat_yaml::shown::shortened;
 keys! {
     /// What is added to a device's description.
     pub(crate) struct DeviceKeys as "device" {
-        /// What its values mean; position unless it is said.
+        /// What its values mean. By default position.
         control_type: words!(CONTROL_TYPES),
-        /// Its smallest step; otherwise the largest power of ten of which a thousand fit into its range.
+        /// Its smallest step. By default the largest power of ten that fits into its range a thousand times.
         granularity: kinds::POSITIVE,
         /// Of all its values.
         unit: kinds::TEXT,
-        /// In one script; 1000 unless it is said.
+        /// The largest number in one script. By default 1000.
         max_number_of_steps: kinds::COUNT,
         /// Between the steps of a script; `linear` is sampled by the edge.
         interpolation: words!(INTERPOLATIONS),
@@ -29,7 +29,7 @@ keys! {
         default_value: kinds::PLAIN_NUMBER,
         /// Largest error by construction.
         max_error: kinds::PLAIN_NUMBER,
-        /// Scripts that it holds; two unless it is said.
+        /// The number of scripts that it holds. By default two.
         script_queue: kinds::COUNT,
     }
 }

@@ -34,7 +34,7 @@ keys! {
 }
 
 named! {
-    /// Fixed or drawn once a trial, or a list of times and what the sensor reads from then on.
+    /// Fixed or drawn once a trial, or a list of times, each with what the sensor reads after it.
     pub(super) static READING = Kind::AnyOf(&[
         &amount::NUMBERS,
         &Kind::List(&Kind::Tuple(&[&amount::TIMES, &amount::NUMBERS]), 0..=usize::MAX),
