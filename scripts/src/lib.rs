@@ -60,9 +60,9 @@ pub use downbeat_fleet::world::{
     SensorWorld, Trouble, World, read_world,
 };
 pub use downbeat_plan::{
-    Act, AllOrNone, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor, OnDoubt,
-    OnFailure, Plan, PlannedCue, PlannedReading, Positions, Repetition, Requirements, RobotPlan, Share, Wait,
-    Way,
+    Act, AllOrNone, Ceiling, Choreography, CueText, DeviceScript, DeviceUse, FailurePolicy, FirstUse, Floor,
+    OnDoubt, OnFailure, Plan, PlannedCue, PlannedReading, Positions, Repetition, Requirements, RobotPlan,
+    Share, Wait, Way,
 };
 #[doc(hidden)]
 pub use downbeat_reader::fields::tried as try_expression;

@@ -73,12 +73,17 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
 /// When each cue takes place, and what each repetition lasts if any cue is repeated.
 fn cue_table(act: &Act) -> Rows {
     let is_repeated = act.cues.iter().any(|cue| cue.repetition.is_some());
-    let header = ["cue", "start", "end", "slack", "repeated"];
-    let mut rows = Rows::new(&header[..if is_repeated { 5 } else { 4 }], 1);
+    let is_noted = act.cues.iter().any(|cue| cue.text.note.is_some());
+    let titles = [("cue", true), ("note", is_noted), ("start", true), ("end", true), ("slack", true)];
+    let titles = titles.into_iter().chain([("repeated", is_repeated)]).filter(|(_, is_shown)| *is_shown);
+    let titles: Vec<_> = titles.map(|(title, _)| title).collect();
+    let mut rows = Rows::new(&titles, if is_noted { 2 } else { 1 });
     for cue in &act.cues {
+        let note = is_noted.then(|| cue.text.note.clone().unwrap_or_default());
         let times = [cue.start, cue.end, cue.slack].map(|time| time.to_string());
         let repeated = is_repeated.then(|| cue.repetition.map_or_else(|| "-".to_owned(), repetition_text));
-        rows.add([vec![cue.name.clone()], times.to_vec(), repeated.into_iter().collect()].concat());
+        let first = [cue.name.clone()].into_iter().chain(note);
+        rows.add(first.chain(times).chain(repeated));
     }
     rows
 }

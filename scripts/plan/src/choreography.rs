@@ -161,6 +161,17 @@ pub struct PlannedCue {
     /// How its movement is repeated, if it is.
     #[serde(rename = "repeat", skip_serializing_if = "Option::is_none")]
     pub repetition: Option<Repetition>,
+    /// What is for people only.
+    #[serde(flatten)]
+    pub text: CueText,
+}
+
+/// What a cue says for people. No robot does anything because of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct CueText {
+    /// The remark of the choreographer.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
 }
 
 /// A movement that is repeated.

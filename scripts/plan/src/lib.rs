@@ -17,7 +17,7 @@ mod rehearse;
 mod requirements;
 
 pub use choreography::{
-    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, FirstUse, OnDoubt, OnFailure, Plan,
+    Act, Choreography, CueText, DeviceScript, DeviceUse, FailurePolicy, FirstUse, OnDoubt, OnFailure, Plan,
     PlannedCue, PlannedReading, Positions, Repetition, RobotPlan, Wait, Way, is_rate,
 };
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots};

@@ -96,6 +96,7 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
         slack: time.slack,
         critical: time.critical,
         repetition: repetition(cue, time.stretch),
+        text: cue.text.clone(),
     };
     act.cues.iter().zip(times).map(cue).collect()
 }

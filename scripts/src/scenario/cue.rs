@@ -15,6 +15,7 @@ use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::Node;
+use crate::plan::CueText;
 use downbeat_reader::keys::Kind;
 use downbeat_reader::{keys, schema};
 
@@ -89,6 +90,8 @@ keys! {
         along: Kind::AnyOf(&[&kinds::NAME, &AlongKeys::KIND]),
         /// How long each robot has for `form`, `turn`, `grow`, `shift` and `along`.
         over: kinds::TIME,
+        /// A remark, which `plan` shows next to the cue.
+        note: kinds::TEXT,
     }
 }
 
@@ -214,6 +217,9 @@ pub(super) fn read(
         group,
         rehearsed: None,
         tolerance,
+        text: CueText {
+            note: keys.note.and_then(|at| reader.text(&at, "a remark, in words")).map(Into::into),
+        },
     };
     reader.music.start = Beginning::default();
     cue.rehearsed = standing::leave(&mut reader.group, library, &cue);

@@ -41,7 +41,7 @@ use crate::fleet::{Fleet, devices_of};
 use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
-use crate::plan::{OnDoubt, Repetition, Requirements};
+use crate::plan::{CueText, OnDoubt, Repetition, Requirements};
 use crate::slips::Units;
 use crate::source::Source;
 use acts::ActKeys;
@@ -147,6 +147,7 @@ pub(crate) struct Cue {
     pub(crate) rehearsed: Option<Rehearsed>,
     /// For its tracks without one.
     pub(crate) tolerance: Option<f64>,
+    pub(crate) text: CueText,
 }
 
 /// The tracks of a cue for some robots.

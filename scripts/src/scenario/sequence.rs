@@ -21,8 +21,8 @@ use downbeat_reader::keys::{Keys, Kind};
 use downbeat_reader::{keys, schema};
 
 /// What a cue that plays a sequence may say.
-const CALL_KEYS: [&str; 9] =
-    ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots"];
+const CALL_KEYS: [&str; 10] =
+    ["cue", "at", "after", "with", "before", "end_by", "sequence", "parameters", "robots", "note"];
 
 keys! {
     /// Cues that are played as a whole, with parameters.

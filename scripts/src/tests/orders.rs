@@ -1,4 +1,4 @@
-//! The order in which the keys of a cue change its movement, as `docs/scenario.md` documents it.
+//! What the plan shows of a cue: the order in which its keys change its movement, as `docs/scenario.md` documents it, and its note.
 
 use std::path::Path;
 
@@ -37,4 +37,17 @@ fn the_documented_table_is_the_plan_of_the_documented_scenario() {
     let documented: Vec<&str> = section.lines().filter(|line| line.starts_with("| `")).collect();
     let rows: Vec<String> = planned(&section).iter().map(row).collect();
     assert_eq!(documented, rows);
+}
+
+#[test]
+fn the_note_of_a_cue_is_in_its_plan() {
+    let text = "scenario: s\ncues:\n  - {cue: lift, note: The light goes out., robots: arm, \
+        tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 45}]}}\n  - {cue: mark}\n";
+    let fleet = crate::Fleet { robots: vec![crate::tests::robot()], ..crate::Fleet::default() };
+    let compiled = compile(&Source { name: "note.yaml".into(), text: text.to_owned() }, &fleet, &NoFiles);
+    let cues = compiled.choreography.unwrap().acts.remove(0).cues;
+    let notes: Vec<_> = cues.iter().map(|cue| cue.text.note.as_deref()).collect();
+    assert_eq!(notes, [Some("The light goes out."), None]);
+    assert_eq!(serde_json::to_value(&cues[0]).unwrap()["note"], "The light goes out.");
+    assert!(serde_json::to_value(&cues[1]).unwrap().get("note").is_none());
 }

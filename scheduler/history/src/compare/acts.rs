@@ -222,6 +222,10 @@ fn cues(a: &[PlannedCue], b: &[PlannedCue]) -> Vec<CueDifference> {
 fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> {
     let shown = b.or(a)?;
     let both = a.zip(b);
+    // What is for people changes nothing that is played.
+    if both.is_some_and(|(a, b)| PlannedCue { text: b.text.clone(), ..a.clone() } == *b) {
+        return None;
+    }
     Some(CueDifference {
         cue: shown.name.clone(),
         presence: Presence::of(a, b),

@@ -7,7 +7,15 @@ use super::*;
 
 fn cue(name: &str, times: [i64; 3], critical: bool) -> PlannedCue {
     let [start, end, slack] = times.map(Span::from_millis);
-    PlannedCue { name: name.to_owned(), start, end, slack, critical, repetition: None }
+    PlannedCue {
+        name: name.to_owned(),
+        start,
+        end,
+        slack,
+        critical,
+        repetition: None,
+        text: Default::default(),
+    }
 }
 
 /// An arm that moves at these times, in milliseconds, each time to another value.

@@ -187,6 +187,7 @@ mod tests {
             slack: Span::ZERO,
             critical: false,
             repetition: None,
+            text: Default::default(),
         };
         act.cues = cues.map(cue).collect();
         act
