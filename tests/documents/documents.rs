@@ -75,12 +75,23 @@ fn the_table_of_findings_lists_every_code_with_its_title() {
 #[test]
 fn every_format_that_is_imported_has_a_row_in_its_document_and_a_seed_for_the_fuzzer() {
     let document = read("docs/import.md");
-    for facts in downbeat_import::ImportFormat::ALL {
+    let seeds = root().join("fuzz/seeds/import");
+    let byte = |word: &str| {
+        let seed = seeds.join(word);
+        let bytes = std::fs::read(&seed).unwrap_or_else(|error| panic!("{}: {error}", seed.display()));
+        usize::from(bytes[0])
+    };
+    for (index, facts) in downbeat_import::ImportFormat::ALL.iter().enumerate() {
         let row = format!("\n| `{}` | ", facts.word);
         assert!(document.contains(&row), "docs/import.md has no row of `{}`", facts.word);
-        let seed = root().join("fuzz/seeds/import").join(facts.word);
-        assert!(seed.is_file(), "{} is missing", seed.display());
+        assert_eq!(
+            byte(facts.word),
+            index,
+            "the first byte of the seed `{}` is the place of its format",
+            facts.word
+        );
     }
+    assert_eq!(byte("urdf"), downbeat_import::ImportFormat::ALL.len(), "the first byte of the seed `urdf`");
 }
 
 #[test]
