@@ -3,13 +3,15 @@
 mod across;
 mod cut;
 mod expressions;
+pub mod keys;
+pub mod kinds;
 mod nesting;
 mod scalars;
 
 use std::cell::Cell;
 use std::collections::{HashMap, HashSet};
 
-use crate::keys::Keys;
+use self::keys::Keys;
 use crate::scope::Scope;
 use crate::slips::{self, Units};
 use cut::{cut_by_comma, cut_in_brackets, numbers_alone};

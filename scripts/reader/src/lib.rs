@@ -11,8 +11,8 @@
 
 pub mod clock_time;
 pub mod fields;
-pub mod keys;
-pub mod kinds;
 pub mod known;
 pub mod scope;
 pub mod slips;
+
+pub use fields::{keys, kinds};

@@ -5,7 +5,7 @@
 
 use std::ops::RangeInclusive;
 
-use crate::fields::At;
+use super::At;
 
 /// The keys that one kind of map may have, as [`keys!`](crate::keys!) declares them.
 pub trait Keys<'a>: Sized {

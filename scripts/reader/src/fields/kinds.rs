@@ -1,7 +1,7 @@
 //! Kinds of values that many keys take.
 
-use crate::fields::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
-use crate::keys::Kind;
+use super::keys::Kind;
+use super::{BY_WORDS, DIRECTION_WORDS, SpreadKeys};
 use crate::{named, schema, words};
 
 /// Any text.
