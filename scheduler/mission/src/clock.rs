@@ -5,7 +5,7 @@ mod round_trips;
 
 use std::collections::VecDeque;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{Robot, Server, Span, Timestamp};
 
 use round_trips::RoundTrips;
@@ -188,7 +188,7 @@ pub struct ClockEstimate {
 }
 
 /// A robot's clock as reported.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClockReading {
     /// The robot's clock minus the server's, in milliseconds.
     #[serde(rename = "offset_ms")]
@@ -242,7 +242,7 @@ impl ClockReading {
 }
 
 /// How fast one clock gains on another, in parts per million.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Drift {
     /// The rate.
     #[serde(rename = "drift_ppm")]

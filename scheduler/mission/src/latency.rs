@@ -6,7 +6,7 @@ use std::fmt;
 use downbeat_fleet::fleet::LatencySource;
 use downbeat_plan::Choreography;
 use downbeat_yaml::duration::written;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 /// Latencies that differ by no more than this are the same.
@@ -15,7 +15,7 @@ const SAME: Span = Span::from_millis(1);
 const SHOWN_MAX: usize = 12;
 
 /// Devices of one robot that declare another latency than was compensated.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LatencyDiffers {
     /// At least one.
@@ -23,7 +23,7 @@ pub struct LatencyDiffers {
 }
 
 /// A device that declares another latency than was compensated.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OtherLatency {
     /// Which device.
     pub device: DeviceId,

@@ -4,14 +4,18 @@
 use std::collections::BTreeSet;
 
 use downbeat_fleet::fleet::LatencySource;
+use serde::de::{DeserializeOwned, Deserializer, Error, Visitor};
 use serde_json::Value;
 use strum::VariantNames;
 
-use crate::report::{DeviceState, Outcome, SCHEMA, StopState};
+use crate::report::{
+    ActReport, ActRobot, DeviceReport, DeviceState, Outcome, RobotReport, SCHEMA, StopState,
+};
 use crate::requirements::Judgement;
 use crate::robot_state::Standing;
 use crate::{
-    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, TransferReport, Verdict,
+    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, LeadTime, Progress, Record, SkewBudget, Slow,
+    TransferReport, Verdict,
 };
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
@@ -80,6 +84,56 @@ fn words(schema: &Value, found: &mut BTreeSet<String>) {
                 words(state, found);
             }
         }
+    }
+}
+
+/// The keys of a struct in JSON, as `Deserialize` names them.
+fn keys_of<T: DeserializeOwned>() -> BTreeSet<String> {
+    struct Keys<'a>(&'a mut BTreeSet<String>);
+
+    impl<'de> Deserializer<'de> for Keys<'_> {
+        type Error = serde::de::value::Error;
+
+        fn deserialize_struct<V: Visitor<'de>>(
+            self,
+            _: &'static str,
+            fields: &'static [&'static str],
+            _: V,
+        ) -> Result<V::Value, Self::Error> {
+            *self.0 = set(fields);
+            Err(Error::custom("only the keys are wanted"))
+        }
+
+        fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Self::Error> {
+            Err(Error::custom("expected a struct"))
+        }
+
+        serde::forward_to_deserialize_any! {
+            bool i8 i16 i32 i64 u8 u16 u32 u64 f32 f64 char str string bytes byte_buf option unit unit_struct
+            newtype_struct seq tuple tuple_struct map enum identifier ignored_any
+        }
+    }
+
+    let mut keys = BTreeSet::new();
+    assert!(T::deserialize(Keys(&mut keys)).is_err());
+    keys
+}
+
+#[test]
+fn the_schema_of_reports_lists_every_key_and_no_other() {
+    let schema = schema();
+    for (pointer, keys) in [
+        ("robot", keys_of::<RobotReport>()),
+        ("act", keys_of::<ActReport>()),
+        ("act/properties/robots/items", keys_of::<ActRobot>()),
+        ("device", keys_of::<DeviceReport>()),
+        ("lead", keys_of::<LeadTime>()),
+        ("skew", keys_of::<SkewBudget>()),
+    ] {
+        let listed = schema.pointer(&format!("/$defs/{pointer}/properties")).and_then(Value::as_object);
+        let listed: BTreeSet<String> =
+            listed.unwrap_or_else(|| panic!("no {pointer}")).keys().cloned().collect();
+        assert_eq!(listed, keys, "schema.json, {pointer}");
     }
 }
 

@@ -92,6 +92,7 @@ pub struct Report {
 
 /// What one robot did over all acts.
 #[derive(Clone, Debug, Serialize)]
+#[cfg_attr(test, derive(Deserialize))]
 pub struct RobotReport {
     /// Id of the robot.
     pub robot: RobotId,

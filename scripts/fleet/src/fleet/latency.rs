@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{Device, DeviceId, InitializationBlock, Latency, RobotId, Span};
 
 use super::RobotKeys;
@@ -108,7 +108,7 @@ pub struct Lag {
 pub const LAGS_MAX: u8 = 2;
 
 /// Where a latency was found, the most trusted first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatencySource {
     /// The robot's own key `latency` in the fleet file.

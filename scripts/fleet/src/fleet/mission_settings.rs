@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 
 use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
@@ -65,7 +65,7 @@ impl Default for MissionSettings {
 }
 
 /// How a robot's time is brought to agree with the server's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockMode {
     /// Both follow NTP; measurements only verify that.
