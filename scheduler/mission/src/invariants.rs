@@ -50,7 +50,7 @@ impl Mission {
         assert!(self.detour.is_none_or(|act| act < acts), "a policy leads to an act of the choreography");
         assert!(
             self.then.is_none_or(|act| act < acts),
-            "the mission goes on with an act of the choreography"
+            "the mission continues with an act of the choreography"
         );
         assert!(self.fates.len() <= acts, "each act of the scenario has a fate");
         assert!(self.acts_repeated <= self.acts_begun, "an act that is repeated has begun");
@@ -126,7 +126,7 @@ impl Mission {
         for (device, count) in held {
             assert!(
                 count <= robot.queue_of(device),
-                "{}/{device} was sent no more scripts than it holds",
+                "{}/{device} was sent at most as many scripts as it holds",
                 robot.id
             );
         }

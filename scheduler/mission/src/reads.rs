@@ -1,4 +1,4 @@
-//! The readings that a robot owes, in the order in which they were asked for.
+//! The readings that a robot owes, in the order of their requests.
 
 use urrcp::{ControlResponse, DeviceId, RequestId, Status};
 
@@ -58,7 +58,7 @@ impl OwedReadings {
         }
     }
 
-    /// The link on which they were asked for is gone, and their answers with it.
+    /// The link on which they were requested is gone, and their answers with it.
     pub(crate) fn clear(&mut self) {
         self.0.clear();
     }

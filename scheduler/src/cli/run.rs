@@ -460,7 +460,7 @@ impl Work<'_> {
             preflight_only: self.preflight_only,
             zone: ZONE,
             transfer: Some(fleet::transfer(fleet)),
-            // A show goes on.
+            // A show continues even if a statement does not hold.
             check_invariants: false,
         }
     }

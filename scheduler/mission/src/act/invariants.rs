@@ -33,7 +33,7 @@ impl Act {
         }
         assert!(
             self.readings_asked <= self.written().readings.len(),
-            "{name}: it takes no more readings than are planned"
+            "{name}: it takes at most the planned readings"
         );
         assert!(
             self.readings.len() <= self.readings_asked,
@@ -111,10 +111,7 @@ impl Member {
             }
         }
         if self.part == Part::Taking && self.asked_since.is_some() {
-            assert!(
-                self.asked.is_some(),
-                "{id}: a robot that was asked for reports was asked at some instant"
-            );
+            assert!(self.asked.is_some(), "{id}: the first question for a report has an instant");
         }
         assert!(
             self.asked_since <= self.asked || self.asked.is_none(),

@@ -36,13 +36,13 @@ impl RobotState {
             assert!(self.block.is_some(), "{id}: positions are those of devices that are known");
         }
         let totals = &self.totals;
-        assert!(totals.sent <= totals.scripts, "{id}: no more scripts are sent than planned");
-        assert!(totals.started <= totals.scripts, "{id}: no more scripts start than are planned");
-        assert!(totals.accepted <= totals.scripts, "{id}: no more scripts are accepted than planned");
-        assert!(totals.failed <= totals.scripts, "{id}: no more scripts fail than are planned");
+        assert!(totals.sent <= totals.scripts, "{id}: at most the planned scripts are sent");
+        assert!(totals.started <= totals.scripts, "{id}: at most the planned scripts start");
+        assert!(totals.accepted <= totals.scripts, "{id}: at most the planned scripts are accepted");
+        assert!(totals.failed <= totals.scripts, "{id}: at most the planned scripts fail");
         assert!(
             totals.unaccounted <= totals.scripts,
-            "{id}: no more scripts are unaccounted for than planned"
+            "{id}: at most the planned scripts are unaccounted for"
         );
     }
 }

@@ -33,7 +33,7 @@ impl Script {
                 assert!(self.was_ever_sent(), "a script that runs was sent: {of}");
             }
             ScriptState::Ended(Ending::Completed) => {
-                assert!(!self.discredited, "a robot whose word does not count has completed nothing: {of}");
+                assert!(!self.discredited, "a script with impossible reports is not completed: {of}");
             }
             ScriptState::Ended(Ending::Failed(_)) | ScriptState::Unknown => {}
         }
@@ -52,17 +52,17 @@ impl Script {
         );
     }
 
-    /// What the robot said of it.
+    /// The robot's reports.
     fn check_word(&self, robot: &RobotId) {
         let of = format_args!("{robot}/{}: {self:?}", self.plan.device);
         if self.discredited {
             let failed = matches!(self.state, ScriptState::Ended(Ending::Failed(_)));
-            assert!(failed, "a script of which the robot says what cannot be true has failed: {of}");
+            assert!(failed, "a script with impossible reports has failed: {of}");
             assert!(self.started_at.is_none(), "its start is not known: {of}");
         }
         assert!(
             self.steps_done <= self.steps_planned() || self.discredited,
-            "no more steps are done than planned: {of}"
+            "at most the planned steps are done: {of}"
         );
         assert!(
             self.late_steps <= self.steps_done || self.discredited,
