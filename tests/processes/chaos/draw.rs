@@ -188,9 +188,10 @@ impl Drawn {
     }
 
     fn draw_when(&self, rng: &mut fastrand::Rng) -> When {
-        match rng.bool() {
-            true => When::Before { act: rng.usize(0..self.acts.len()), millis: rng.i64(-80..320) },
-            false => When::After(millis(rng, 0..900 + self.plays_ms() as u64)),
+        if rng.bool() {
+            When::Before { act: rng.usize(0..self.acts.len()), millis: rng.i64(-80..320) }
+        } else {
+            When::After(millis(rng, 0..900 + self.plays_ms() as u64))
         }
     }
 

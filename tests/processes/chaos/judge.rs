@@ -633,9 +633,10 @@ impl Judge<'_> {
             self.verdict.greetings += 1;
             return;
         }
-        match held_up::longest(told.gone - SHORTLY, told.gone) > HELD_UP {
-            true => self.verdict.busy.push(format!("r{robot} was blamed")),
-            false => self.verdict.wrong.push(format!("(blame) nothing befell it: {failure}")),
+        if held_up::longest(told.gone - SHORTLY, told.gone) > HELD_UP {
+            self.verdict.busy.push(format!("r{robot} was blamed"))
+        } else {
+            self.verdict.wrong.push(format!("(blame) nothing befell it: {failure}"))
         }
     }
 

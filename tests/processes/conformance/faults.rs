@@ -141,9 +141,10 @@ fn unasked(passing: &Passing) -> bool {
 
 /// Every line from the server that holds this text is passed as `to`.
 fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
-    match passing.is_from_server(text) {
-        true => Then::Instead(String::from_utf8_lossy(&passing.raw).replace(text, to).into_bytes()),
-        false => Then::Pass,
+    if passing.is_from_server(text) {
+        Then::Instead(String::from_utf8_lossy(&passing.raw).replace(text, to).into_bytes())
+    } else {
+        Then::Pass
     }
 }
 

@@ -232,10 +232,8 @@ impl Carrier {
         let json = if huge || twice { Value::Null } else { serde_json::from_slice(line).unwrap_or_default() };
         let mut passing = Passing { way, link: self.link, raw: line.to_vec(), json: json.clone() };
         let then = (self.fault)(&mut self.memory.lock().unwrap(), &mut passing);
-        let edited = || match passing.json == json {
-            true => line.to_vec(),
-            false => format!("{}\n", passing.json).into_bytes(),
-        };
+        let edited =
+            || if passing.json == json { line.to_vec() } else { format!("{}\n", passing.json).into_bytes() };
         let _serving_nobody_else = self.lock.as_ref().map(|lock| lock.lock().unwrap());
         let write = |writer: &Writer, bytes: &[u8]| writer.lock().unwrap().write_all(bytes).is_ok();
         match then {

@@ -44,9 +44,8 @@ fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
 
 /// One that is available and then describes itself by this line.
 fn described(line: String) -> Session {
-    beside(move |request| match request.contains("initialization_request") {
-        true => Some(line.clone()),
-        false => Some(available(request)),
+    beside(move |request| {
+        if request.contains("initialization_request") { Some(line.clone()) } else { Some(available(request)) }
     })
 }
 

@@ -28,10 +28,7 @@ pub fn of_greeting() -> Vec<Mutant> {
                 memory.seen.insert((passing.link, String::new()));
             }
             let greeted = memory.seen.contains(&(passing.link, String::new()));
-            match passing.request().is_some() && !greeted {
-                true => Then::HangUp,
-                false => Then::Pass,
-            }
+            if passing.request().is_some() && !greeted { Then::HangUp } else { Then::Pass }
         }),
         Mutant { robot: Robot::ClockAhead, ..mutant("the clock is two seconds ahead", &["clock"], pass) },
     ]

@@ -152,9 +152,10 @@ pub fn of_leases() -> Vec<Mutant> {
             if passing.is_from_server("noise on the line") {
                 return Then::Instead(b"{\"availability_request\":{}}\n".to_vec());
             }
-            match unasked(passing) {
-                true => Then::Instead(format!("{}\n", malformed()).into_bytes()),
-                false => Then::Pass,
+            if unasked(passing) {
+                Then::Instead(format!("{}\n", malformed()).into_bytes())
+            } else {
+                Then::Pass
             }
         }),
         mutant(

@@ -50,10 +50,7 @@ pub fn of_identity() -> Vec<Mutant> {
         mutant(
             "repeated requests are not answered",
             &["repeated-request", "repeated-refusal", "kept-answers"],
-            |memory, passing| match repeated(memory, passing) {
-                true => Then::Drop,
-                false => Then::Pass,
-            },
+            |memory, passing| if repeated(memory, passing) { Then::Drop } else { Then::Pass },
         ),
         mutant(
             "repeated requests are executed again",
@@ -157,28 +154,24 @@ pub fn of_identity() -> Vec<Mutant> {
 pub fn of_lines() -> Vec<Mutant> {
     vec![
         mutant("unknown keys are refused", &["unknown-keys"], |_, passing| {
-            match passing.is_from_server("x_unknown") && passing.raw.len() < 10_000 {
-                true => Then::Answer(malformed()),
-                false => Then::Pass,
+            if passing.is_from_server("x_unknown") && passing.raw.len() < 10_000 {
+                Then::Answer(malformed())
+            } else {
+                Then::Pass
             }
         }),
         mutant("unknown messages are hung up on", &["unknown-message"], |_, passing| {
-            match passing.is_from_server("x_greeting") {
-                true => Then::HangUp,
-                false => Then::Pass,
-            }
+            if passing.is_from_server("x_greeting") { Then::HangUp } else { Then::Pass }
         }),
         mutant("what is not JSON is hung up on", &["malformed-line"], |_, passing| {
-            match passing.is_from_server("this is not JSON") || passing.is_from_server("noise on the line") {
-                true => Then::HangUp,
-                false => Then::Pass,
+            if passing.is_from_server("this is not JSON") || passing.is_from_server("noise on the line") {
+                Then::HangUp
+            } else {
+                Then::Pass
             }
         }),
         mutant("what is not JSON is not answered", &["malformed-line"], |_, passing| {
-            match passing.is_from_server("this is not JSON") {
-                true => Then::Drop,
-                false => Then::Pass,
-            }
+            if passing.is_from_server("this is not JSON") { Then::Drop } else { Then::Pass }
         }),
         mutant("a word for a number is zero", &["wrong-type"], |_, passing| {
             replace(passing, "\"much\"", "0")
@@ -187,10 +180,7 @@ pub fn of_lines() -> Vec<Mutant> {
             replace(passing, "\u{fffd}\u{fffd}", "x")
         }),
         mutant("deep nesting is the end", &["deep-nesting"], |_, passing| {
-            match passing.is_from_server("[[[[[[[[") {
-                true => Then::HangUp,
-                false => Then::Pass,
-            }
+            if passing.is_from_server("[[[[[[[[") { Then::HangUp } else { Then::Pass }
         }),
         mutant("1e999 is a number", &["bad-numbers"], |_, passing| replace(passing, ":1e999", ":0")),
         mutant("NaN is a number", &["bad-numbers"], |_, passing| replace(passing, ":NaN", ":0")),
@@ -203,9 +193,10 @@ pub fn of_lines() -> Vec<Mutant> {
         Mutant {
             only: &["malformed-line", "huge-line", "half-line"],
             ..mutant("huge lines are swallowed", &["huge-line"], |_, passing| {
-                match passing.way == Way::ToRobot && passing.raw.len() > 17_000_000 {
-                    true => Then::Drop,
-                    false => Then::Pass,
+                if passing.way == Way::ToRobot && passing.raw.len() > 17_000_000 {
+                    Then::Drop
+                } else {
+                    Then::Pass
                 }
             })
         },
@@ -215,9 +206,10 @@ pub fn of_lines() -> Vec<Mutant> {
             ..mutant("half a line is taken for one", &["half-line"], pass)
         },
         mutant("empty lines are malformed", &["empty-lines"], |_, passing| {
-            match passing.way == Way::ToRobot && passing.raw.trim_ascii().is_empty() {
-                true => Then::Answer(malformed()),
-                false => Then::Pass,
+            if passing.way == Way::ToRobot && passing.raw.trim_ascii().is_empty() {
+                Then::Answer(malformed())
+            } else {
+                Then::Pass
             }
         }),
     ]

@@ -274,9 +274,10 @@ fn stands(log: &[Logged], stopped: &Stopped, within: Duration) -> Result<(), Str
         return Err(format!("the wheel still turns at {last}"));
     };
     let after = since(stopped, stands);
-    match after <= within {
-        true => Ok(()),
-        false => Err(format!("the wheel stood {after:?} after the stop, {within:?} allowed")),
+    if after <= within {
+        Ok(())
+    } else {
+        Err(format!("the wheel stood {after:?} after the stop, {within:?} allowed"))
     }
 }
 
@@ -302,11 +303,12 @@ fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
         (true, None, _) => (Some(0), of_mission),
     };
     let scheduler = if way == Way::Command || !way.is_command() { scheduler } else { None };
-    match (stopped.code, stopped.scheduler) == (code, scheduler) {
-        true => Ok(()),
-        false => Err(format!(
+    if (stopped.code, stopped.scheduler) == (code, scheduler) {
+        Ok(())
+    } else {
+        Err(format!(
             "exit codes {:?} and, of the scheduler, {:?}, expected {code:?} and {scheduler:?}\n{said}",
             stopped.code, stopped.scheduler
-        )),
+        ))
     }
 }
