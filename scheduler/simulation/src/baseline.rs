@@ -123,7 +123,9 @@ fn meets(fault: &Fault, to: usize) -> Option<Meets> {
         // The connection is not made again.
         Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
         Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
-        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => {
+        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } | Fault::Twin { robot, .. }
+            if robot == to =>
+        {
             Some(Meets::Gone)
         }
         _ => None,

@@ -225,7 +225,9 @@ impl Hits {
 const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
     Some(match *fault {
         Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),
-        Fault::AnotherRobot { robot, .. } => (Cause::Stranger, Some(robot), Lasts::Until(End::Back)),
+        Fault::AnotherRobot { robot, .. } | Fault::Twin { robot, .. } => {
+            (Cause::Stranger, Some(robot), Lasts::Until(End::Back))
+        }
         Fault::RobotPause { robot, lasts } => (Cause::RobotPause, Some(robot), Lasts::For(lasts)),
         Fault::ForeignSession { robot, lasts } | Fault::Seize { robot, lasts } => {
             (Cause::Stranger, Some(robot), Lasts::For(lasts))

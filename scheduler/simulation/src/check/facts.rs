@@ -294,9 +294,25 @@ impl<'a> Facts<'a> {
         &self.ran.drawn
     }
 
-    /// It does not lie.
+    /// It does not lie, and nobody answers for it.
     pub(super) fn honest(&self, robot: usize) -> bool {
-        self.drawn().robots[robot].lie.is_none()
+        self.drawn().robots[robot].lie.is_none() && !self.has_twin(robot)
+    }
+
+    /// Whether what it confirms of a stop has to hold for it: it does not lie, and if another process may have answered for it, the
+    /// mission learns from the answers to inquiries which scripts that process has lost.
+    pub(super) fn rests_as_reported(&self, robot: usize) -> bool {
+        let drawn = &self.drawn().robots[robot];
+        let is_known = drawn.block.inquiry && drawn.names == Names::Echoed;
+        drawn.lie.is_none() && (is_known || !self.has_twin(robot))
+    }
+
+    /// Whether another process answered by its id.
+    pub(super) fn has_twin(&self, robot: usize) -> bool {
+        self.drawn()
+            .faults
+            .iter()
+            .any(|(_, fault)| matches!(fault, Fault::Twin { robot: of, .. } if *of == robot))
     }
 
     /// It says how many steps of a script it has done, and how many of them were late.

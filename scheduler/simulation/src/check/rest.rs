@@ -23,7 +23,9 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 fn moved_after_a_stop(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, record) in &facts.ran.records {
         let Record::StopConfirmed { robot } = record else { continue };
-        let Some(robot) = facts.index_of(robot).filter(|robot| facts.honest(*robot)) else { continue };
+        let Some(robot) = facts.index_of(robot).filter(|robot| facts.rests_as_reported(*robot)) else {
+            continue;
+        };
         let next = facts.acts.iter().map(|act| act.at).filter(|next| next >= at).min();
         let moved = facts.ran.logs[robot].iter().find(|entry| {
             let moves = matches!(entry.motion, MotionKind::Set | MotionKind::Ramp);

@@ -5,13 +5,13 @@ use std::fmt;
 
 use downbeat_plan::Wait;
 use downbeat_robot::set_log::{LogEntry, MotionKind};
-use urrcp::{ControlType, Robot, Server, Span, Timestamp};
+use urrcp::{Command, ControlType, Message, Robot, Server, Span, Timestamp};
 
 use super::DRIFT;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::braking::{acceleration, harder_at_limit, is_of};
 use crate::draw::{ClockChange, shows_within};
-use crate::{Happened, Names, Ran};
+use crate::{Fault, Happened, Names, Ran};
 use downbeat_mission::{ClockMode, Failure, FailureKind, Progress};
 
 /// A situation of a device or a robot.
@@ -45,11 +45,13 @@ pub enum Situation {
     RefusedBySensor,
     /// Sensors show where the devices of a robot are that leaves out the names of requests, and it plays.
     ReadWithoutNames,
+    /// A stop reaches a process that answers in the place of a robot, and the robot moves afterwards.
+    MovesBehindTwin,
 }
 
 impl Situation {
     /// All of them.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::SpeedSlows,
         Self::SpeedStops,
         Self::PositionSlows,
@@ -64,6 +66,7 @@ impl Situation {
         Self::DriftsApart,
         Self::RefusedBySensor,
         Self::ReadWithoutNames,
+        Self::MovesBehindTwin,
     ];
 }
 
@@ -82,6 +85,7 @@ impl fmt::Display for Situation {
             Self::WaitsForAnotherDay => "an act waits for a time of another day",
             Self::RefusedBySensor => "a sensor shows that a device would jump",
             Self::ReadWithoutNames => "a robot without names is read and plays",
+            Self::MovesBehindTwin => "a robot moves whose twin was stopped",
             Self::DriftsApart => "a clock drifts beyond the tolerance in an act",
             Self::LeaseEndsTurning => "a lease ends after a script, and the device turns",
         })
@@ -125,8 +129,34 @@ pub(super) fn reached(facts: &Facts<'_>) -> Vec<Situation> {
     let committed = facts.acts.iter().filter(|act| act.committed.is_some());
     let played: BTreeSet<usize> = committed.flat_map(SentAct::robots).collect();
     met.extend(played.iter().filter(is_read).map(|_| Situation::ReadWithoutNames));
+    met.extend(twins_stopped(facts).map(|_| Situation::MovesBehindTwin));
     met.extend(facts.acts.iter().filter(drifts).map(|_| Situation::DriftsApart));
     met
+}
+
+/// The robots that move after a stop has reached their twins, which still answer in their place.
+fn twins_stopped<'a>(facts: &'a Facts<'_>) -> impl Iterator<Item = usize> + 'a {
+    let robots = (0..facts.drawn().robots.len()).filter(|robot| facts.has_twin(*robot));
+    robots.filter(|robot| {
+        let mut twin_answers = false;
+        let stopped = facts.ran.history.iter().find_map(|(at, happened)| {
+            match happened {
+                Happened::Fault(Fault::Twin { robot: of, .. }) if of == robot => twin_answers = true,
+                Happened::Back(of) if of == robot => twin_answers = false,
+                Happened::AtRobot(of, Message::ControlRequest(request)) if of == robot && twin_answers => {
+                    let is_stop = matches!(&request.command, Command::Script(script) if script.is_empty());
+                    return is_stop.then_some(*at);
+                }
+                _ => {}
+            }
+            None
+        });
+        let moves = |entry: &LogEntry| matches!(entry.motion, MotionKind::Set | MotionKind::Ramp);
+        stopped.is_some_and(|at| {
+            let mut log = facts.ran.logs[*robot].iter();
+            log.any(|entry| moves(entry) && Timestamp::<Server>::from_nanos(entry.true_ns) > at)
+        })
+    })
 }
 
 /// How far the last step of a robot was off the plan of an act, by the true time. `None` if the robot did not come to its end, lies,

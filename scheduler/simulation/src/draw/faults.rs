@@ -33,6 +33,13 @@ pub enum Fault {
         /// For how long.
         lasts: Span,
     },
+    /// Another process that uses the id of a robot answers at its address for a while. The robot continues, out of reach.
+    Twin {
+        /// Index of the robot whose address it takes over.
+        robot: usize,
+        /// For how long.
+        lasts: Span,
+    },
     /// The hardware behind an edge dies.
     HardwareDies {
         /// Index of the robot in the fleet.

@@ -15,6 +15,7 @@ pub enum FaultKind {
     RobotCrash,
     RobotPause,
     AnotherRobot,
+    Twin,
     HardwareDies,
     ForeignSession,
     Seize,
@@ -38,10 +39,11 @@ pub enum FaultKind {
 
 impl FaultKind {
     /// All kinds.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::RobotCrash,
         Self::RobotPause,
         Self::AnotherRobot,
+        Self::Twin,
         Self::HardwareDies,
         Self::ForeignSession,
         Self::Seize,
@@ -76,6 +78,7 @@ impl FaultKind {
                 Fault::RobotPause { robot, lasts: millis(rng, 1, longest) }
             }
             Self::AnotherRobot => Fault::AnotherRobot { robot, lasts: millis(rng, 100, 2_000) },
+            Self::Twin => Fault::Twin { robot, lasts: millis(rng, 100, 3_000) },
             Self::HardwareDies => {
                 let back_after = rng.bool().then(|| millis(rng, 20, 1_500));
                 Fault::HardwareDies { robot, back_after, told: rng.bool() }
@@ -134,6 +137,7 @@ impl From<&Fault> for FaultKind {
             Fault::RobotCrash { .. } => Self::RobotCrash,
             Fault::RobotPause { .. } => Self::RobotPause,
             Fault::AnotherRobot { .. } => Self::AnotherRobot,
+            Fault::Twin { .. } => Self::Twin,
             Fault::HardwareDies { .. } => Self::HardwareDies,
             Fault::ForeignSession { .. } => Self::ForeignSession,
             Fault::Seize { .. } => Self::Seize,
@@ -163,6 +167,7 @@ impl fmt::Display for FaultKind {
             Self::RobotCrash => "robot's process ends",
             Self::RobotPause => "robot's process stalls",
             Self::AnotherRobot => "another robot answers",
+            Self::Twin => "a twin answers",
             Self::HardwareDies => "hardware dies",
             Self::ForeignSession => "another session",
             Self::Seize => "a robot is seized",

@@ -11,6 +11,7 @@ mod sensors;
 mod staged;
 mod times;
 mod together;
+mod twins;
 mod unusual;
 
 use downbeat_plan::{Act, Choreography, Wait};
@@ -108,6 +109,10 @@ const HOURS_ONE_IN: u64 = 10;
 /// Sensors show where devices are that follow their commands with a lag.
 pub(crate) const SENSORS: u64 = 21;
 
+/// Another process answers in the place of a robot, by its id. If the remainder of a seed divided by `TWINS_EVERY` is this.
+pub(crate) const TWINS: u64 = 33;
+pub(crate) const TWINS_EVERY: u64 = 100;
+
 /// In one of this many missions, devices may begin at a position other than that of the first act.
 const MISPLACED_ONE_IN: u64 = 40;
 
@@ -133,6 +138,7 @@ pub fn draw(seed: u64) -> Drawn {
         TIMES => times::wait_for_times(rng, drawn),
         HOURS if (seed / FAMILIES).is_multiple_of(HOURS_ONE_IN) => hours::last_for_hours(rng, drawn),
         SENSORS => sensors::show_positions(rng, drawn),
+        _ if seed % TWINS_EVERY == TWINS => twins::answer_by_twins(rng, drawn, seed / TWINS_EVERY),
         _ => drawn,
     }
 }

@@ -8,18 +8,23 @@ use downbeat_plan::Wait;
 use fastrand::Rng;
 use urrcp::{Server, Span, Timestamp};
 
-use super::{BEGINS_AT, Drawn, Fault, FaultKind, Hands, Names, draw_mission, millis, one_in};
+use super::{BEGINS_AT, Drawn, Fault, FaultKind, Hands, Names, draw_mission, millis, one_in, twins};
 use crate::stage::{faults_met, intervals};
 use crate::{Ran, Stage, play};
 use downbeat_rehearsal::dry_run::BEGIN;
 
 /// The maximum number of missions that are drawn for one seed until the fault meets its stage.
-const ATTEMPTS: usize = 16;
+pub(super) const ATTEMPTS: usize = 16;
 
 /// The kinds of faults with the stages that they can meet.
 fn cells() -> Vec<(FaultKind, Stage)> {
-    let cells = Stage::ALL.into_iter().flat_map(|stage| FaultKind::ALL.map(|kind| (kind, stage)));
+    let cells = Stage::ALL.into_iter().flat_map(|stage| kinds().map(move |kind| (kind, stage)));
     cells.filter(|(kind, stage)| stage.meets(*kind)).collect()
+}
+
+/// The kinds that are drawn here. Twins have missions of their own.
+fn kinds() -> impl Iterator<Item = FaultKind> {
+    FaultKind::ALL.into_iter().filter(|kind| *kind != FaultKind::Twin)
 }
 
 /// Replaces the faults of a mission by one of the kind and at the stage that this seed determines; half of the time, adds another
@@ -37,10 +42,13 @@ pub(super) fn stage_faults(rng: &mut Rng, mut drawn: Drawn, index: u64) -> Drawn
 }
 
 /// A mission in which a fault of a kind meets a stage; `None` if the mission does not reach that stage.
-fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
+pub(super) fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) -> Option<Drawn> {
     let robot = rng.usize(0..drawn.robots.len());
     if kind == FaultKind::HardwareDies {
         drawn.robots[robot].hands = Hands::Hardware;
+    }
+    if kind == FaultKind::Twin {
+        twins::tell_what_they_know(&mut drawn.robots[robot]);
     }
     drawn.faults.clear();
     let mut drawn = bring_about(rng, drawn, stage)?;
@@ -61,7 +69,7 @@ fn with_fault(rng: &mut Rng, mut drawn: Drawn, kind: FaultKind, stage: Stage) ->
         return None;
     }
     if one_in(rng, 2) {
-        let other = rng.choice(FaultKind::ALL)?;
+        let other = rng.choice(kinds().collect::<Vec<_>>())?;
         let stage = rng.choice(Stage::ALL)?;
         let at = instant(rng, &ran, stage).unwrap_or(at);
         let robot = rng.usize(0..drawn.robots.len());

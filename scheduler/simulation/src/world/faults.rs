@@ -28,6 +28,10 @@ impl World {
                 self.robot_begins(robot, block);
                 self.kernel.put(now + lasts, Item::RobotBack(robot));
             }
+            Fault::Twin { robot, lasts } => {
+                self.twin_begins(robot);
+                self.kernel.put(now + lasts, Item::RobotBack(robot));
+            }
             Fault::HardwareDies { robot, back_after, told } => self.hardware_dies(robot, back_after, told),
             Fault::ForeignSession { robot, lasts } => self.foreign_session(robot, lasts),
             Fault::Seize { robot, lasts } => self.seize(robot, lasts),

@@ -226,6 +226,8 @@ impl World {
         let machines = drawn.robots.iter().map(|robot| {
             (robot.there_from == Span::ZERO).then(|| robots::machine(robot, robot.block.clone(), BEGIN))
         });
+        // A robot whose twin answers has a place of its own, behind those of all robots.
+        let machines = machines.chain(drawn.robots.iter().map(|_| None));
         let mut world = Self {
             robots: drawn.robots.iter().map(side).collect(),
             rng,
@@ -282,7 +284,10 @@ impl Virtual for World {
     }
 
     fn advance(&mut self, robot: usize) {
-        self.advance_robot(robot);
+        match robot.checked_sub(self.robots.len()) {
+            None => self.advance_robot(robot),
+            Some(robot) => self.advance_hidden(robot),
+        }
     }
 
     fn happen(&mut self, item: Item) {

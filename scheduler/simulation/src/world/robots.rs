@@ -35,6 +35,8 @@ const FOREIGN_AHEAD: f64 = 80.0;
 pub(super) enum Who {
     Itself,
     Stranger,
+    /// It has the robot's id.
+    Twin,
 }
 
 pub(super) struct RobotSide {
@@ -82,23 +84,24 @@ impl RobotSide {
         }
     }
 
-    fn collect(&mut self, machine: &mut SimulatedRobot) {
+    fn collect(&mut self, machine: &mut SimulatedRobot, who: Who) {
         let log = machine.take_log();
         if log.is_empty() {
             return;
         }
-        if self.who == Who::Itself {
+        if who == Who::Itself {
             self.brakings.extend(brakings(machine, &log));
         }
         let foreign = |entry: &LogEntry| entry.request_id.as_deref() == Some("foreign");
         let entries = log.into_iter().filter(|entry| !foreign(entry));
-        match self.who {
+        match who {
             Who::Itself => {
                 let before = self.log.len();
                 self.log.extend(entries);
                 self.note_starts_of_dead(before);
             }
             Who::Stranger => self.log_of_stranger.extend(entries),
+            Who::Twin => {}
         }
     }
 }
@@ -145,8 +148,11 @@ pub(super) fn machine(
 impl World {
     /// Takes what a robot has set.
     pub(super) fn collect(&mut self, robot: usize) {
+        let hidden = self.hidden(robot);
         let side = &mut self.robots[robot];
-        self.kernel.robots.change(robot, |machine| side.collect(machine));
+        self.kernel.robots.change(hidden, |machine| side.collect(machine, Who::Itself));
+        let who = side.who;
+        self.kernel.robots.change(robot, |machine| side.collect(machine, who));
     }
 
     /// The process that answers at a robot's address ends. `false`: there was none.
@@ -188,9 +194,46 @@ impl World {
         self.kernel.robots.begin(robot, machine);
     }
 
+    /// The place of a robot while its twin answers at its address.
+    const fn hidden(&self, robot: usize) -> usize {
+        self.robots.len() + robot
+    }
+
+    /// Another process with the id of a robot begins at its address. The robot continues, out of reach.
+    pub(super) fn twin_begins(&mut self, robot: usize) {
+        if self.robots[robot].who != Who::Itself {
+            return;
+        }
+        let Some(mut itself) = self.kernel.robots.end(robot) else { return };
+        let side = &mut self.robots[robot];
+        let links = [side.link.take(), side.waiting.take().map(|(link, _)| link)];
+        let now = self.kernel.now;
+        for link in links.into_iter().flatten() {
+            itself.receive(now.assume_clock(), link, Input::LinkDown);
+            self.link_breaks(robot, link, now, (Loss::Closed, "the robot closed the connection"));
+        }
+        self.kernel.robots.begin(self.hidden(robot), itself);
+        let block = self.drawn.robots[robot].block.clone();
+        self.robot_begins(robot, block);
+        self.robots[robot].who = Who::Twin;
+    }
+
+    /// Nobody hears a robot whose twin answers.
+    pub(super) fn advance_hidden(&mut self, robot: usize) {
+        let now = self.kernel.now.assume_clock();
+        self.kernel.robots.change(self.hidden(robot), |machine| machine.advance(now, &mut Vec::new()));
+        self.collect(robot);
+    }
+
     pub(super) fn robot_back(&mut self, robot: usize) {
-        if self.robots[robot].who == Who::Stranger {
+        if self.robots[robot].who != Who::Itself {
             self.robot_dies(robot, Machine::Up);
+        }
+        if let Some(itself) = self.kernel.robots.end(self.hidden(robot)) {
+            self.kernel.robots.begin(robot, itself);
+            let side = &mut self.robots[robot];
+            (side.who, side.runs_on) = (Who::Itself, Machine::Up);
+            return self.note(Happened::Back(robot));
         }
         if self.kernel.robots.get(robot).is_none() {
             let block = self.drawn.robots[robot].block.clone();

@@ -17,7 +17,7 @@ impl Said<'_> {
             self.sums(row, wrong);
             self.claims(robot, row, wrong);
             self.links(row, wrong);
-            if self.facts.honest(robot) {
+            if self.facts.rests_as_reported(robot) {
                 self.stop(robot, row, wrong);
             }
         }
