@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use downbeat_plan::{Act, Choreography, DeviceScript};
 use downbeat_robot::set_log::LogEntry;
-use urrcp::{Command, Message, RequestId, RobotId, Server, Span, Timestamp};
+use urrcp::{Command, ControlRequest, Message, RequestId, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
 use crate::{Drawn, Fault, Happened, Names, Network, Ran};
@@ -341,7 +341,43 @@ impl<'a> Facts<'a> {
 
     /// Another process took the mission up.
     pub(super) fn was_taken_up(&self) -> bool {
-        self.ran.history.iter().any(|(_, happened)| matches!(happened, Happened::TakenUp(_)))
+        self.taken_up().next().is_some()
+    }
+
+    /// When other processes took the mission up, and how.
+    pub(super) fn taken_up(&self) -> impl DoubleEndedIterator<Item = (Timestamp<Server>, &'static str)> + '_ {
+        self.ran.history.iter().filter_map(|(at, happened)| match happened {
+            Happened::TakenUp(how) => Some((*at, *how)),
+            _ => None,
+        })
+    }
+
+    /// Whether another process took the mission up before this act had ended.
+    pub(super) fn was_resumed(&self, act: &SentAct<'_>) -> bool {
+        let ended = self.ended(act);
+        self.taken_up().any(|(at, _)| at >= act.at && ended.is_none_or(|ended| at < ended))
+    }
+
+    /// When the act ended at last: a process whose disk had lost that ends it again.
+    pub(super) fn ended(&self, act: &SentAct<'_>) -> Option<Timestamp<Server>> {
+        self.ran.records.iter().rev().find_map(|(at, record)| match record {
+            Record::ActEnded { report, .. } if report.number == act.promise.number && *at >= act.at => {
+                Some(*at)
+            }
+            _ => None,
+        })
+    }
+
+    /// Whether a control request that is meant reached a robot.
+    pub(super) fn reached(
+        &self,
+        robot: usize,
+        is_meant: impl Fn(Timestamp<Server>, &ControlRequest) -> bool,
+    ) -> bool {
+        self.ran.history.iter().any(|(at, happened)| match happened {
+            Happened::AtRobot(of, Message::ControlRequest(request)) => *of == robot && is_meant(*at, request),
+            _ => false,
+        })
     }
 
     /// Whether a record written at an instant was certainly on the disk when its process ended, so that the next process knew it. A sync

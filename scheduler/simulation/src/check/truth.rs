@@ -29,7 +29,13 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         }
         return;
     };
-    let said = Said { facts, report, resumed: facts.was_taken_up() };
+    let taken_up = facts.taken_up().next_back();
+    let said = Said {
+        facts,
+        report,
+        resumed_at: taken_up.map(|(at, _)| at),
+        is_withdrawn: taken_up.is_some_and(|(_, how)| how == "withdrawn"),
+    };
     let mut wrong = Vec::new();
     said.acts(&mut wrong);
     said.rows(&mut wrong);
@@ -42,8 +48,10 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// By a process that resumed the mission: it reports what it resumed.
-    resumed: bool,
+    /// When the process that reports took the mission up, if another one had begun it.
+    resumed_at: Option<Timestamp<Server>>,
+    /// Whether that process has only withdrawn the mission: it knows nothing of the earlier part.
+    is_withdrawn: bool,
 }
 
 impl Said<'_> {

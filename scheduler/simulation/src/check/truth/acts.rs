@@ -6,7 +6,7 @@ use urrcp::Span;
 use super::{GRAIN, Said};
 use crate::Happened;
 use crate::check::facts::{SentAct, SentScript};
-use downbeat_mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, Record};
+use downbeat_mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, SkewBudget};
 
 /// A step that is set later than this after its deadline is counted as late.
 const LATE: Span = Span::from_millis(1);
@@ -23,9 +23,13 @@ impl Said<'_> {
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
-        let reported = self.facts.acts.iter().filter(|act| !act.repeated);
+        let is_known = |act: &&SentAct<'_>| {
+            let is_kept = self.resumed_at.is_none() || !act.superseded && self.facts.was_kept(act.at);
+            !act.repeated && is_kept
+        };
+        let reported = self.facts.acts.iter().filter(is_known);
         let missing = reported.map(|act| act.promise.number).filter(|number| !numbers.contains(number));
-        if !self.resumed && self.report.acts_omitted == 0 {
+        if !self.is_withdrawn && self.report.acts_omitted == 0 {
             wrong.extend(missing.map(|number| format!("act {number} was promised, and is not reported")));
         }
     }
@@ -42,8 +46,10 @@ impl Said<'_> {
         if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
             wrong.push(format!("act {number} is said to have a lead of {}", said.lead.total()));
         }
-        if !self.resumed {
-            if said.skew.as_ref() != act.skew {
+        if !self.facts.was_resumed(act) {
+            // As the journal has it: it does not contain everything that is derived.
+            let json = |skew: Option<&SkewBudget>| serde_json::to_value(skew).ok();
+            if json(said.skew.as_ref()) != json(act.skew) {
                 wrong.push(format!("act {number} is reported with another skew budget than was told"));
             }
             if act.decided.is_some_and(|decided| decided.doubt != said.doubt) {
@@ -94,13 +100,14 @@ impl Said<'_> {
     fn robot(&self, act: &SentAct<'_>, said: &ActRobot, wrong: &mut Vec<String>) {
         let Some(robot) = self.facts.index_of(&said.robot) else { return };
         let number = act.promise.number;
-        let ended = self.facts.ran.records.iter().find_map(|(at, record)| match record {
-            Record::ActEnded { report, .. } if report.number == number => Some(*at),
-            _ => None,
-        });
+        let ended = self.facts.ended(act);
         let at_the_end = self.facts.dropped[robot].is_some() && self.facts.dropped[robot] == ended;
         let dropped = self.facts.dropped[robot].filter(|at| ended.is_none_or(|ended| *at < ended));
-        if !self.resumed && !at_the_end && said.left_out != dropped.is_some() {
+        // Nothing waits until the disk has the record that a robot was left out.
+        let loses_power = self.resumed_at.is_some() && self.facts.drawn().disk.loses_power;
+        let is_kept = |at| self.facts.was_kept(at) && !loses_power;
+        let is_lost = dropped.is_some_and(|at| !is_kept(at)) && !said.left_out;
+        if !self.is_withdrawn && !at_the_end && !is_lost && said.left_out != dropped.is_some() {
             let was = if said.left_out { "was not" } else { "was" };
             wrong.push(format!("r{robot} {was} left out of act {number}, and the report says otherwise"));
         }

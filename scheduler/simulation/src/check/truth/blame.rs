@@ -2,13 +2,13 @@
 
 use downbeat_plan::{RefillKind, refills_of_robots};
 use downbeat_robot::set_log::{LogEntry, MotionKind};
-use urrcp::{DeviceId, ErrorCode, RobotId, Span};
+use urrcp::{Command, ControlRequest, DeviceId, ErrorCode, RobotId, Span};
 
 use super::Said;
 use crate::check::movements::jumps_from_the_beginning;
 use crate::draw::{BEGINS_AT, shows_within};
 use crate::trajectory::JUMP;
-use crate::{Happened, Network};
+use crate::{Fault, Happened, Network};
 use downbeat_mission::{FailureKind, Progress, Standing};
 
 impl Said<'_> {
@@ -39,7 +39,7 @@ impl Said<'_> {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
         let scheduler = self.facts.hits.iter().any(|hit| hit.robot.is_none());
-        if !steady || self.resumed {
+        if !steady {
             return;
         }
         for failure in &self.report.failures {
@@ -48,7 +48,10 @@ impl Said<'_> {
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
             let jumps =
                 self.would_jump(robot, &failure.kind) || self.was_left_elsewhere(robot, &failure.kind);
-            if jumps || self.had_no_time(robot, &failure.kind) || scheduler && blames_scheduler(&failure.kind)
+            if jumps
+                || self.had_no_time(robot, &failure.kind)
+                || scheduler && blames_scheduler(&failure.kind)
+                || self.followed_another_process(robot, &failure.kind)
             {
                 continue;
             }
@@ -56,6 +59,32 @@ impl Said<'_> {
             if self.facts.honest(robot) && !hit {
                 wrong.push(format!("r{robot} is blamed, and nothing was wrong with it: {}", failure.kind));
             }
+        }
+    }
+
+    /// In a mission that was resumed: whether an earlier process had stopped the robot, or never sent the script that the robot lacks.
+    /// The journal may not tell this. If the clock of the scheduler was set between two processes, a script may seem older than a stop
+    /// before it, and a report too early. Silence is not compared yet: a robot that takes no inquiries may be blamed without a question.
+    fn followed_another_process(&self, robot: usize, kind: &FailureKind) -> bool {
+        let Some(resumed) = self.resumed_at else { return false };
+        let mut faults = self.facts.drawn().faults.iter();
+        let is_set = faults.any(|(_, fault)| matches!(fault, Fault::ServerClockStep { .. }));
+        let is_stop = |request: &ControlRequest| matches!(&request.command, Command::Script(script) if script.is_empty());
+        match kind {
+            FailureKind::Silent { .. } => true,
+            FailureKind::Claim { .. } => is_set,
+            FailureKind::Script { error, .. } if error.code == ErrorCode::Cancelled => {
+                is_set || self.facts.reached(robot, |at, request| at < resumed && is_stop(request))
+            }
+            FailureKind::Script { device, error } if error.code == ErrorCode::Internal => {
+                let scripts = self.facts.acts.iter().flat_map(|act| act.of(robot));
+                let mut scripts = scripts.filter(|script| script.promised.device == *device);
+                scripts.any(|script| {
+                    let name = Some(&script.promised.request_id);
+                    !self.facts.reached(robot, |_, request| request.request_id.as_ref() == name)
+                })
+            }
+            _ => false,
         }
     }
 

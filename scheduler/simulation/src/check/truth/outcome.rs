@@ -47,10 +47,8 @@ impl Said<'_> {
     /// No robot whose clock is measured was further from its plan at the end of an act than the tolerance and what the mission cannot
     /// know of that clock.
     fn none_drifted(&self, wrong: &mut Vec<String>) {
-        if self.resumed {
-            return;
-        }
-        for act in self.facts.acts.iter().filter(|act| act.counts()) {
+        // In an act that was resumed, the mission compares robots only with each other.
+        for act in self.facts.acts.iter().filter(|act| act.counts() && !self.facts.was_resumed(act)) {
             for robot in act.robots() {
                 let Some(off) = off_its_plan(self.facts, act, robot) else { continue };
                 let drawn = self.facts.drawn();
@@ -107,7 +105,9 @@ impl Said<'_> {
             };
             let sure = !row.stop.is_unconfirmed() && row.unaccounted == 0;
             let moved = self.facts.ran.logs[robot].iter().any(|entry| entry.request_id.is_some());
-            if moved && sure && !self.resumed {
+            // A process that only withdraws the mission cannot know that such a robot started a script that was not decided.
+            let is_known = !self.is_withdrawn || self.facts.drawn().robots[robot].block.pending_until;
+            if moved && sure && is_known {
                 wrong.push(format!("not started, it says, and {} moved and is accounted for", row.robot));
             }
         }
