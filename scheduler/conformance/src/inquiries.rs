@@ -154,7 +154,7 @@ fn inquiry(trial: &Trial) -> Checked {
     if said.requests.iter().cloned().eq(unknown) {
         pass()
     } else {
-        Err(inquired.differs("the three requests in their order, each `unknown` and nothing else"))
+        Err(inquired.differs("only the three requests in their order, each `unknown`"))
     }
 }
 

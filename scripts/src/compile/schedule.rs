@@ -372,7 +372,7 @@ impl<'a> Timetable<'a> {
         let (cue, start) = (&self.act.cues[index], schedule.time(self.events[index].0));
         let message = format!("the cue `{}` begins at {start} and ends at {end}", shortened(&cue.name));
         let hint = if start > horizon {
-            "let it begin earlier: shorten what it waits for"
+            "begin it earlier: shorten the cues and pauses before it"
         } else {
             "shorten it: less `duration`, `repeat`, `canon` or `delay`"
         };
