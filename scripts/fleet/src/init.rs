@@ -57,6 +57,9 @@ pub enum Init {
 impl Init {
     /// Reads a description.
     pub fn read(source: Source) -> Result<Self, Vec<Finding>> {
+        if let Some(finding) = node::too_deep(&source) {
+            return Err(vec![finding]);
+        }
         let wrong = match block_of(&source) {
             Ok(block) => return Ok(Self::Block(Box::new(block), keys::ignored(&source))),
             Err(finding) => finding,

@@ -21,6 +21,7 @@ pub mod finding;
 pub mod formats;
 pub mod identify;
 pub mod locate;
+mod nesting;
 pub mod node;
 pub mod open;
 pub mod project;

@@ -12,9 +12,10 @@ pub use rows::{EASES, Items, Row, Rows, Width};
 use crate::aliases;
 use crate::composed::compose_text;
 use crate::finding::{Code, Finding};
+use crate::nesting;
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
-use crate::syntax::syntax_finding;
+use crate::syntax::{RECURSION, syntax_finding};
 
 /// Any YAML value.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +76,9 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
     if text.lines().all(|line| says_nothing(line.trim())) {
         return Err(empty(source));
     }
+    if let Some(finding) = too_deep(source) {
+        return Err(finding);
+    }
     let condensed = rows::condense(text);
     let left = condensed.as_ref().map_or(text, |condensed| condensed.text.as_str());
     if let Some(finding) = aliases::check(source, left) {
@@ -85,6 +89,13 @@ pub fn parse(source: &Source) -> Result<Node, Finding> {
         condensed.restore(root, aliases::ALIASED_MAX)
     });
     root.map_or_else(|| parse_whole(source), Ok)
+}
+
+/// The finding for brackets that nest so deeply that the library would take long to refuse them.
+pub fn too_deep(source: &Source) -> Option<Finding> {
+    let text = nesting::too_deep(source.text.trim_start_matches(BYTE_ORDER_MARK))?;
+    let error = serde_yaml::from_str::<Node>(text).err()?;
+    error.to_string().contains(RECURSION).then(|| syntax_finding(source, &error))
 }
 
 fn empty(source: &Source) -> Finding {

@@ -5,6 +5,9 @@ use crate::render::{line_of, line_starts};
 use crate::shown::shortened;
 use crate::source::{BYTE_ORDER_MARK, Source};
 
+/// How the YAML library words that a text nests too deeply.
+pub const RECURSION: &str = "recursion limit";
+
 /// The finding for a text that the YAML library refuses.
 pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
     let whole = error.to_string();
@@ -21,7 +24,7 @@ pub fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
         finding.hint = Some(hint);
     } else if whole.contains("repetition limit") {
         finding.hint = Some("the aliases stand for too much: use fewer of them".into());
-    } else if whole.contains("recursion limit") {
+    } else if whole.contains(RECURSION) {
         finding.hint = Some("nothing here nests deeper than a handful of levels".into());
     } else if whole.contains("more than one document") {
         several_documents(source, &mut finding);

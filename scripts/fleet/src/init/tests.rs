@@ -202,3 +202,9 @@ fn keys_without_effect_are_warned_of() {
         []
     );
 }
+
+#[test]
+fn a_description_that_nests_deeply_is_refused_at_once() {
+    // Without the limit, this takes hours.
+    check_finding(&"{a: [".repeat(1_000_000), "recursion limit", 1);
+}

@@ -1,0 +1,89 @@
+//! Brackets that nest very deeply. libyaml reads those in a time quadratic in their depth, before `yaml_serde` refuses them; the text
+//! before the last level that matters is enough for the same finding.
+
+/// Far more levels than `yaml_serde` reads (128), and few enough for libyaml.
+const DEPTH: usize = 1_000;
+/// A value begins behind these.
+const BEFORE_A_VALUE: &[u8] = b"[{,:?-\n";
+
+/// The text up to where its brackets nest too deeply; `None` if they do not. A tag or a text of several lines may lead the count astray.
+pub fn too_deep(text: &str) -> Option<&str> {
+    let bytes = text.as_bytes();
+    let (mut depth, mut at) = (0_usize, 0);
+    // The last byte that is no blank.
+    let mut before = b'\n';
+    while let Some(byte) = bytes.get(at) {
+        let begins = BEFORE_A_VALUE.contains(&before);
+        match byte {
+            b'[' | b'{' if depth > 0 || begins => depth += 1,
+            b']' | b'}' => depth = depth.saturating_sub(1),
+            b'"' | b'\'' if begins => at = end_of_quoted(bytes, at),
+            b'#' if at.checked_sub(1).is_none_or(|at| bytes[at].is_ascii_whitespace()) => {
+                at += bytes[at..].iter().position(|byte| *byte == b'\n').unwrap_or(bytes.len());
+                continue;
+            }
+            _ => {}
+        }
+        if depth > DEPTH {
+            return Some(&text[..at]);
+        }
+        // In brackets, a value may continue in the next line.
+        if !matches!(byte, b' ' | b'\t' | b'\r') && (*byte != b'\n' || depth == 0) {
+            before = *byte;
+        }
+        at += 1;
+    }
+    None
+}
+
+/// The place of the quotation mark that ends the text that begins at `begin`, or the end of all.
+fn end_of_quoted(bytes: &[u8], begin: usize) -> usize {
+    let mark = bytes[begin];
+    let mut at = begin + 1;
+    while at < bytes.len() {
+        match bytes[at] {
+            b'\\' if mark == b'"' => at += 1,
+            byte if byte == mark && mark == b'\'' && bytes.get(at + 1) == Some(&mark) => at += 1,
+            byte if byte == mark => return at,
+            _ => {}
+        }
+        at += 1;
+    }
+    bytes.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::too_deep;
+    use crate::node::parse;
+    use crate::source::Source;
+
+    fn found(text: String) -> String {
+        let finding = parse(&Source { name: "s.yaml".into(), text }).unwrap_err();
+        format!("{}:{}: {}", finding.line, finding.column, finding.message)
+    }
+
+    #[test]
+    fn deep_nesting_is_refused_at_once_and_where_less_of_it_is() {
+        for level in ["a: [\n", "{é: ", "[", "{\"]\\\"]\": [", "['}}''}', ", "[ # ]]\n", "{a: [b, "] {
+            // Without the limit, this takes hours.
+            let text = level.repeat(1_000_000);
+            assert!(too_deep(&text).unwrap().len() <= level.len() * 1_001, "{level}");
+            let deep = found(text);
+            assert_eq!(deep, found(level.repeat(500)), "{level}");
+        }
+    }
+
+    #[test]
+    fn many_brackets_that_do_not_nest_are_read() {
+        let quoted = "[".repeat(3_000);
+        let plain = "a[".repeat(3_000);
+        for text in [
+            format!("a: [{}]\nb: '{quoted}'\nc: \"{quoted}\"\n", "[1], ".repeat(3_000)),
+            format!("a: {plain}\n# {quoted}\nb: it's [{quoted}\n"),
+            format!("a: |\n  {quoted}\nb: >-\n  - {quoted}\n"),
+        ] {
+            assert!(parse(&Source { name: "s.yaml".into(), text: text.clone() }).is_ok(), "{text}");
+        }
+    }
+}
