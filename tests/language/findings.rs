@@ -197,7 +197,12 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
     check(
         format!("{}  - {{at: 99999000s, robots: left, {track}}}\n", cue(track)),
         1,
-        &["DB0045", "test.yaml:4:5", "the cue `cue 2` begins at 99999000 s", "shorten the cues and pauses before it"],
+        &[
+            "DB0045",
+            "test.yaml:4:5",
+            "the cue `cue 2` begins at 99999000 s",
+            "shorten the cues and pauses before it",
+        ],
     );
     check(
         format!("{}tempo: 1\nsignature: 255/4\n", cue(track))

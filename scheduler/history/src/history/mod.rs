@@ -147,13 +147,14 @@ pub enum NoHistory {
     },
     /// Another version of Downbeat has written it.
     #[error(
-        "`{}` has version {found}, expected version {VERSION}; use the Downbeat that wrote it", path.display()
+        "`{}` has {}, expected version {VERSION}; use the Downbeat that wrote it",
+        path.display(), found.map_or_else(|| "no version".to_owned(), |found| format!("version {found}"))
     )]
     OtherVersion {
         /// Which file.
         path: PathBuf,
-        /// Its version.
-        found: u32,
+        /// Its version; `None` if it has none.
+        found: Option<u32>,
     },
 }
 
@@ -260,7 +261,9 @@ impl History {
             Ok(records) => Ok(Self::of_journal(records)),
             Err(Unreadable::Io { path, error }) => Err(NoHistory::Io { path, error }),
             Err(Unreadable::NoBegin { path }) => Err(NoHistory::Unknown { path }),
-            Err(Unreadable::OtherVersion { path, found }) => Err(NoHistory::OtherVersion { path, found }),
+            Err(Unreadable::OtherVersion { path, found }) => {
+                Err(NoHistory::OtherVersion { path, found: Some(found) })
+            }
         }
     }
 
@@ -296,8 +299,10 @@ impl History {
         let mut history = Self { source: HistorySource::Recording, ..Self::default() };
         match MessageStream::new_with_options(bytes, Options::ValidateChunkCrcs.into()) {
             Ok(messages) => match history.take_all(messages) {
-                None => {}
-                Some(found) => return Err(NoHistory::OtherVersion { path: path.to_path_buf(), found }),
+                Ok(()) => {}
+                Err(OtherVersion(found)) => {
+                    return Err(NoHistory::OtherVersion { path: path.to_path_buf(), found });
+                }
             },
             Err(error) => history.cut_off = Some(format!("nothing can be read: {error}")),
         }
@@ -360,14 +365,14 @@ impl History {
         self.records.is_empty() && self.told.is_empty()
     }
 
-    /// Takes messages up to the first one that cannot be read. Returns the version of a recording of another version.
-    fn take_all(&mut self, messages: MessageStream<'_>) -> Option<u32> {
+    /// Takes messages up to the first one that cannot be read.
+    fn take_all(&mut self, messages: MessageStream<'_>) -> Result<(), OtherVersion> {
         for (count, message) in messages.enumerate() {
             let taken = match message {
                 Ok(message) if is_ours(&message) => {
                     let version = version_of(&message);
-                    if version != VERSION {
-                        return Some(version);
+                    if version != Some(VERSION) {
+                        return Err(OtherVersion(version));
                     }
                     self.take(&message)
                 }
@@ -379,7 +384,7 @@ impl History {
                 break;
             }
         }
-        None
+        Ok(())
     }
 
     /// The scenario's name is the session's, up to the `@`.
@@ -534,11 +539,13 @@ fn is_ours(message: &mcap::Message<'_>) -> bool {
     ["/mission/", "/robots/"].iter().any(|prefix| message.channel.topic.starts_with(prefix))
 }
 
-/// 0 if the recording names none.
-fn version_of(message: &mcap::Message<'_>) -> u32 {
-    let version = message.channel.metadata.get(VERSION_KEY);
-    version.and_then(|version| version.parse().ok()).unwrap_or_default()
+/// `None` if the recording names none.
+fn version_of(message: &mcap::Message<'_>) -> Option<u32> {
+    message.channel.metadata.get(VERSION_KEY)?.parse().ok()
 }
+
+/// The version of a recording that is not read.
+struct OtherVersion(Option<u32>);
 
 #[cfg(test)]
 mod tests {
@@ -561,7 +568,7 @@ mod tests {
         let version = |version: u32| [(VERSION_KEY.to_owned(), version.to_string())].into();
         recording(&path, &version(VERSION));
         assert_eq!(History::read(&path).unwrap().outcome(), Some(&Outcome::Done));
-        for (metadata, version) in [(version(VERSION + 1), VERSION + 1), (BTreeMap::new(), 0)] {
+        for (metadata, version) in [(version(VERSION + 1), Some(VERSION + 1)), (BTreeMap::new(), None)] {
             recording(&path, &metadata);
             let error = History::read(&path).unwrap_err();
             assert!(matches!(error, NoHistory::OtherVersion { found, .. } if found == version), "{error}");
