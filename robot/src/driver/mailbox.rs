@@ -410,52 +410,70 @@ impl Mailbox {
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
         state.in_hand.clear();
+        if let Some(pulse) = &mut state.pulse {
+            pulse.busy(None);
+        }
+        let (mut state, work) = self.await_work(state, until);
+        let now = self.now();
+        if let Some(pulse) = &mut state.pulse {
+            pulse.busy(Some(now));
+        }
+        work
+    }
+
+    fn await_work<'a>(
+        &'a self,
+        mut state: MutexGuard<'a, State>,
+        until: Instant,
+    ) -> (MutexGuard<'a, State>, Work) {
         loop {
             let now = self.now();
             // What was said before a fault or an end was so.
             if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
-                return Work::Words(std::mem::take(&mut state.words));
+                let words = std::mem::take(&mut state.words);
+                return (state, Work::Words(words));
             }
             state.words_were_last = false;
             if let Some(reason) = state.fault.take() {
-                return Work::Fault(reason);
+                return (state, Work::Fault(reason));
             }
             if let Some(reason) = state.hung_up.take() {
-                return Work::HungUp(reason);
+                return (state, Work::HungUp(reason));
             }
             let confirmed = state.confirmed();
             if !confirmed.is_empty() {
-                return Work::Confirm(confirmed);
+                return (state, Work::Confirm(confirmed));
             }
             if state.pulse.as_ref().is_some_and(|pulse| pulse.is_overdue(now)) {
-                return Work::Ping;
+                return (state, Work::Ping);
             }
             if let Some(plan) = state.take_plan() {
-                return Work::Plan(plan);
+                return (state, Work::Plan(plan));
             }
             let drives = state.take();
             if !drives.is_empty() {
-                return Work::Drive(drives);
+                return (state, Work::Drive(drives));
             }
             let ping = state.pulse.as_ref().map(|pulse| (pulse.next_ping(now), pulse.is_quiet(now)));
             if ping.is_some_and(|(ping, quiet)| ping <= now && quiet) {
-                return Work::Ping;
+                return (state, Work::Ping);
             }
             if !state.words.is_empty() {
-                return Work::Words(std::mem::take(&mut state.words));
+                let words = std::mem::take(&mut state.words);
+                return (state, Work::Words(words));
             }
             if state.closed {
-                return Work::Closed;
+                return (state, Work::Closed);
             }
             let waited = |asked: &Instant| now.saturating_duration_since(*asked) >= READ_WAIT_MAX;
             let quiet = state.pulse.as_ref().is_none_or(|pulse| pulse.is_quiet_for_readings(now));
             if state.readings.front().is_some_and(|(.., asked)| quiet || waited(asked))
                 && let Some((id, sensor, _)) = state.readings.pop_front()
             {
-                return Work::Read(id, sensor);
+                return (state, Work::Read(id, sensor));
             }
             let Some(left) = until.checked_duration_since(now).filter(|left| !left.is_zero()) else {
-                return Work::Nothing;
+                return (state, Work::Nothing);
             };
             let left = if state.readings.is_empty() { left } else { left.min(QUIET) };
             // Where a movement is near the ping is looked for again behind it.

@@ -50,6 +50,8 @@ pub(super) struct Pulse {
     held_since: Option<Instant>,
     /// A sensor is being read, which may take as long as it takes.
     reading: bool,
+    /// When its thread last began to do something, if it is not idle.
+    busy_since: Option<Instant>,
 }
 
 impl Pulse {
@@ -65,7 +67,13 @@ impl Pulse {
             demand,
             held_since: None,
             reading: false,
+            busy_since: None,
         }
+    }
+
+    /// Its thread begins to do something that the hardware has to answer, or is idle again.
+    pub(super) const fn busy(&mut self, since: Option<Instant>) {
+        self.busy_since = since;
     }
 
     /// True when this changes when it is asked next.
@@ -117,9 +125,13 @@ impl Pulse {
 
     /// Whether it is to be asked although a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
+        now.saturating_duration_since(self.answered) >= self.overdue(now)
+    }
+
+    fn overdue(&self, now: Instant) -> Duration {
         let near = OVERDUE.0.max(self.near * 2);
         let overdue = if self.demand.confirmation || self.start_is_near(now) { near } else { OVERDUE.1 };
-        now.saturating_duration_since(self.answered) >= overdue.max(self.took * 2)
+        overdue.max(self.took * 2)
     }
 
     fn start_is_near(&self, now: Instant) -> bool {
@@ -144,12 +156,20 @@ impl Pulse {
         (self.took * 4).clamp(QUIET_LEAST, QUIET)
     }
 
-    /// For how long its driver has not answered, or the hardware has not shown itself, while something is held. `None` up to
+    /// How long its driver has not answered, or the hardware has shown no sign of life, while something is held. `None` up to
     /// `silence_max`, or longer if its calls are slow.
+    ///
+    /// Time in which this machine was held up and asked nothing is not silence, unless a start is due: it rests on a fresh sign of life.
     pub(super) fn silence(&self, now: Instant, silence_max: Duration) -> Option<Duration> {
         let held_since = self.held_since.filter(|_| !self.reading)?;
+        let start_is_due = self.demand.start.is_some_and(|start| start <= now);
+        let asked = self.busy_since.unwrap_or(now);
+        let on_time = asked.checked_sub(self.overdue(asked)).filter(|_| !start_is_due);
+        let unasked = on_time
+            .map(|on_time| on_time.saturating_duration_since(self.answered.max(held_since)))
+            .unwrap_or_default();
         let since = |last: Instant, most: Duration| {
-            let silent = now.saturating_duration_since(last.max(held_since));
+            let silent = now.saturating_duration_since(last.max(held_since)).saturating_sub(unasked);
             let too_long = silent > most.max(self.near * 3) + 2 * self.took;
             too_long.then(|| now.saturating_duration_since(last))
         };
@@ -200,6 +220,7 @@ mod tests {
     #[test]
     fn silence_counts_from_when_something_is_held_and_allows_for_slow_calls_and_readings() {
         let (mut pulse, begin) = holding(None);
+        pulse.busy(Some(begin));
         assert_eq!(pulse.silence(begin + SILENCE_MAX, SILENCE_MAX), None);
         assert_eq!(pulse.silence(begin + SILENCE_MAX + MS, SILENCE_MAX), Some(SILENCE_MAX + MS));
         pulse.called(50 * MS);
@@ -212,6 +233,20 @@ mod tests {
         assert_eq!(pulse.silence(begin + 900 * MS, SILENCE_MAX), None);
         pulse.demand(begin, Demand::default());
         assert_eq!(pulse.silence(begin + 9_000 * MS, SILENCE_MAX), None, "nothing depends on it");
+    }
+
+    #[test]
+    fn time_in_which_a_machine_that_was_held_up_asked_nothing_is_not_silence() {
+        let (mut pulse, begin) = holding(Some(2_000 * MS));
+        assert_eq!(pulse.silence(begin + 1_200 * MS, SILENCE_MAX), None, "it was not asked");
+        pulse.busy(Some(begin + 1_200 * MS));
+        assert_eq!(pulse.silence(begin + 1_290 * MS, SILENCE_MAX), None);
+        let silent = Some(1_291 * MS);
+        assert_eq!(pulse.silence(begin + 1_291 * MS, SILENCE_MAX), silent, "asked 60 ms too late, at least");
+        pulse.busy(None);
+        assert_eq!(pulse.silence(begin + 2_000 * MS, SILENCE_MAX), Some(2_000 * MS), "a start is due");
+        pulse.busy(Some(begin));
+        assert_eq!(pulse.silence(begin + 1_200 * MS, SILENCE_MAX), Some(1_200 * MS), "it was asked");
     }
 
     #[test]
